@@ -1,4 +1,4 @@
-"""Do the heights lie within what a map claims: relative sigma and common tilt together, from estimated poses.
+"""Coverage of the heights by the claimed interval: relative sigma and common tilt together, from estimated poses.
 
     python bench/bench_coverage.py                       # every flight, batch and ring: half an hour of CPU
     python bench/bench_coverage.py --flights sample --methods batch --kept out/coverage
@@ -34,14 +34,14 @@ REGISTERED = {", registered": "path", ", registered by its heights": "heights"}
 
 
 def run(flight: Path, method: str, out: Path) -> None:
-    """One run of one flight, where `out` has none yet."""
+    """Run one flight, unless `out` holds a run already."""
     if not is_run(out):
         result = find(flight, out, Find(load_settings("", [f"parallax.method={method}"])))
         write_run(result, out)
 
 
 def rows_of(flight: Path, out: Path, name: str) -> list[Row]:
-    """What one run's evaluation says of its coverage."""
+    """Rows of the coverage of one run, from its evaluation."""
     values = evaluate(out, flight).values
     rows = []
     for suffix, by in REGISTERED.items():

@@ -1,10 +1,10 @@
-"""A descent from 100 m to 5 m in one run: what the recursive map is worth at every height, and where its cells change.
+"""A descent from 100 m to 5 m in one run: accuracy of the recursive map at every height, and steps where cells change.
 
     python bench/bench_descent.py                        # desert, test seed
     python bench/bench_descent.py --scene meadow --seed 1 --picture out/descent.png
 
-True poses, the left camera, keyframes 2 % of the height apart; the map is judged in the inner two thirds of what the
-newest picture sees, against the simulator's truth.
+True poses, the left camera, keyframes 2 % of the height apart; the map is judged in the inner two thirds of the ground
+in the newest picture, against the simulator's truth.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Stage:
 
 
 def flight(scene: str, seed: int) -> SimulatedFlight:
-    """Down in a slant of a third."""
+    """Simulate the descent, with a slant of a third."""
     plan = FlightPlan(pattern="descent", height=HIGH, end_height=LOW, speed=5.0)
     return fly(scene, seed, plan=plan, rate_hz=50.0)
 
@@ -66,7 +66,7 @@ def keyframes(f: SimulatedFlight) -> Iterator[View]:
 
 
 def truth_on(f: SimulatedFlight, grid: Grid) -> F64:
-    """True heights of the cells, NaN outside of what is known."""
+    """True heights of the cells, metres, NaN outside the truth."""
     row, col = f.truth.grid.index(*grid.xy())
     at = [np.asarray(v, dtype=np.float32) for v in np.meshgrid(col, row)]
     edge = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": np.nan}
@@ -74,7 +74,7 @@ def truth_on(f: SimulatedFlight, grid: Grid) -> F64:
 
 
 def under(elevation: TiledElevation, view: View, ground: float, level: int) -> ElevationMap:
-    """The map in the inner part of what a picture sees."""
+    """The map in the inner part of the ground in a picture."""
     seen = footprint(view, ground)
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle, half = (low + high) / 2, INNER * (high - low) / 2
@@ -83,7 +83,7 @@ def under(elevation: TiledElevation, view: View, ground: float, level: int) -> E
 
 
 def stage_of(f: SimulatedFlight, m: ElevationMap, up: float) -> Stage:
-    """What it is worth."""
+    """Accuracy of a map, with the vehicle `up` metres above ground."""
     e = (m.height - truth_on(f, m.grid))[m.trusted]
     sigma = m.sigma[m.trusted][np.isfinite(e)]
     e = e[np.isfinite(e)]
@@ -93,7 +93,7 @@ def stage_of(f: SimulatedFlight, m: ElevationMap, up: float) -> Stage:
 
 
 def descend(f: SimulatedFlight) -> tuple[RecursiveMap, list[Stage], list[float]]:
-    """Fly it: the map, its stages, and at every change of the cell the median step of the map in sigmas."""
+    """Fly the descent: the map, its stages, and at every change of the cell the median step of the map in sigmas."""
     views = list(keyframes(f))
     lane = RecursiveMap(Settings().stages())
     if not lane.find_ground(views[:8]):
@@ -154,7 +154,7 @@ def picture(lane: RecursiveMap, f: SimulatedFlight) -> NDArray[np.uint8]:
 
 
 def painted(values: NDArray[np.floating], where: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Colours of 0 to 1; grey where nothing is."""
+    """Colours of values from 0 to 1; grey where `where` is False."""
     level = (np.clip(np.nan_to_num(values), 0, 1) * 255).astype(np.uint8)
     return np.where(where[..., None], cv2.applyColorMap(level, cv2.COLORMAP_TURBO)[..., ::-1], 90).astype(np.uint8)
 

@@ -2,8 +2,8 @@
 
     python bench/bench_fly.py meadow --width 320 --seed 0
 
-Everything that `alight fly` has is in the loop, but for its threads and processes: telemetry and set-points as MAVLink,
-the clock by TIMESYNC, an estimate of the autopilot that is off and wanders, pictures of the scene, and the three lanes.
+Everything of `alight fly` is in the loop except its threads and processes: telemetry and set-points as MAVLink, the
+clock by TIMESYNC, an estimate of the autopilot with offset and drift, pictures of the scene, and the three lanes.
 """
 
 from __future__ import annotations
@@ -112,14 +112,14 @@ class Loop:
         self.asked, self.about = True, about
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Nothing: there are many."""
+        """Print nothing: there are many orders."""
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """Print the diary."""
+        """Print an entry of the diary."""
         print(entry.line, flush=True)
 
     def note(self, lane: str, words: str) -> None:
-        """Print it."""
+        """Print a note."""
         print(f"{lane}: {words}", flush=True)
 
 

@@ -1,4 +1,4 @@
-"""Judging the ground: hazard terrains with truth, and speed. Flights: bench/ground_flights.py.
+"""Hazard judgement: hazard terrains with truth, and speed. Flights: bench/ground_flights.py.
 
 Run: python bench/bench_ground.py               (hazards and speed)
      python bench/bench_ground.py hazards [--data ../shared/data/hazard-contest]
@@ -52,14 +52,14 @@ Pixels = NDArray[np.uint8]
 
 
 def read_terrain(folder: Path) -> tuple[ElevationMap, Pixels, NDArray[np.bool_]]:
-    """The coarse heights as a map, the image, and where a touchdown is safe in truth."""
+    """The coarse heights as a map, the image, and the mask of truly safe touchdowns."""
     dem = np.fromfile(folder / "dem.raw", ">f4").reshape(500, 500).astype(np.float32)
     image, safe = (np.asarray(cv2.imread(str(folder / n), cv2.IMREAD_GRAYSCALE)) for n in ("image.pgm", "safe.pgm"))
     return as_map(dem, CELL, np.full(dem.shape, 0.001, np.float32)), image, safe > 0
 
 
 def as_map(height: NDArray[np.float32], cell: float, sigma: NDArray[np.float32]) -> ElevationMap:
-    """A map of these heights, all of them seen."""
+    """Make a map of heights, all of them seen."""
     none = np.zeros(height.shape, np.float32)
     grey = np.full((*height.shape, 3), 128, np.uint8)
     grid = Grid(0.0, cell * (height.shape[0] - 1), cell, *height.shape)
@@ -67,13 +67,13 @@ def as_map(height: NDArray[np.float32], cell: float, sigma: NDArray[np.float32])
 
 
 def judge(fine: ElevationMap, settings: HazardsSettings = SURVEY) -> tuple[HazardMap, slice]:
-    """The verdict on a map continued beyond its rim, and where the map itself is in it."""
+    """The hazard map of a map continued beyond its rim, and the slice of the map itself in it."""
     height, sigma = (np.pad(a, BEYOND, mode="edge") for a in (fine.height, fine.sigma))
     return assess(as_map(height, fine.grid.cell, sigma), None, CONTEST, settings), slice(BEYOND, -BEYOND)
 
 
 def scores(p: NDArray[np.float32], least: float, truth: NDArray[np.bool_]) -> str:
-    """Accuracy, false share of what is declared safe, missed share of what is safe, in percent."""
+    """Accuracy, false share of the declared safe cells, missed share of the truly safe cells, in percent."""
     said = p >= least
     said[:RIM] = said[-RIM:] = said[:, :RIM] = said[:, -RIM:] = False
     wrong, missed = (said & ~truth).sum() / max(said.sum(), 1), (truth & ~said).sum() / truth.sum()
@@ -81,7 +81,7 @@ def scores(p: NDArray[np.float32], least: float, truth: NDArray[np.bool_]) -> st
 
 
 def hazards(data: Path) -> None:
-    """The contest terrains from dem.raw and image.pgm alone."""
+    """Judge the contest terrains from dem.raw and image.pgm alone."""
     for folder in sorted(p for p in data.iterdir() if (p / "dem.raw").exists()):
         coarse, image, truth = read_terrain(folder)
         start = time.perf_counter()
@@ -109,7 +109,7 @@ LANDERS = {
 
 
 def speed(cells: int = 1000) -> None:
-    """The whole verdict with its probabilities on rolling ground with 400 rocks, 0.1 m cells; the best of three."""
+    """Time of the whole verdict with its probabilities, rolling ground with 400 rocks, 0.1 m cells; best of three."""
     e = rolling(cells)
     for name, lander in LANDERS.items():
         assess(e, None, lander, HazardsSettings())  # compile
@@ -164,7 +164,7 @@ def verdict_speed(cells: int = 600) -> None:
 
 
 def main() -> None:
-    """One part of the benchmark."""
+    """Run one part of the benchmark, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", nargs="?", default="all", choices=["all", "hazards", "speed"])
     parser.add_argument("--data", type=Path, default=Path("../shared/data/hazard-contest"))

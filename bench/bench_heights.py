@@ -1,11 +1,11 @@
-"""Heights against all that they must show: one table, rows by what is asked, must and aim beside what was measured.
+"""Heights against all their requirements: one table, a row a quantity, with must and aim beside the measured value.
 
     python bench/bench_heights.py                                        # all of it, about an hour of CPU
     python bench/bench_heights.py --rows sgbm,coverage --rungs meadow/40m/test-1
     python bench/bench_heights.py --rows unflagged --seeds 1001
     python bench/bench_heights.py --page                                 # into docs/lab/heights-table.md as well
 
-What was measured with the same source before is not measured again (out/bench-heights). Recordings are looked for in
+Quantities that were measured with the same source before are not measured again (out/bench-heights). Recordings are in
 ../shared/data or $ALIGHT_DATA.
 """
 
@@ -31,7 +31,7 @@ Rows = Callable[[argparse.Namespace, ladder.Ladder], list[Row]]
 
 
 def others(module: str) -> list[Row]:
-    """The rows of a bench of its own."""
+    """The rows of another bench module."""
     return list(importlib.import_module(module).rows())
 
 

@@ -1,10 +1,10 @@
-"""Memory of a flight without end: what the process holds after ten minutes beside what it held after one.
+"""Memory of an endless flight: memory of the process after ten minutes over that after one.
 
     python bench/bench_heights_memory.py              # ten minutes of flight, some five of CPU
     python bench/bench_heights_memory.py --minutes 3
 
 Frames, GPS/INS rows and IMU samples of a straight flight go through the whole pipeline: tracks, filter, ring, map. The
-ground is a painted plane, because frames have to be cheap; what is held does not depend on what stands on it.
+ground is a painted plane, because frames have to be cheap; memory does not depend on objects on the ground.
 `forgotten`: the map ends where the vehicle cannot see; `spilled`: all of it stays, on the disk.
 """
 
@@ -61,12 +61,12 @@ def painted() -> U8:
 
 
 def place(t: float) -> np.ndarray:
-    """Where the vehicle is."""
+    """Position (3,) of the vehicle at a time, metres."""
     return np.array([SPEED * t, 1.5 * np.sin(0.4 * t), UP + 0.8 * np.sin(0.25 * t)])
 
 
 def picture(paint: U8, t: float, rng: np.random.Generator) -> U8:
-    """What the camera sees: one homography."""
+    """Picture of the camera at a time: one homography."""
     cam_from_world = (Pose(np.eye(3), place(t)) @ RIG.cameras[0].body_from_cam).inverse
     P = K @ np.column_stack([cam_from_world.rotation, cam_from_world.translation])
     period, shift = PAINT * SIDE, np.floor(SPEED * t / (PAINT * SIDE)) * PAINT * SIDE
@@ -79,7 +79,7 @@ def picture(paint: U8, t: float, rng: np.random.Generator) -> U8:
 
 
 def events(seconds: float) -> Iterator[Event]:
-    """The flight as it comes."""
+    """Events of the flight, in order of time."""
     paint, rng = painted(), np.random.default_rng(1)
     h = 1e-3
     for k in range(int(seconds * IMU_RATE)):
@@ -96,7 +96,7 @@ def events(seconds: float) -> Iterator[Event]:
 
 
 def resident() -> float:
-    """MB that the process holds now, less what is free and only kept for later by the allocator."""
+    """MB that the process holds now, without free memory that the allocator keeps for later."""
     gc.collect()
     LIBC.malloc_trim(0)
     return float(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -117,13 +117,13 @@ def fly(way: str, minutes: float) -> list[float]:
 
 
 def measured(way: str, minutes: float) -> list[float]:
-    """The same in a process of its own, where nothing else was held before."""
+    """`fly` in a process of its own, which held no other memory before."""
     command = [sys.executable, __file__, "--child", way, "--minutes", str(minutes)]
     return [float(v) for v in json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)]
 
 
 def rows(minutes: float = 10.0) -> list[Row]:
-    """Memory at the end over memory after a minute, each the mean of three looks."""
+    """Memory at the end over memory after a minute, each the mean of three measurements."""
     out = []
     for way in WAYS:
         held = kept(f"memory {way} {minutes:g}", lambda way=way: measured(way, minutes))  # type: ignore[misc]
@@ -134,7 +134,7 @@ def rows(minutes: float = 10.0) -> list[Row]:
 
 
 def main() -> None:
-    """Print the rows, and what they are made of."""
+    """Print the rows, and the numbers behind them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--child", choices=WAYS, help=argparse.SUPPRESS)

@@ -1,13 +1,13 @@
-"""Rows of poses with errors: what a refinement with the map makes of the heights, and whether what it claims is true.
+"""Rows of poses with errors: accuracy of the heights with pose refinement, and consistency of its covariance.
 
     python bench/bench_heights_poses.py            # about twenty minutes of CPU
     python bench/bench_heights_poses.py meadow/40m/test-1
 
 True poses of the ladder's rungs are disturbed by 5 cm and 0.2 degrees (1 sigma an axis), three ways: `white` is new at
 each exposure, `drift` grows evenly along the flight (random signs, the same rms), `constant` is one for the flight.
-`white` and `drift` are claimed to be white, each pose by itself, as a navigation solution claims them; `constant` with
-the joint covariance that it has. `none`: true poses with the claims of `white`: good poses must be left alone. The
-ring's heights are compared with those of perfect poses; shape is the NMAD on open ground less a plane.
+`white` and `drift` have a white covariance, each pose by itself, as of a navigation solution; `constant` has its true
+joint covariance. `none`: true poses with the covariance of `white`: good poses must stay unchanged. The ring's heights
+are compared with those of perfect poses; shape is the NMAD on open ground less a plane.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ HELD = 16  # poses that are told of together
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What is flown, as it truly was."""
+    """A flight: its views, true poses and points."""
 
     shots: list[list[View]]
     bodies: list[Pose]
@@ -62,7 +62,7 @@ def _flown(name: str) -> Shown:
 
 
 def errors(kind: str, seed: int) -> F64:
-    """(N, 6) position and rotation errors."""
+    """(N, 6) position errors in metres and rotation errors in rad."""
     rng = np.random.default_rng(seed)
     shape = {
         "none": lambda: np.zeros((COUNT, 6)),
@@ -74,7 +74,7 @@ def errors(kind: str, seed: int) -> F64:
 
 
 def disturbed(shot: list[View], body: Pose, error: F64, sigma: F64 = SIGMA) -> tuple[list[View], Motion]:
-    """The views of an exposure and its motion with an error of the body's pose, claimed to be of `sigma`."""
+    """The views of an exposure and its motion with an error (6,) of the body's pose and a claimed `sigma` (6,)."""
     turn = so3_exp(error[3:])
     by = Pose(turn, body.translation + error[:3] - turn @ body.translation)
     views = [replace(v, world_from_cam=by @ v.world_from_cam) for v in shot]
@@ -83,7 +83,7 @@ def disturbed(shot: list[View], body: Pose, error: F64, sigma: F64 = SIGMA) -> t
 
 
 def told(motions: list[Motion], kind: str) -> KeyframePosterior:
-    """What the ring hears at the newest of these motions."""
+    """The keyframe posterior for the ring at the newest of these motions."""
     if kind != "constant":
         return KeyframePosterior((motions[-1],), motions[-1].covariance)
     last = motions[-HELD:]
@@ -92,9 +92,9 @@ def told(motions: list[Motion], kind: str) -> KeyframePosterior:
 
 
 def fly(name: str, kind: str, seed: int, refine: bool, scale: float = 1.0) -> dict[str, float]:
-    """Shape, offset and tilt of the ring's map, and how far off it is in the measure that it claims.
+    """Shape, offset and tilt of the ring's map, and its squared error over its claimed covariance.
 
-    `scale`: of the errors and of their claim, which stays above a tenth.
+    `scale`: of the errors and of their claimed sigma, which stays above a tenth.
     """
     flown, claim = _flown(name), max(scale, 0.1) * SIGMA
     wrong = zip(flown.shots, flown.bodies, scale * errors(kind, seed), strict=True)
@@ -143,7 +143,7 @@ def robust_plane(xy: F64, height: F64) -> F64:
 
 
 def measure(name: str, kind: str, seeds: int) -> list[dict[str, float]]:
-    """All seeds of a kind, each with the ratio of its shape to that of perfect poses."""
+    """Numbers of all seeds of a kind, each with the ratio of its shape to that of perfect poses."""
     perfect = kept(f"poses {name} perfect", lambda: fly(name, "none", 0, False))
     out = []
     for seed in range(1, 1 + (1 if kind == "none" else seeds)):
@@ -153,7 +153,7 @@ def measure(name: str, kind: str, seeds: int) -> list[dict[str, float]]:
 
 
 class Refined(Flight):
-    """The step of `heights_step`, its ring told of the last poses: by a filter together, or each by itself."""
+    """The step of `heights_step`, with poses of a joint posterior as of a filter, or each by itself."""
 
     def __init__(self, by_filter: bool) -> None:
         self._by_filter, self._told = by_filter, list[Motion]()
@@ -176,7 +176,7 @@ class Refined(Flight):
 
 @one_thread()
 def speed_rows() -> list[Row]:
-    """CPU of a step and the refinement before it over StereoSGBM(64), by turns; and all that a keyframe asks."""
+    """CPU of a step and the refinement before it over StereoSGBM(64), by turns; and that of a whole keyframe."""
     matcher, pair = cv2.StereoSGBM_create(0, 64, 5), [view(texture(), i, SPACING * i).image for i in range(2)]
     plain, out = Flight(), []
     for name, flight in (("a filter's poses", Refined(True)), ("each pose off by 5 cm and 0.2 deg", Refined(False))):
@@ -195,7 +195,7 @@ def speed_rows() -> list[Row]:
 
 
 def rows(names: tuple[str, ...] = RUNGS) -> list[Row]:
-    """Shape against perfect poses, and what is claimed of offset and tilt against what they are."""
+    """Shape against that of perfect poses, and claimed covariance of offset and tilt against their errors."""
     claims = {kind: measure(names[0], kind, CLAIM_SEEDS) for kind in ("white", "constant")}
     found = {(name, kind): measure(name, kind, SEEDS) for name in names for kind in KINDS}  # each rung flown once
     out = []

@@ -1,4 +1,4 @@
-"""A live flight against what it must show: recorded and simulated flights at their own speed, by the clock.
+"""A live run against its requirements: recorded and simulated flights at their own speed, in real time.
 
     python bench/bench_live.py                          all of it; a quarter of an hour
     python bench/bench_live.py rate busy start sample   some parts: rate faster busy cpu memory start sample
@@ -68,7 +68,7 @@ def recording() -> Path:
 
 
 def around(source: Source, seconds: float) -> Iterator[Event]:
-    """The flight again and again for so long: it goes on where it ended, at the same speed, over the same ground."""
+    """Repeat the flight for some seconds: it continues at its end, at the same speed, over the same ground."""
     known = [e for e in source.events() if isinstance(e, NavSample) and e.position_world is not None]
     frames = [e.t_ns for e in source.events() if isinstance(e, Frame)]
     period = frames[-1] - frames[0] + round((frames[-1] - frames[0]) / (len(frames) - 1))
@@ -84,14 +84,14 @@ def around(source: Source, seconds: float) -> Iterator[Event]:
 
 
 def moved(event: Event, later: int, by: F64) -> Event:
-    """An event so much later and elsewhere."""
+    """An event `later` ns later, its position moved by `by` (3,) metres."""
     if isinstance(event, NavSample) and event.position_world is not None:
         return replace(event, t_ns=event.t_ns + later, position_world=event.position_world + by)
     return replace(event, t_ns=event.t_ns + later)
 
 
 class Flown:
-    """One live flight and what it showed.
+    """One live flight and its measured numbers.
 
     Args:
         seconds: of flight.
@@ -138,7 +138,7 @@ class Flown:
                 recorder.close()
 
     def rows(self, what: str, must: float, aim: float | None) -> list[Row]:
-        """What every flight is asked."""
+        """Rows of every flight."""
         t = self.times
         return [
             Row(f"{what}: exposures a second that navigation used", self.used / self.lasted, must, aim, "1/s", True),
@@ -153,12 +153,12 @@ class Flown:
 
 
 def q95(times: dict[str, F64], name: str) -> float:
-    """The 95th percentile, NaN without any."""
+    """95th percentile of the times of a name; NaN without one."""
     return float(np.percentile(times[name], 95)) if len(times.get(name, ())) else float("nan")
 
 
 def resident(pid: int) -> float:
-    """MB of memory that a process and its children hold, what they share counted once."""
+    """MB of memory that a process and its children hold, shared memory counted once."""
     total = 0
     for entry in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -213,7 +213,7 @@ def part_memory(args: argparse.Namespace) -> None:
 
 
 def part_start(_: argparse.Namespace) -> None:
-    """From the command to the first pose, everything compiled: the recording's clock tells."""
+    """From the command to the first pose, everything compiled, by the clock of the recording."""
     alight.warmup()
     with tempfile.TemporaryDirectory() as folder:
         begin, out = time.time_ns(), Path(folder) / "out"
@@ -224,7 +224,7 @@ def part_start(_: argparse.Namespace) -> None:
 
 
 def part_sample(_: argparse.Namespace) -> None:
-    """The sample at its own speed: its replay gives the same bits, and its heights stand beside those of batch."""
+    """The sample at its own speed: its replay gives the same bits, and its heights are compared with those of batch."""
     log = DATA / "sample"
     if not log.exists():
         print(f"sample: left out, there is no {log}")
@@ -257,7 +257,7 @@ PARTS = {
 
 
 def main() -> None:
-    """The parts that are named, or all."""
+    """Run the parts that are named, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", choices=[[], *PARTS], default=list(PARTS))
     parser.add_argument("--minutes", type=float, default=30.0, help="of the part `memory`")

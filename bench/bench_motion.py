@@ -1,11 +1,11 @@
-"""Ego-motion against what it must show: one table, each number with its `must` and `aim` beside it.
+"""Ego-motion against its requirements: one table, each number with its `must` and `aim` beside it.
 
     python bench/bench_motion.py                        all of it
     python bench/bench_motion.py nees damage speed      some parts: nees batch damage sample ladder photos speed evo
     python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50 --seeds 3
 
 `nees`, `batch` and `damage` fly without images; `sample` and `photos` need the recordings in ../shared/data (or
-$ALIGHT_DATA) and say so when they are absent.
+$ALIGHT_DATA) and report when they are absent.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def part_batch(_: argparse.Namespace) -> None:
 
 
 def _healthy(o: Outcome) -> bool:
-    """The states that each damage calls for: what the docstrings of tests/test_motion_damage.py say."""
+    """Whether the states are those expected of a damage, as in the docstrings of tests/test_motion_damage.py."""
     s = o.scenario
     if s.name.startswith(("GPS", "lens")):
         late = 2.5 if s is OUTAGE else 0.6
@@ -159,7 +159,7 @@ def part_sample(_: argparse.Namespace) -> None:
 
 
 def part_photos(_: argparse.Namespace) -> None:
-    """Photos 3 m apart through the filter, with the lens that the reference's poses belong to."""
+    """Photos 3 m apart through the filter, with the lens of the reference's poses."""
     from mirafiori_reference import body_poses, camchain
 
     folder = DATA / "mirafiori"

@@ -1,4 +1,4 @@
-"""A card of photos: CPU a megapixel, memory, clock, and how much of the ground is covered how exactly.
+"""A card of photos: CPU a megapixel, memory, time, coverage of the ground and accuracy of the heights.
 
     python bench/bench_photos.py                            # `make bench-photos`: reduced simulated sets, 15 minutes
     python bench/bench_photos.py --full                     # 18 x 9, 100 x 12 and 300 x 2 megapixels: hours
@@ -50,7 +50,7 @@ OFF = {"oblique": (2.0, 0.5)}  # % of the heights given out that are off by more
 
 
 def run_one(photos: Path, out: Path, options: list[str], profile: bool) -> None:
-    """In a process of its own: the run, and what it cost beside it."""
+    """Run in a process of its own, and write its cost beside it."""
     sys.argv = ["alight", "run", str(photos), "--out", str(out), "--force", *options]
     watch, start = cProfile.Profile(), time.perf_counter()
     if profile:
@@ -99,7 +99,7 @@ def measured(name: str, photos: Path, options: list[str], profile: bool) -> list
 
 
 def beside(name: str, drawn: Drawn, rows: list[Row], photos: Path, options: list[str]) -> list[Row]:
-    """What a second run beside a drawn set's own tells: with true poses, or over a third of the photos."""
+    """Rows that compare a drawn set with a second run: with true poses, or over a third of the photos."""
 
     def of(some: list[Row], what: str) -> float:
         return next(r.value for r in some if r.name.endswith(f": {what}"))
@@ -138,9 +138,9 @@ def reference_rows(run: Run) -> list[Row]:
 
 
 def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
-    """Heights against the simulator's ground, the whole map moved, turned and scaled so that the cameras meet theirs.
+    """Heights against the simulator's ground, after the similarity that fits the map's cameras to the true ones.
 
-    How far it had to be turned and scaled is what GPS leaves open. What remains is less a plane, and bows.
+    Its rotation and scale are the error of GPS. Of the other errors, a plane is subtracted, and bowing is measured.
     """
     assert run.local is not None
     assert run.height is not None
@@ -188,7 +188,7 @@ def to_truth(run: Run, z: Any) -> tuple[float, F64, F64]:
 
 
 def point_rows(name: str, run: Run, truth_from_run: tuple[float, F64, F64], points: F64, above: float) -> list[Row]:
-    """Heights at points (N, 3) that three photos share: how many are given out, and how many of all are off."""
+    """Heights at points (N, 3) that three photos share: share given out, and share of all with a large error."""
     assert run.local is not None
     assert run.height is not None
     assert run.grid is not None

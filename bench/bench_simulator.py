@@ -1,4 +1,4 @@
-"""The simulator against what was asked of it: speed, the making of a world, geometry, sameness.
+"""The simulator against its requirements: speed, time to make a world, geometry, reproducibility.
 
     python bench/bench_simulator.py            # `make bench-simulator` goes on to the realism table
 
@@ -52,7 +52,7 @@ def speed(height: float) -> tuple[float, float, float]:
 
 
 def first_frame(seed: int, whole: bool) -> float:
-    """Seconds from a seed to the first pair over a world of 200 x 200 m at 10 cm; with all its tiles, or those seen."""
+    """Seconds from a seed to the first pair over a world of 200 x 200 m at 10 cm, with all tiles or the seen ones."""
     scene = simulate.read_scene(simulate.built_in()[SCENE])
     ground = scene.ground.model_copy(update={"size": (200.0, 200.0)})
     scene = scene.model_copy(update={"ground": ground})
@@ -67,7 +67,7 @@ def first_frame(seed: int, whole: bool) -> float:
 
 
 def same(threads: int) -> bytes:
-    """All that a short flight is made of, drawn by some threads."""
+    """The bytes of a short flight's truth and pictures, drawn by some threads."""
     before = numba.get_num_threads()
     numba.set_num_threads(min(threads, before))
     try:
@@ -79,7 +79,7 @@ def same(threads: int) -> bytes:
 
 
 def show(what: str, must: str, aim: str, got: str, well: bool) -> None:
-    """One row."""
+    """Print one row of the table."""
     print(f"| {what} | {must} | {aim} | {got if well else f'**{got}**'} |", flush=True)
 
 

@@ -1,4 +1,4 @@
-"""How long a step takes, as a ratio to one StereoSGBM match of 640x480 px with 64 disparities on the same machine.
+"""Time of a step, as a ratio to one StereoSGBM match of 640x480 px with 64 disparities on the same machine.
 
 python bench/bench_steps.py
 """
@@ -35,7 +35,7 @@ def texture() -> np.ndarray:
 
 
 def view(ground: np.ndarray, i: int, east: float) -> View:
-    """What a camera over (`east`, 0) sees of the flat ground."""
+    """View of a camera over (`east`, 0) of the flat ground."""
     u, v = np.meshgrid(np.arange(640, dtype=np.float32), np.arange(480, dtype=np.float32))
     metres = HEIGHT / 480.0
     x, y = (u - 319.5) * metres + east, (239.5 - v) * metres
@@ -46,13 +46,13 @@ def view(ground: np.ndarray, i: int, east: float) -> View:
 
 
 def step(views: list[View]) -> Heights | None:
-    """One parallax batch, the views' preparation included."""
+    """Match one tile in batch, the views' preparation included."""
     found = match_tile(Images(views, GRID.cell, 0.0), GRID, -1.5, 1.5, ParallaxSettings())
     return found.heights if found else None
 
 
 def seconds(work: Callable[[], object], repeats: int = 5) -> float:
-    """Median of some runs after one that compiles and warms."""
+    """Median seconds of some runs after one that compiles and warms."""
     work()
     times = []
     for _ in range(repeats):

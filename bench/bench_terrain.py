@@ -1,4 +1,4 @@
-"""What covers the ground: how well the classes do on flights and on the library.
+"""Accuracy of the land cover on flights and on the library.
 
     python bench/bench_terrain.py measure FLIGHT ... # refused and kept by true class; rungs, or folders with truth
     python bench/bench_terrain.py library            # the library with each site left out, and other scenes
@@ -39,7 +39,7 @@ def maps(names: Sequence[str], scratch: Path) -> Iterator[tuple[str, ElevationMa
 
 
 def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
-    """Share of each true class that the verdict refuses, by class alone and with the heights that nobody trusts."""
+    """Share of each true class that is refused, by class alone and together with heights that are not trusted."""
     known = None if str(model) == "none" else read_model(model)
     print(f"{'refused %, class / class or height':<36}" + "".join(f"{k.name.lower()[:11]:>13}" for k in ALL))
     rows: list[list[tuple[float, float] | None]] = []
@@ -64,7 +64,7 @@ def _tell(name: str, row: list[tuple[float, float] | None]) -> None:
 
 
 def library(data: Path) -> None:
-    """The library with each site left out; other scenes, never trained on, at two guesses of their pixel size."""
+    """Print the confusion on the library with each site left out, and on other scenes at two assumed pixel sizes."""
     for line in lines_of(elsewhere(read_library(data / "terrain-library"))):
         print(line)
     scenes = data / "drone-scenes"
@@ -75,7 +75,7 @@ def library(data: Path) -> None:
 
 
 def main() -> None:
-    """One part."""
+    """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", nargs="?", default="measure", choices=["measure", "library"])
     parser.add_argument("flights", nargs="*", default=[])

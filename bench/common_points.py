@@ -1,6 +1,6 @@
-"""Points as a structure-from-motion reference finds them: features of three views whose rays meet to a pixel.
+"""Points like those of a structure-from-motion reference: features of three views whose rays agree to a pixel.
 
-The photos' reference knows the ground only at such points, on textured things that hold still, so simulated ground is
+The photos' reference has heights only at such points, on textured things that hold still, so simulated ground is
 judged at the same kind of places.
 """
 
@@ -49,7 +49,7 @@ def _triples(views: Sequence[View], step: float) -> Iterator[tuple[View, View, V
 
 
 def _meet(a: _Features, c: _Features, i: NDArray[np.int64], k: NDArray[np.int64]) -> F64:
-    """Points (N, 3) half way between the rays of two views where these are nearest."""
+    """Triangulate points (N, 3): half way between the rays of two views where these are nearest."""
     p, q = a.view.centre, c.view.centre
     u, v = (f.view.camera.rays(f.pixels[n]) @ f.view.world_from_cam.rotation.T for f, n in ((a, i), (c, k)))
     u, v = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in (u, v))

@@ -1,13 +1,13 @@
-"""End a run at random moments by SIGTERM and SIGKILL, start it again into the same folder, and see what is left.
+"""End a run at random moments by SIGTERM and SIGKILL, start it again into the same folder, and check the files.
 
     python bench/ends.py [--times 20] [--seed 0]
 
 Every second pair of moments lies between the first file of the results and the last one.
 
-After SIGTERM: exit code 143 (or 0, when all was done; or the signal's own before Python has begun), every file that
-is there is whole, nothing unfinished beside them, and nothing in the folder for temporary files. After the second run:
-the files of a run that nobody ended, with the same bytes where they hold no times, and nothing else. Exit code 1 when
-one of these does not hold.
+After SIGTERM: exit code 143 (or 0, when all was done; or the signal's own before Python has begun), every present file
+is whole, no unfinished file is beside them, and the folder for temporary files is empty. After the second run: the
+files of an undisturbed run, with the same bytes where they hold no times, and no others. Exit code 1 when one of these
+does not hold.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ def files(out: Path) -> dict[str, bytes]:
 
 
 def differing(found: dict[str, bytes], whole: dict[str, bytes]) -> list[str]:
-    """Files that are not those of a run that nobody ended: others, or with other bytes."""
+    """Names of files that differ from those of an undisturbed run: others, empty, or with other bytes."""
     return sorted(k for k, v in found.items() if k not in whole or (k not in TIMED and v != whole[k]) or not v)
 
 
 class Folders:
-    """Where a run reads, writes, and keeps what is temporary."""
+    """Folders of a run: its input, its results and its temporary files."""
 
     def __init__(self, root: Path, flight: Path) -> None:
         self.out, self._flight, self.spare = root / "out", flight, root / "tmp"
@@ -53,7 +53,7 @@ class Folders:
         return subprocess.Popen(words, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
     def has_begun_to_write(self, process: subprocess.Popen[bytes]) -> float:
-        """Wait for the first file of the results, or for the end of the run; when that was."""
+        """Wait for the first file of the results, or for the end of the run; return that time."""
         while process.poll() is None and not any(p.name != LOCK for p in self.out.glob("*")):
             time.sleep(0.002)
         return time.monotonic()
@@ -61,11 +61,11 @@ class Folders:
     def ended(
         self, how: signal.Signals, moment: float, writing: bool, whole: dict[str, bytes]
     ) -> tuple[str, list[str]]:
-        """End a run after so many seconds and run it again; how far it was, and what is wrong with what is left.
+        """End a run after `moment` seconds and run it again; return its progress, and the faults of its files.
 
         Args:
             writing: the seconds count from the first file of the results.
-            whole: what a run that nobody ends leaves.
+            whole: files of an undisturbed run.
         """
         process = self.start()
         if writing:

@@ -1,4 +1,4 @@
-"""How exactly pictures show the ground: a plane, a sphere and a step where projection says, in pixels."""
+"""Geometric error of pictures: a plane, a sphere and a step against their exact projection, in pixels."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ LENSES = {
 def errors(camera: Camera) -> dict[str, float]:
     """Largest error of plane, sphere and step seen through a lens, pixels.
 
-    Plane and sphere: what a pixel hits against the closed form, as a second camera half a metre aside sees both (so a
-    wrong depth counts too), and as the first one sees it. Step: its upper edge found by bisection between pixels.
+    Plane and sphere: the point that a pixel hits against the closed form, projected into a second camera half a metre
+    aside (so a wrong depth counts too), and into the first one. Step: its upper edge by bisection between pixels.
     """
     pose = _tilted()
     return {"plane": _plane(camera, pose), "sphere": _sphere(camera, pose), "step": _step(camera, pose)}
@@ -59,7 +59,7 @@ def _apart(camera: Camera, pose: Pose, seen: F64, true: F64) -> float:
 
 
 def _look(world: World, camera: Camera, pose: Pose) -> tuple[F64, F64]:
-    """(N, 3) exact directions of all pixels in the world, and (N, 3) what they hit."""
+    """(N, 3) exact directions of all pixels in the world, and (N, 3) points that they hit, metres."""
     u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height)))
     rays = camera.rays(np.stack([u, v], -1))
     eye = Eye(camera)
@@ -107,7 +107,7 @@ def _step(camera: Camera, pose: Pose) -> float:
 
 
 def _heights(world: World, camera: Camera, pose: Pose, pixels: F64) -> F64:
-    """(N,) height of what pixels (N, 2) between the pixels hit, with rays rounded as an Eye's."""
+    """(N,) heights of the points that (N, 2) positions between the pixels hit, with rays rounded as an Eye's."""
     patch = world.patch((-20.0, -20.0, 20.0, 20.0))
     cell, rays = patch.grid.cell, camera.rays(pixels).astype(np.float32)
     o = pose.translation

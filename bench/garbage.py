@@ -1,4 +1,4 @@
-"""Garbage in nine of ten images, rows or photos: is a site listed only where the good tenth supports it by itself?
+"""Garbage in nine of ten images, rows or photos: a site may be listed only where the good tenth alone supports it.
 
     python bench/garbage.py [--scene demo] [--seconds 6] [--seed 0] [--kinds noise,other]
     python bench/garbage.py --kinds photos-noise,photos-other,photos-tags
@@ -33,7 +33,7 @@ METRE = 1 / 111_000  # degrees of latitude
 
 
 def is_good(k: int) -> bool:
-    """Whether row `k` of a stream is left as it is."""
+    """Whether row `k` of a stream stays unchanged."""
     return k % OF == KEPT
 
 
@@ -47,12 +47,12 @@ def _pictures(root: Path, change: Callable[[np.ndarray, int, list[Path]], np.nda
 
 
 def noise(root: Path, rng: np.random.Generator) -> None:
-    """Nine of ten images are noise."""
+    """Replace nine of ten images by noise."""
     _pictures(root, lambda image, k, paths: rng.integers(0, 256, image.shape, np.uint8))
 
 
 def other(root: Path, rng: np.random.Generator) -> None:
-    """Nine of ten images are turned and mirrored copies of good ones: real ground, elsewhere."""
+    """Replace nine of ten images by shifted and mirrored copies of good ones: real ground of another place."""
     good: dict[Path, np.ndarray] = {}
 
     def change(image: np.ndarray, k: int, paths: list[Path]) -> np.ndarray:
@@ -64,7 +64,7 @@ def other(root: Path, rng: np.random.Generator) -> None:
 
 
 def black(root: Path, rng: np.random.Generator) -> None:
-    """Nine of ten images are black."""
+    """Replace nine of ten images by black ones."""
     _pictures(root, lambda image, k, paths: np.zeros_like(image))
 
 
@@ -78,7 +78,7 @@ def _rows(path: Path, change: Callable[[list[float]], list[float]]) -> None:
 
 
 def nav(root: Path, rng: np.random.Generator) -> None:
-    """Nine of ten GPS/INS rows are off by 30 m, with any attitude and velocity, and claim to be exact."""
+    """Disturb nine of ten GPS/INS rows by 30 m (1 sigma), with random attitude and velocity, but unchanged sigmas."""
 
     def change(v: list[float]) -> list[float]:
         quaternion = rng.normal(size=4)
@@ -89,12 +89,12 @@ def nav(root: Path, rng: np.random.Generator) -> None:
 
 
 def imu(root: Path, rng: np.random.Generator) -> None:
-    """Nine of ten IMU rows are noise."""
+    """Replace nine of ten IMU rows by noise."""
     _rows(root / "mav0" / "imu0" / "data.csv", lambda v: [*rng.normal(0, 1, 3), *rng.normal(0, 20, 3)])
 
 
 def only_good(stream: str, root: Path) -> None:
-    """Take the rows away that a kind of garbage would spoil."""
+    """Remove the rows that a kind of garbage would spoil."""
     for table in root.glob(f"mav0/{stream}*/data.csv"):
         head, *rows = table.read_text(encoding="utf-8").splitlines()
         kept = [row for k, row in enumerate(rows) if is_good(k)]
@@ -119,7 +119,7 @@ KINDS |= {
 
 
 def run(flight: Path, out: Path) -> Run:
-    """Run a flight, and read what that left."""
+    """Run a flight, and read its folder of results."""
     write_run(find(flight, out, Find(Settings())), out)
     return read_run(out)
 
@@ -143,7 +143,7 @@ def unsupported(found: Run, good: Run) -> list[str]:
 
 
 def made(source: str, root: Path, scene: str, seconds: float, seed: int) -> Path:
-    """A healthy input, made once: a simulated flight, or photos."""
+    """Make an undamaged input, once: a simulated flight, or photos."""
     folder = root / source
     if folder.exists():
         return folder
@@ -155,7 +155,7 @@ def made(source: str, root: Path, scene: str, seconds: float, seed: int) -> Path
 
 
 def report(name: str, found: Run, good: Run) -> int:
-    """Say what a run with garbage found; how many of its sites are not supported."""
+    """Print the result of a run with garbage; return the number of its sites that are not supported."""
     wrong = unsupported(found, good)
     count, own = (len(r.info["answer"].get("sites", [])) for r in (found, good))
     said = found.info["answer"].get("reason") or ""

@@ -42,7 +42,7 @@ def _fly(scene: str) -> SimulatedFlight:
 
 
 def _write(path: Path, shot: Shot, minute: int, image: np.ndarray) -> None:
-    """A photo as a drone with RTK and a gimbal tags it."""
+    """Write a photo with the tags of a drone with RTK and a gimbal."""
     latitude, longitude, height = shot["place"]
     focal = 0.5 * SIZE[0] / math.tan(0.5 * FIELD)
     tags = dji_tags(
@@ -58,7 +58,7 @@ def _write(path: Path, shot: Shot, minute: int, image: np.ndarray) -> None:
 
 
 def draw_card(scene: str, folder: Path) -> None:
-    """The good tenth: three lines of three photos."""
+    """Draw the good tenth: three lines of three photos."""
     flown, shots, last = _fly(scene), list[Shot](), None
     for k, t in enumerate(flown.frame_times):
         pose = flown.pose(int(t)) @ flown.rig.cameras[0].body_from_cam
@@ -74,11 +74,11 @@ def draw_card(scene: str, folder: Path) -> None:
 
 
 def only_good(folder: Path) -> None:
-    """Nothing is taken away: the garbage is added."""
+    """Do nothing: garbage is added beside the good photos."""
 
 
 def _spoil(folder: Path, rng: np.random.Generator, picture: Picture, metres: float) -> None:
-    """Put photos beside each good one: another picture, at a place so far from it, some minutes later."""
+    """Put photos beside each good one: another picture, `metres` (1 sigma) away from it, some minutes later."""
     for shot in json.loads((folder / SHOTS).read_text(encoding="utf-8")):
         pixels = np.asarray(Image.open(folder / f"{shot['name']}.jpg"))
         latitude, longitude, height = shot["place"]
@@ -89,12 +89,12 @@ def _spoil(folder: Path, rng: np.random.Generator, picture: Picture, metres: flo
 
 
 def noise(folder: Path, rng: np.random.Generator) -> None:
-    """Noise, tagged with places near by."""
+    """Add noise, tagged with places near by."""
     _spoil(folder, rng, lambda pixels: rng.integers(0, 256, pixels.shape, np.uint8), NEAR)
 
 
 def other(folder: Path, rng: np.random.Generator) -> None:
-    """Mirrored and shifted copies, tagged with places near by: real ground, elsewhere."""
+    """Add mirrored and shifted copies, tagged with places near by: real ground of another place."""
 
     def picture(pixels: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.roll(pixels[::-1], int(rng.integers(50, 500)), axis=1))
@@ -103,7 +103,7 @@ def other(folder: Path, rng: np.random.Generator) -> None:
 
 
 def tags(folder: Path, rng: np.random.Generator) -> None:
-    """The same pictures, tagged with places that are off by 30 m, as exactly as the good ones."""
+    """Add the same pictures, tagged with places that are wrong by 30 m, and with the sigmas of the good ones."""
     _spoil(folder, rng, lambda pixels: pixels, FAR)
 
 

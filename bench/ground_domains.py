@@ -1,4 +1,4 @@
-"""P(safe) on domains that nothing was fitted to: other renderers, and fresh flights of our own (docs/lab/p-safe.md).
+"""P(safe) on domains that had no part in a fit: other renderers, and fresh flights of our own (docs/lab/p-safe.md).
 
     PYTHONPATH=bench python bench/ground_domains.py                     # ../shared/data, batch and recursive
     PYTHONPATH=bench python bench/ground_domains.py gravel/12m/test-1   # rungs of the ladder, or folders with truth
@@ -36,7 +36,7 @@ FINE = 0.032  # metres: pixels that are fine enough for the limit
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """What one flight shows."""
+    """Numbers of one flight."""
 
     name: str
     safe: float  # share of what was seen
@@ -51,7 +51,7 @@ class Row:
 
 
 def judged(j: Judgeable) -> tuple[HazardMap, tuple[Site, ...]]:
-    """The verdict, and the places listed."""
+    """The hazard map, and the listed places."""
     s, cover = Settings().stages(), cover_of(j)
     danger = hazards.assess(j.elevation, cover, s.lander, s.hazards)
     middle = j.elevation.grid
@@ -67,7 +67,7 @@ def _share(some: Bool, of: Bool) -> float:
 
 
 def row_of(j: Judgeable) -> Row:
-    """Judge one flight, and compare."""
+    """Judge one flight, and compare it with the truth."""
     danger, listed = judged(j)
     grid, truth = danger.grid, GroundTruth(j.truth, Settings().lander)
     seen = j.seen
@@ -94,7 +94,7 @@ def row_of(j: Judgeable) -> Row:
 
 
 def lines(r: Row) -> list[str]:
-    """As text."""
+    """The numbers of one flight as lines of text."""
     false = " / ".join("  none" if not c else f"{100 * f:6.2f}" for f, c in zip(r.false, r.claimed, strict=True))
     fine = f"{100 * r.found_fine[0] / max(r.found_fine[1], 1):5.1f} of {r.found_fine[1]}"
     out = [
@@ -107,7 +107,7 @@ def lines(r: Row) -> list[str]:
 
 
 def rows(names: Sequence[str], data: Path, scratch: Path) -> list[Row]:
-    """Every flight, batch and recursive."""
+    """Rows of every flight, batch and recursive."""
     asked = list(names) or [str(data / f) for f in FOREIGN if (data / f).is_dir()]
     out = []
     for name in asked:
@@ -120,7 +120,7 @@ def rows(names: Sequence[str], data: Path, scratch: Path) -> list[Row]:
 
 
 def summary(all_of: Sequence[Row]) -> list[str]:
-    """What must hold over all flights."""
+    """Requirements over all flights, in words."""
     listed = [m for r in all_of for m in r.listed]
     fine = np.array([r.found_fine for r in all_of]).sum(axis=0)
     first = sum(bool(r.listed) and r.listed[0].isupper() for r in all_of)
@@ -134,7 +134,7 @@ def summary(all_of: Sequence[Row]) -> list[str]:
 
 
 def main() -> None:
-    """The table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("flights", nargs="*", default=[])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))

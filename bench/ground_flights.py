@@ -1,13 +1,13 @@
-"""P(safe) on flights with truth: what is claimed falsely, what is found, whether P is what it says.
+"""P(safe) on flights with truth: false claims, share of safe ground found, and reliability of P.
 
     python bench/ground_flights.py                       # test flights that nobody looked at before, batch
     python bench/ground_flights.py --set test            # those of the sessions before, and the sample
     python bench/ground_flights.py --how ring
-    python bench/ground_flights.py --waterfall           # what keeps truly safe ground from being found
+    python bench/ground_flights.py --waterfall           # reasons why truly safe ground is not found
     python bench/ground_flights.py --figure docs/figures/reliability.svg
 
-A touchdown counts as safe in truth where the simulator's brute force says so, or within 0.3 m of such a place: edges
-are drawn no better than that. Found is what is claimed of the truly safe cells that the map saw.
+A touchdown counts as truly safe where the simulator's brute force finds it safe, or within 0.3 m of such a place: edges
+are drawn no better than that. Found is the claimed share of the truly safe cells that the map saw.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Judged:
     near: Bool  # or within 0.3 m of it
 
     def line(self, least: float) -> str:
-        """What is claimed, falsely claimed and found."""
+        """Line of text: cells claimed, falsely claimed and found."""
         sure = self.p >= least
         wrong, found = (sure & ~self.near).sum(), (sure & self.safe).sum()
         return (
@@ -86,30 +86,30 @@ class Judged:
 
 
 def pooled(all_of: list[Judged], name: str = "all of them") -> Judged:
-    """The cells of several flights as of one."""
+    """Join the cells of several flights."""
     parts = [np.concatenate([getattr(j, k) for j in all_of]) for k in ("p", "safe", "near")]
     return Judged(name, parts[0], parts[1], parts[2])
 
 
 def cover_of(j: Judgeable, tables: Tables | None = None) -> TerrainMap:
-    """The classes as the product finds them, or with other tables."""
+    """Land cover by the tables of the package, or by other tables."""
     return land_cover(j.elevation, Settings().stages().terrain, read_model(), tables)
 
 
 def verdict(j: Judgeable) -> HazardMap:
-    """As the product judges."""
+    """The hazard map with the default settings."""
     s = Settings().stages()
     return hazards.assess(j.elevation, cover_of(j), s.lander, s.hazards)
 
 
 def judged(j: Judgeable, found: HazardMap) -> Judged:
-    """The verdict beside the truth."""
+    """The hazard map beside the truth."""
     safe, near = j.safe
     return Judged(j.name, np.nan_to_num(found.p_safe)[j.seen], safe[j.seen], near[j.seen])
 
 
 def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
-    """How many sites that the product would list are truly safe, or within 0.3 m of it; and how many it lists."""
+    """Number of listed sites that are truly safe or within 0.3 m of a safe place, and number of all listed sites."""
     s, near, grid = Settings().stages(), j.safe[1], j.elevation.grid
     chosen = sites.choose_sites(found, None, j.elevation, s.sites, s.lander).sites
     at = [tuple(int(np.rint(i)) for i in grid.index(c.east, c.north)) for c in chosen]
@@ -117,14 +117,14 @@ def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
 
 
 def taken(j: Judgeable, found: HazardMap) -> Taken:
-    """Of each class that no lander may meet the seen cells, and those of them where a touchdown is called safe."""
+    """Seen cells of each class that no lander may touch, and those of them where a touchdown is claimed safe."""
     sure = np.nan_to_num(found.p_safe) >= Settings().hazards.p_safe
     kinds = {k: j.seen & (j.label == k) for k in NEVER}
     return {k: np.array([here.sum(), (here & sure).sum()]) for k, here in kinds.items()}
 
 
 def reliability(j: Judged) -> list[tuple[float, float, int]]:
-    """Claimed and true frequency, and the cells, of every bin that has enough."""
+    """Claimed and true frequency, and number of cells, of every bin with enough cells."""
     out = []
     for low, high in pairwise(BINS):
         here = (j.p >= low) & (j.p < high) & (j.p > 0)
@@ -146,7 +146,7 @@ def _true_cover(j: Judgeable) -> TerrainMap:
 
 
 def waterfall(j: Judgeable) -> None:
-    """What would be found and false with parts of the truth put in, and what refuses truly safe cells."""
+    """Print the found and false cells with parts replaced by the truth, and the refusals of truly safe cells."""
     s, e, own, true = Settings().stages(), j.elevation, cover_of(j), _true_cover(j)
     level, plain = _true_heights(j), s.hazards.model_copy(update={"smoothed": False})
     for name, height, cover, settings in (
@@ -164,7 +164,7 @@ def waterfall(j: Judgeable) -> None:
 
 
 def flights(options: argparse.Namespace) -> Iterator[Judgeable]:
-    """Those asked for."""
+    """The flights that the options name."""
     names = options.flights or {"tuning": TUNING, "test": TEST, "fresh": FRESH}[options.set]
     if not options.flights and options.set == "test" and (options.data / "sample").is_dir():
         names = (*names, str(options.data / "sample"))
@@ -175,7 +175,7 @@ def flights(options: argparse.Namespace) -> Iterator[Judgeable]:
 
 
 def figure(j: Judged) -> str:
-    """Claimed against true frequency."""
+    """Chart of claimed against true frequency."""
     ticks = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
     lines = {"P(safe)": [(a, b) for a, b, _ in reliability(j)], "what it should be": [(0.0, 0.0), (1.0, 1.0)]}
     title = "P(safe): claimed and true frequency, test flights"
@@ -183,7 +183,7 @@ def figure(j: Judged) -> str:
 
 
 def main() -> None:
-    """The table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("flights", nargs="*", default=[], help="rungs of the ladder, or folders with truth")
     parser.add_argument("--set", choices=["tuning", "test", "fresh"], default="fresh")

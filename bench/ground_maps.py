@@ -1,6 +1,6 @@
-"""Maps of flights with truth, as the product makes them, kept for everything that judges them.
+"""Maps of flights with truth, made by the default pipeline and kept for all benchmarks that judge them.
 
-Flying and matching are most of the work, and neither hangs on the judgement: a map is made once and judged often.
+Flying and matching are most of the work, and neither depends on the judgement: a map is made once and judged often.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MAKERS = ("elevation", "geometry", "motion", "parallax", "pipeline", "raster", "
 
 @dataclass(frozen=True, eq=False)
 class Judgeable:
-    """One map, and the ground as it is, moved to where the map believes to be."""
+    """One map, and the true ground, moved by the map's position error."""
 
     name: str
     elevation: ElevationMap
@@ -54,7 +54,7 @@ class Judgeable:
 
     @cached_property
     def known(self) -> Bool:
-        """(R, C): the truth knows the ground here."""
+        """(R, C): the true height is known."""
         return np.isfinite(self._at(self.truth.dem))
 
     @cached_property
@@ -64,12 +64,12 @@ class Judgeable:
 
     @cached_property
     def seen(self) -> Bool:
-        """(R, C): a camera saw the ground here, and the truth knows it."""
+        """(R, C): a camera saw the ground, and its true height is known."""
         return self.known & ((self.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
 
     @cached_property
     def safe(self) -> tuple[Bool, Bool]:
-        """(R, C): a touchdown of the default lander is truly safe; and it is, or is within 0.3 m of where it is.
+        """(R, C): a touchdown of the default lander is truly safe; and there is a safe one within 0.3 m.
 
         A single cell of the truth of another class refuses it, a blade of grass 2 cm high as well.
         """
@@ -102,7 +102,7 @@ def _grid(g: F64) -> Grid:
 
 
 def read_map(path: Path, name: str) -> Judgeable:
-    """What `write_map` kept."""
+    """Read a map that `write_map` kept."""
     with np.load(path) as z:
         g = z["gauge"]
         gauge = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
@@ -160,7 +160,7 @@ def _made_by() -> str:
 def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) -> Judgeable | None:
     """The map of a rung of the ladder or of a folder with truth; None where no height could be measured.
 
-    Maps of other code are not used: each state of what makes them has a folder of its own in `scratch`.
+    Maps of other code are not used: each state of the code that makes them has a folder of its own in `scratch`.
     """
     scratch = scratch / _made_by()
     scratch.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Where a touchdown is truly safe, and why not: by brute force on the true surface and classes."""
+"""Truly safe touchdowns, and their parts (shape, class), by brute force on the true surface and classes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class GroundTruth:
 
     @cached_property
     def even(self) -> Bool:
-        """As `level`, and no rock stands in the footprint: from afar the height of a stone is not known so well."""
+        """As `level`, and no rock stands in the footprint: from afar the height of a stone is uncertain."""
         return self.level & self._away_from((self.truth.label == Terrain.ROCK) & self._standing)
 
     @cached_property
@@ -52,7 +52,7 @@ class GroundTruth:
 
     @property
     def _standing(self) -> Bool:
-        """What is higher than the ground about it: than an opening by a window of 2 m."""
+        """Cells that are higher than the ground about them, an opening by a window of 2 m."""
         window = np.ones((2 * round(1.0 / self.truth.grid.cell) + 1,) * 2, np.uint8)
         dem = np.nan_to_num(self.truth.dem, nan=float(np.nanmin(self.truth.dem))).astype(np.float32)
         return np.asarray(dem - cv2.morphologyEx(dem, cv2.MORPH_OPEN, window) > STANDS)
@@ -63,7 +63,7 @@ class GroundTruth:
         return np.asarray(distance_transform_edt(~barred) * self.truth.grid.cell > self.lander.radius)
 
     def near(self, mask: Bool, metres: float = NEAR) -> Bool:
-        """The mask, and what lies within `metres` of it: edges are drawn no better than that."""
+        """The mask, and all cells within `metres` of it: edges are drawn no better than that."""
         if not mask.any():
             return mask
         return np.asarray(distance_transform_edt(~mask) * self.truth.grid.cell <= metres)

@@ -38,7 +38,7 @@ class Axis:
     log: bool = True
 
     def at(self, value: float) -> float:
-        """0 at the first tick, 1 at the last."""
+        """Position of a value: 0 at the first tick, 1 at the last."""
         f: Callable[[float], float] = math.log if self.log else float
         low, high = f(self.ticks[0]), f(self.ticks[-1])
         return (f(value) - low) / (high - low)
@@ -131,7 +131,7 @@ FIGURES: dict[str, Callable[[], str]] = {"frames": frames, "height": height, "po
 
 
 def main() -> None:
-    """Draw."""
+    """Draw the figures."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     for name in sys.argv[1:] or FIGURES:
         path = FOLDER / f"heights-{name}.svg"

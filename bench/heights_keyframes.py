@@ -1,10 +1,10 @@
-"""What a keyframe costs in flight: CPU of the mapping lane, keyframe by keyframe, and StereoSGBM(64) after each.
+"""Cost of a keyframe in flight: CPU of the mapping lane, keyframe by keyframe, and StereoSGBM(64) after each.
 
     python bench/heights_keyframes.py                                   # the sample, a rung and a descent, full effort
     python bench/heights_keyframes.py --flights sample --efforts 0,1,2,3
 
 A flight is one of ../shared/data (or ALIGHT_DATA), or a rung of the ladder. Its motion is estimated first and is not
-timed. Keyframes before the ground is found, and the one with which it is, are left out: they cost something else.
+timed. Keyframes before the ground is found, and the one that finds it, are left out: their cost is of another kind.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SIZE = 640, 480  # of the yardstick's pair
 
 @cache
 def navigated(name: str) -> tuple[Rig, list[Navigation]]:
-    """The exposures of a flight with their motions, as the mapping lane gets them."""
+    """The exposures of a flight with their motions, the input of the mapping lane."""
     with TemporaryDirectory() as scratch:
         folder = DATA / name
         if not folder.is_dir():
@@ -50,7 +50,7 @@ def navigated(name: str) -> tuple[Rig, list[Navigation]]:
 
 
 def grey(navigation: Navigation) -> np.ndarray:
-    """The first picture of an exposure as the yardstick takes it."""
+    """The first picture of an exposure in the size and grey of the yardstick."""
     image = navigation.frame.images[0]
     assert image is not None
     return cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, SIZE)

@@ -32,7 +32,7 @@ def _flown(name: str) -> tuple[object, list[list[object]]]:
 
 
 def measure(name: str, count: int) -> Found:
-    """Every matcher on the `count` exposures about the middle of a rung."""
+    """Measure every matcher on the `count` exposures about the middle of a rung."""
 
     def work() -> Found:
         flight, shots = _flown(name)
@@ -46,24 +46,24 @@ def measure(name: str, count: int) -> Found:
 
 @dataclass
 class Ladder:
-    """The rungs of a table; a rung is measured when a row first asks for it."""
+    """The rungs of a table; a rung is measured when a row first needs it."""
 
     names: Sequence[str] = ()  # rungs asked for by name, instead of all
     _found: dict[tuple[str, int], Found] = field(default_factory=dict)
 
     def rungs(self, height: int) -> list[str]:
-        """Their names at one height."""
+        """Names of the rungs at one height."""
         if self.names:
             return [n for n in self.names if rung(n).height == height]
         return [f"{s}/{height}m/test-1" for s in (SCENES if height == MIDDLE else FEW)]
 
     @property
     def heights(self) -> list[int]:
-        """Those of the rungs."""
+        """Heights of the rungs."""
         return sorted({rung(n).height for n in self.names}) if self.names else list(HEIGHTS)
 
     def of(self, name: str, count: int) -> Found:
-        """The rows of one rung, printed when they are new."""
+        """The numbers of one rung, printed when they are new."""
         if (name, count) not in self._found:
             for n in COUNTS:  # together: a flight takes as long as its matching
                 self._found[name, n] = measure(name, n)
@@ -73,7 +73,7 @@ class Ladder:
     def median(
         self, matcher: str, column: str, heights: Iterable[int], count: int, scenes: Sequence[str] = SCENES
     ) -> float:
-        """Of one number over the rungs of some heights and scenes."""
+        """Median of one number over the rungs of some heights and scenes."""
         names = [n for h in heights for n in self.rungs(h) if rung(n).scene in scenes]
         values = [self.of(n, count)[matcher].get(column, math.nan) for n in names]
         known = [v for v in values if not math.isnan(v)]
@@ -81,7 +81,7 @@ class Ladder:
 
 
 def shown(title: str, found: Found) -> list[str]:
-    """A rung's rows."""
+    """The numbers of a rung as lines of text."""
     columns = list(found["batch"])
     out = [f"{title:28s}" + "".join(f"{c:>13s}" for c in columns)]
     for name, values in found.items():
@@ -90,7 +90,7 @@ def shown(title: str, found: Found) -> list[str]:
 
 
 def accuracy(rungs: Ladder) -> list[Row]:
-    """Open ground, % of height."""
+    """Rows of the error on open ground, % of height."""
     return [
         Row(f"open-ground NMAD, % of height: {h} m, N = {n}, {m}", rungs.median(m, "open NMAD %", [h], n), *MUST[n])
         for h in sorted(rungs.heights, key=lambda h: (h != MIDDLE, h)) for n in COUNTS for m in OURS
@@ -98,9 +98,9 @@ def accuracy(rungs: Ladder) -> list[Row]:
 
 
 def exponent(rungs: Ladder) -> list[Row]:
-    """Slope of log error in metres over log height; of the rig, whose baseline does not grow, about 2.
+    """Slope of log error in metres over log height; about 2 for the rig, whose baseline does not grow.
 
-    Of the scenes that are flown at every height: others, at one of them, would tilt it.
+    Only scenes that are flown at every height count: others, at one height, would bias the slope.
     """
     heights = rungs.heights
     out = []
@@ -114,7 +114,7 @@ def exponent(rungs: Ladder) -> list[Row]:
 
 
 def sgbm(rungs: Ladder) -> list[Row]:
-    """How many times better than StereoSGBM on the same motion baseline: the better of its two ways."""
+    """Ratio of StereoSGBM's error to ours on the same motion baseline; the better of its two ways counts."""
     out = []
     for n in COUNTS:
         theirs = {m: rungs.median(m, "open NMAD %", [MIDDLE], n) for m in MOTION}
@@ -127,7 +127,7 @@ def sgbm(rungs: Ladder) -> list[Row]:
 
 
 def edges(rungs: Ladder) -> list[Row]:
-    """Bad cells beside steps, over those of StereoSGBM as a map of the same cells, and looked up along rays."""
+    """Bad cells beside steps, over those of StereoSGBM, as a map of the same cells and along the rays to the points."""
     out = []
     for n in COUNTS:
         cells = rungs.median("SGBM motion, map", "edge bad %", [MIDDLE], n)
@@ -143,7 +143,7 @@ def edges(rungs: Ladder) -> list[Row]:
 
 
 def divided(ours: float, theirs: float) -> float:
-    """Their ratio; NaN of nothing."""
+    """Ratio of two numbers; NaN if the second is 0."""
     return ours / theirs if theirs else math.nan
 
 
@@ -154,7 +154,7 @@ COVERAGE = {
 
 
 def coverage(rungs: Ladder) -> list[Row]:
-    """Share of what is given out within the claimed interval."""
+    """Share of the heights given out within the claimed interval."""
     return [
         Row(f"{k.split()[0]}: within the {k.split(' ', 1)[1]} interval, {m}, N = {n}",
             rungs.median(m, k, rungs.heights, n), *limits)

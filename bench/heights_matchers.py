@@ -1,4 +1,4 @@
-"""What is compared on simulated ground: the batch and the ring on the left pictures, StereoSGBM on the same frames.
+"""Matchers compared on simulated ground: the batch and the ring on the left pictures, StereoSGBM on the same frames.
 
 StereoSGBM gets pairs of the same motion (the median of those that see a point, and the widest pair alone, along the
 rays to the points and as a map of cells) and the middle pair of the rig, plain and on pictures four times as wide.
@@ -29,7 +29,7 @@ PAIRS = 5
 
 
 def mapped(shots: Shots, method: str, tell: int, settings: Settings | None = None) -> ElevationMap | None:
-    """The map of the heights stage alone by `batch` or `ring`; about `tell` views say where the ground is."""
+    """The map of the heights stage alone by `batch` or `ring`; about `tell` views serve to find the ground."""
     views, chosen = [v for shot in shots for v in shot], (settings or Settings()).stages()
     some = views[:: max(1, len(views) // tell)]
     if method == "batch":
@@ -43,14 +43,14 @@ def mapped(shots: Shots, method: str, tell: int, settings: Settings | None = Non
 
 
 def _found(ground: M, views: list[View]) -> M:
-    """The same map, which now knows where the ground is."""
+    """Find the ground of a map, and return the map."""
     if not ground.find_ground(views):
         raise SystemExit(ground.reason)
     return ground
 
 
 def on_map(found: ElevationMap | None, points: Points) -> Answer:
-    """What a map says of the points."""
+    """Heights of a map at the points."""
     if found is None:  # no baseline yet
         return claimless(np.full(len(points.xyz), np.nan), np.zeros(len(points.xyz), bool))
     r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
@@ -61,22 +61,22 @@ def on_map(found: ElevationMap | None, points: Points) -> Answer:
 
 
 def batch(shots: Shots, points: Points) -> Answer:
-    """Alight's batch."""
+    """Heights of Alight's batch."""
     return on_map(mapped([s[:1] for s in shots], "batch", 8), points)
 
 
 def ring(shots: Shots, points: Points) -> Answer:
-    """Alight's recursive step, exposure by exposure."""
+    """Heights of Alight's recursive step, exposure by exposure."""
     return on_map(mapped([s[:1] for s in shots], "ring", 8), points)
 
 
 def claimless(height: F64, given: Mask) -> Answer:
-    """Of a matcher that knows no sigma."""
+    """Answer of a matcher without sigma."""
     return Answer(height, np.full(len(height), np.nan), given)
 
 
 def sgbm_motion(shots: Shots, points: Points) -> Answer:
-    """Pairs half the window apart, median of the pairs."""
+    """StereoSGBM on pairs half the window apart, median of the pairs."""
     views, half = [s[0] for s in shots], len(shots) // 2
     starts = range(0, len(views) - half, max(1, half // PAIRS))
     heights, given = zip(*(by_pair(views[i], views[i + half], points.xyz) for i in starts), strict=True)
@@ -85,12 +85,12 @@ def sgbm_motion(shots: Shots, points: Points) -> Answer:
 
 
 def sgbm_widest(shots: Shots, points: Points) -> Answer:
-    """The first and the last picture."""
+    """StereoSGBM on the first and the last picture."""
     return claimless(*by_pair(shots[0][0], shots[-1][0], points.xyz))
 
 
 def sgbm_map(shots: Shots, points: Points) -> Answer:
-    """The widest pair's answer as a map of cells as large as Alight's."""
+    """StereoSGBM on the widest pair, as a map of cells as large as Alight's."""
     first, last = shots[0][0], shots[-1][0]
     cell = nice_cell(
         ground_sampling(first, float(np.median(points.xyz[:, 2]))), Settings().tuning.mapping.cell_over_pixel
@@ -100,7 +100,7 @@ def sgbm_map(shots: Shots, points: Points) -> Answer:
 
 
 def sgbm_rig(wider: int) -> Matcher:
-    """The middle stereo pair, its pictures `wider` times as wide."""
+    """StereoSGBM on the middle stereo pair, its pictures `wider` times as wide."""
 
     def run(shots: Shots, points: Points) -> Answer:
         left, right = shots[len(shots) // 2][:2]

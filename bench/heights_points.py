@@ -1,4 +1,4 @@
-"""Where heights are judged on simulated ground, and what a matcher's answer there is worth."""
+"""Points at which heights are judged on simulated ground, and the errors of a matcher's heights there."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a matcher says of the points."""
+    """Heights of a matcher at the points."""
 
     height: F64  # (N,) metres, NaN where nothing
     sigma: F64  # (N,) NaN where it claims none

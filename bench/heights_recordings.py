@@ -32,7 +32,7 @@ Numbers = dict[str, float]
 
 
 def sample_rows() -> list[Row]:
-    """The rendered flight with true poses."""
+    """Rows of the rendered flight with true poses."""
     if not (DATA / "sample").is_dir():
         return [Row("sample flight: no ../shared/data/sample", math.nan, 0.0)]
     out = []
@@ -87,7 +87,7 @@ def _against(found: ElevationMap, ground: Ground, above: float) -> Numbers:
 
 
 def photo_rows() -> list[Row]:
-    """The photos with the poses and the lens of their reference, less a plane."""
+    """Rows of the photos with the poses and the lens of their reference, less a plane."""
     if not (DATA / "mirafiori").is_dir():
         return [Row("photos: no ../shared/data/mirafiori", math.nan, 0.0)]
     found = kept("photos", _photos)
@@ -165,7 +165,7 @@ def _within(a: Answer) -> float:
 
 
 def _alike(xyz: F64) -> float:
-    """Share of neighbouring points whose heights differ by what their own noise allows, in percent."""
+    """Percent of neighbouring points whose heights differ by no more than their own noise allows."""
     pairs = cKDTree(xyz[:, :2]).query_pairs(BESIDE[1], output_type="ndarray")
     apart = xyz[pairs[:, 0]] - xyz[pairs[:, 1]]
     some = np.linalg.norm(apart[:, :2], axis=1) > BESIDE[0]
@@ -175,7 +175,7 @@ def _alike(xyz: F64) -> float:
 def _rough(views: list[View], xyz: F64, rough: Mask, ours: Answer) -> Numbers:
     """Share of rough points off by more than `BAD`, on photos that follow each other where StereoSGBM has a height.
 
-    `sure`: where its own checks let it pass.
+    `sure`: where it passes its own checks.
     """
     mine, theirs, passed = [], [], []
     for a, b in pairwise(views):

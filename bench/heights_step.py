@@ -1,6 +1,6 @@
 """Rows of speed: CPU time of the recursive step on 640 x 480 cells over StereoSGBM's in the same run, one thread each.
 
-python bench/heights_step.py      # where the time of a step goes
+python bench/heights_step.py      # CPU time of the parts of a step
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ PARTS = {  # what is timed apart, outer before inner
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Two threads that wait for each other cost CPU too, and by how much is the machine's."""
+    """Use one thread: threads that wait for each other cost CPU as well, by an amount that depends on the machine."""
     before = cv2.getNumThreads(), numba.get_num_threads()
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
@@ -96,7 +96,7 @@ class Flight:
         self._next = view(self._ground, self._at, -12.0 + SPACING * self._at)
 
     def seen(self) -> tuple[list[View], Grid, ElevationMap]:
-        """The last pictures, the window under the newest of them, and what the map has there."""
+        """The last pictures, the window under the newest of them, and the map there."""
         views = [view(self._ground, i, -12.0 + SPACING * i) for i in range(self._at - VIEWS + 1, self._at + 1)]
         return views, self.window(), self._map.read(self.window())
 
@@ -114,7 +114,7 @@ class Flight:
 
 
 def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap, buffers: Buffers) -> None:
-    """What a step is made of but for first looks at new cells and the map: preparation, Gauss-Newton, sigma, flags."""
+    """Parts of a step without the sweep of new cells and the map: preparation, Gauss-Newton, sigma, flags."""
     fine = [*kept, prepare_view(newest, CELL, 0.0)]
     seen = refine.view_geometry(fine, grid, known.height, 0.0)
     per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
@@ -127,7 +127,7 @@ def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap
 
 
 def lone_step(flight: Flight) -> Callable[[], None]:
-    """`one_step` where a flight is now, all but the newest picture being ready."""
+    """`one_step` at the present position of a flight, with all but the newest picture prepared."""
     views, grid, known = flight.seen()
     kept, buffers = [prepare_view(v, CELL, 0.0) for v in views[:-1]], Buffers()
     return lambda: one_step(kept, views[-1], grid, known, buffers)
@@ -135,7 +135,7 @@ def lone_step(flight: Flight) -> Callable[[], None]:
 
 @one_thread()
 def rows() -> list[Row]:
-    """A step alone, and all that a new keyframe asks for; the pair by turns with each."""
+    """Rows of a step alone, and of a whole keyframe; the pair of StereoSGBM by turns with each."""
     flight, ground = Flight(), texture()
     matcher, pair = cv2.StereoSGBM_create(0, 64, 5), [view(ground, i, SPACING * i).image for i in range(2)]
     step, alone, whole = lone_step(flight), [], []

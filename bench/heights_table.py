@@ -1,4 +1,4 @@
-"""Rows of a table of quantities with what they must be and aim to be, and numbers that are kept between runs."""
+"""Rows of a table of quantities with their `must` and `aim` limits, and numbers that are kept between runs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """`aim`, `must` or `MISS`; nothing where nothing was asked."""
+        """`aim`, `must` or `MISS`; empty without a limit."""
         if self.must is None:
             return ""
         if math.isnan(self.value):
@@ -68,7 +68,7 @@ def said(limit: float | tuple[float, float] | None) -> str:
 
 
 def head(title: str) -> str:
-    """The line above rows."""
+    """The heading line above rows."""
     return f"\n{title:{WIDTH}s}{'must':>10s}{'aim':>10s}{'got':>10s}"
 
 
@@ -84,14 +84,14 @@ def markdown(groups: dict[str, list[Row]]) -> str:
 
 
 def write_below_mark(page: Path, text: str) -> None:
-    """Put a text in the place of what stands below `MARK` on a page."""
+    """Replace the text below `MARK` on a page."""
     top = page.read_text(encoding="utf-8").split(MARK)[0]
     page.write_text(f"{top}{MARK}\n\n{text}", encoding="utf-8")
 
 
 @cache
 def source_hash() -> str:
-    """Of everything that a number hangs on."""
+    """Digest of the source that a number depends on."""
     digest = hashlib.sha256()
     for name in SOURCES:
         path = ROOT / name
@@ -102,7 +102,7 @@ def source_hash() -> str:
 
 
 def kept(name: str, work: Callable[[], Any]) -> Any:
-    """What `work` gives, from the last run where the source is the same; numbers and words only."""
+    """Result of `work`, from the last run if the source is the same; numbers and words only."""
     path = KEPT / source_hash() / (name.replace("/", "-").replace(" ", "_") + ".json")
     if path.exists():
         return json.loads(path.read_text())

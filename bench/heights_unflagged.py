@@ -1,8 +1,8 @@
-"""What the heights stage lets through where heights cannot be had: no texture, light that moves, water.
+"""Wrong heights that the heights stage does not flag where none can be measured: no texture, moving light, water.
 
-True poses. What is judged is the heights stage alone; beside it stands what the terrain stage, which knows water by its
-looks, leaves of it. The scenes lie in `bench/scenes`, one for each danger; on the sample flight and on the ladder's
-lakes the same is asked of the water there.
+True poses. The heights stage alone is judged; beside it is the result after the terrain stage, which recognises water
+by its appearance. The scenes lie in `bench/scenes`, one for each danger; on the sample flight and on the ladder's
+lakes, the same is measured on the water there.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Numbers = dict[str, float]
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """What is true of a flight's ground."""
+    """True ground of a flight."""
 
     height: F32  # (R, C) metres above the origin
     label: NDArray[np.uint8]
@@ -58,14 +58,14 @@ class Ground:
 
 
 def mapped_by_all(shots: list[list[View]], method: str) -> ElevationMap:
-    """The map of both cameras."""
+    """The map from both cameras."""
     found = mapped(shots, method, 16)
     assert found is not None
     return found
 
 
 def through(found: ElevationMap, ground: Ground, limit: float, water: bool) -> Numbers:
-    """Percent of cells that are off by more than `limit` and not flagged; on water alone, or on open ground."""
+    """Percent of cells with an error above `limit` that are not flagged; on water alone, or on open ground."""
     height, label = ground.at(found.grid)
     seen = np.isfinite(height) & ((found.flags & np.uint16(Flag.UNSEEN)) == 0)
     kind = label == Terrain.WATER if water else np.isin(label, OPEN)
@@ -85,7 +85,7 @@ def _share(part: Mask, whole: Mask) -> float:
 
 
 def _judged(flight: simulate.SimulatedFlight, water: bool, limit: float) -> dict[str, Numbers]:
-    """One flight by both methods."""
+    """Numbers of one flight by both methods."""
     shots = list(exposures(flight))
     truth = flight.truth
     ground = Ground(np.asarray(truth.height, np.float32), truth.label, truth.grid)
@@ -93,17 +93,17 @@ def _judged(flight: simulate.SimulatedFlight, water: bool, limit: float) -> dict
 
 
 def scene(name: str, seed: int) -> dict[str, Numbers]:
-    """One of the scenes."""
+    """Numbers of one of the scenes."""
     return _judged(simulate.fly(SCENES / f"{name}.yaml", seed), *ASKED[name])
 
 
 def lakes(name: str) -> dict[str, Numbers]:
-    """The water of a rung of the ladder."""
+    """Numbers of the water of a rung of the ladder."""
     return _judged(rung(name).fly(), True, DEEP)
 
 
 def rows(seeds: str) -> list[Row]:
-    """Every scene and the lakes, the mean over the seeds."""
+    """Rows of every scene and of the lakes, the mean over the seeds."""
     flights = {n: [kept(f"{n} {s}", partial(scene, n, int(s))) for s in seeds.split(",")] for n in ASKED}
     kind = "test" if int(seeds.split(",")[0]) > MOST_SEEDS else "tuning"
     flights["lakes"] = [kept(f"{n} water", partial(lakes, n)) for n in (f"lakes/{h}m/{kind}-1" for h in (20, 50))]

@@ -1,4 +1,4 @@
-"""Labels drawn by eye: polygons in the pixels of photos, the file that holds them, and what may be wrong with them.
+"""Labels drawn by eye: polygons in the pixels of photos, their file, and the checks of it.
 
 A label is a ring in one photo, in pixels of the file as delivered; the centre of the top-left pixel is (0, 0). A pixel
 of a photo never moves, whereas a place on Earth moves with every run's poses: `label_projection` takes the rings to a
@@ -71,7 +71,7 @@ def read_labels(path: Path) -> Labels:
     """Read a file of labels.
 
     Raises:
-        ValueError: the file is no such file, with the name of what is missing.
+        ValueError: the file is no file of labels, with the name of the missing key.
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -100,7 +100,7 @@ def _entry(p: Label) -> dict[str, Any]:
 
 
 def problems(labels: Labels) -> list[str]:
-    """What is wrong with labels, one sentence each: kinds, photos, rings, and polygons that contradict one another."""
+    """Faults of labels, one sentence each: kinds, photos, rings, and polygons that contradict one another."""
     found = [f"polygon {i}: {why}" for i, p in enumerate(labels.polygons) for why in _ring_problems(p, labels)]
     return found or list(_contradictions(labels))
 
@@ -123,7 +123,7 @@ def _ring_problems(p: Label, labels: Labels) -> Iterator[str]:
 
 
 def _crosses_itself(ring: F64) -> bool:
-    """Whether two edges of a closed ring that are no neighbours meet."""
+    """Whether two edges of a closed ring that are no neighbours cross."""
     edges = list(pairwise([*ring, ring[0]]))
     n = len(edges)
     return any(_meet(*edges[i], *edges[j]) for i, j in combinations(range(n), 2) if j - i > 1 and (i or j < n - 1))
@@ -139,7 +139,7 @@ def _meet(a: F64, b: F64, c: F64, d: F64) -> bool:
 
 
 def _contradictions(labels: Labels) -> Iterator[str]:
-    """Open ground whose edge crosses a hazard or rough ground in the same photo.
+    """Sentences on open ground whose edge crosses a hazard or rough ground in the same photo.
 
     A hazard wholly inside open ground is no contradiction: it is a thing that stands there, and it wins.
     """
@@ -155,7 +155,7 @@ def _contradictions(labels: Labels) -> Iterator[str]:
 
 
 def _crossing_share(ground: Mask, thing: Mask) -> float:
-    """Share of a thing that lies on open ground, where it also lies beside it; 0 if it is inside or outside."""
+    """Share of a thing that lies on open ground, if it lies partly beside it; 0 if it is inside or outside."""
     share = float((ground & thing).sum() / thing.sum())
     return 0.0 if share > 1 - EDGE_SHARE else share
 

@@ -1,7 +1,7 @@
-"""Labels of photos on the map of a run: each cell takes what the photo shows at its projection.
+"""Labels of photos on the map of a run: each cell takes the label at its projection into the photo.
 
 A run's own poses, lens and heights are used (`trajectory.tum`, `run.json`, `dem.tif`), so that a shift of the whole map
-on Earth moves map and labels together. A cell that something higher hides from the photo takes no label of it.
+on Earth moves map and labels together. A cell that is hidden from the photo by higher ground takes no label of it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LabelledMap:
 
     @property
     def unsure(self) -> Mask:
-        """Cells that nothing is said about: `unsure` wins over every other kind."""
+        """Cells without a statement: `unsure` wins over every other kind."""
         return self.kinds[UNSURE]
 
     @property
@@ -49,7 +49,7 @@ class LabelledMap:
 
     @property
     def rough(self) -> Mask:
-        """Cells where a person would not land although nothing stands out."""
+        """Cells where a person would not land although they hold no obstacle."""
         return self.kinds[ROUGH] & ~self.hazard & ~self.unsure
 
     @property
@@ -59,7 +59,7 @@ class LabelledMap:
 
 
 def photo_camera_of(info: Mapping[str, Any]) -> Camera:
-    """The lens of a run over photos as its bundle adjustment left it, from run.json.
+    """The lens of a run over photos after its bundle adjustment, from run.json.
 
     Raises:
         ValueError: the run is not one over photos with their own calibration and estimated poses.
@@ -113,7 +113,7 @@ def labelled_map(run: Run, labels: Labels) -> LabelledMap:
 
 
 def _of_photo(seen: PhotoCells, labels: Labels, photo: str) -> dict[str, Mask]:
-    """The cells of each kind in one photo; what stands on open ground is taken out of it."""
+    """The cells of each kind in one photo; objects on open ground are taken out of it."""
     kinds: dict[str, Mask] = {}
     for label in labels.of_photo(photo):
         under = seen.under(label, labels)

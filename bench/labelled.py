@@ -1,10 +1,10 @@
-"""A run against labels drawn by eye: what it claims on hazards, and how much of the open ground it claims.
+"""A run against labels drawn by eye: its claims on hazards, and the share of the open ground that it claims.
 
     python bench/labelled.py out/mirafiori bench/labels/mirafiori.json --json out/labelled.json
 
-Hazards: the share of their cells that the run calls safe; a touchdown there is centred on the hazard. Open ground: the
-share of its cells that the run calls safe, and that it does not refuse, of those where the whole footprint lies on open
-ground. Sites: what they stand on, and what their footprint reaches.
+Hazards: the share of their cells that the run claims safe; a touchdown there is centred on the hazard. Open ground: the
+share of its cells that the run claims safe, and that it does not refuse, of those where the whole footprint lies on
+open ground. Sites: the labels at their centre, and the hazards that their footprint reaches.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ DOUBT = "doubt"  # the reason of a cell that is not refused, but not sure enough
 
 @dataclass(frozen=True)
 class KindRow:
-    """What a run says on the cells of one kind of ground. Shares are None where there is no cell."""
+    """Results of a run on the cells of one kind of ground. Shares are None where there is no cell."""
 
     cells: int
     claimed: float | None  # share with P(safe) of at least CLAIM
@@ -43,7 +43,7 @@ class KindRow:
 
 @dataclass(frozen=True)
 class SiteRow:
-    """What a site stands on."""
+    """Labels at a site."""
 
     rank: int
     kind: str  # site | candidate
@@ -80,7 +80,7 @@ def safe_of(run: Run) -> F32:
     """P(safe) of every cell, 0 where it was not judged, (R, C).
 
     Raises:
-        ValueError: the run judged nothing.
+        ValueError: the run has no safe.tif.
     """
     if run.safe is None:
         raise ValueError(f"{run.folder}: the run has no safe.tif")
@@ -91,7 +91,7 @@ def compare(run: Run, labels: Labels) -> Comparison:
     """Compare a run with labels.
 
     Raises:
-        ValueError: see `labelled_map`; or the run judged nothing.
+        ValueError: see `labelled_map`; or the run has no safe.tif.
     """
     truth = labelled_map(run, labels)
     safe, candidate = safe_of(run), not_refused(run)

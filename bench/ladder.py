@@ -1,6 +1,6 @@
 """The standard ladder: the flights that every benchmark flies, each with a name that it prints.
 
-Scenes times heights times seeds. What is fitted or tuned is fitted on the rungs called `tuning`, what is claimed is
+Scenes times heights times seeds. Every fit and tuning uses the rungs called `tuning`; every published number is
 measured on those called `test`, and no seed is in both. Beside the level flights there are, by name, flights that
 change their height: `gravel/40-8m/tuning-1` (a strip, then down over one place), `gravel/8-40m/tuning-1` (up from
 there) and `gravel/15+45m/tuning-1` (a strip at one height, and back at the other).
@@ -66,13 +66,13 @@ class Rung:
 
     @property
     def name(self) -> str:
-        """What the benchmarks print, such as `meadow/50m/test-3`."""
+        """Name that the benchmarks print, such as `meadow/50m/test-3`."""
         to = "" if self.end_height is None else f"{'+' if self.pattern == 'two_heights' else '-'}{self.end_height}"
         return f"{self.scene}/{self.height}{to}m/{self.kind}-{self.number}{'-quick' if self.quick else ''}"
 
     @property
     def seed(self) -> int:
-        """Of the world and of every source of noise."""
+        """Seed of the world and of every source of noise."""
         return FIRST_SEED[self.kind] + self.number - 1
 
     @property
@@ -100,11 +100,11 @@ class Rung:
 
     @property
     def course_deg(self) -> float:
-        """Clockwise from north; another one for every seed."""
+        """Course in degrees clockwise from north; another one for every seed."""
         return round((84.3 + GOLDEN * self.seed) % 360.0, 1)
 
     def fly(self) -> SimulatedFlight:
-        """Make the flight: the same rung is the same bit for bit."""
+        """Make the flight; the same rung gives the same bits."""
         plan = self.plan()
         if self.end_height is None:
             return fly(plan, self.seed)
@@ -156,7 +156,7 @@ def ladder(
         kind: `tuning` to fit and to choose on, `test` to report.
         scenes: some instead of all.
         heights: some of 20, 40, 50, 60, 100, 150 metres.
-        seeds: how many of each, instead of 3 (1 when `quick`).
+        seeds: number of seeds of each, instead of 3 (1 when `quick`).
         quick: flights of 11 exposures instead of 41, for tests.
 
     Raises:
@@ -173,7 +173,7 @@ def rung(name: str) -> Rung:
     """The rung of a printed name.
 
     Raises:
-        InputError: no rung is called so.
+        InputError: no rung has this name.
     """
     m = _NAME.fullmatch(name)
     if m is None:

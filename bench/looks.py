@@ -1,6 +1,6 @@
 """Looks from near by, with truth: a vehicle comes down over places and flies look legs, as before a landing.
 
-    PYTHONPATH=bench python bench/looks.py                     # P(safe) on worlds that nothing was fitted to
+    PYTHONPATH=bench python bench/looks.py                     # P(safe) on worlds that had no part in a fit
     PYTHONPATH=bench python bench/looks.py meadow/looks/test-3
 
 Half of the places are truly safe, half are drawn anywhere. The map is the recursive one, with the poses of the filter.
@@ -60,7 +60,7 @@ _NAME = re.compile(r"([a-z_]+)/looks/(tuning|test)-(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What was known after one look."""
+    """Map and truth after one look."""
 
     judgeable: Judgeable
     place: F64  # (2,) metres, in the map
@@ -87,7 +87,7 @@ def world_of(name: str) -> tuple[World, int]:
 
 
 def _places(world: World, rng: np.random.Generator) -> F64:
-    """(N, 2) metres."""
+    """Places (N, 2) to look at, metres."""
     anywhere = np.array([_open_place(world, rng) for _ in range(PLACES)])
     area = (-AREA, -AREA, AREA, AREA)
     truth = safe_places(world, area, OracleLander.of(Settings().lander.model_dump()))
@@ -161,7 +161,7 @@ class _Vehicle:
 
 
 def looks_of(name: str) -> Iterator[Look]:
-    """Fly to all places of a world, and give what is known after every look."""
+    """Fly to all places of a world, and yield map and truth after every look."""
     world, seed = world_of(name)
     vehicle = _Vehicle(world, seed)
     for place in vehicle.places:
@@ -206,7 +206,7 @@ def cut(e: ElevationMap, place: F64) -> ElevationMap:
 
 
 def judged(look: Look) -> Judged:
-    """The cells about the place."""
+    """Claims and truth of the cells about the place of a look."""
     s, j = Settings().stages(), look.judgeable
     danger = hazards.assess(j.elevation, cover_of(j), s.lander, s.hazards)
     truth, here = GroundTruth(j.truth, s.lander), j.seen & look.about(danger.grid)
@@ -215,14 +215,14 @@ def judged(look: Look) -> Judged:
 
 
 def show(j: Judged) -> None:
-    """Print what is claimed, falsely claimed and found."""
+    """Print the cells claimed, falsely claimed and found."""
     print(f"{j.name:36s} {len(j.p)} cells, {100 * j.safe.mean():.1f} % truly safe")
     for level in LEVELS:
         print("   " + j.line(level), flush=True)
 
 
 def main() -> None:
-    """The table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("flights", nargs="*", default=TEST)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))

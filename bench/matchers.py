@@ -1,4 +1,4 @@
-"""What matchers make of a recording whose poses and ground are known: the estimator, StereoSGBM, and tracks."""
+"""Accuracy of matchers on a recording with true poses and ground: the estimator, StereoSGBM, and tracks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _grey(view: View) -> NDArray[np.uint8]:
 
 
 def groups(points: Points) -> dict[str, Mask]:
-    """Which points are judged together: dry, open and rough ground, where descriptors match, each class."""
+    """Groups of points that are judged together: dry, open and rough ground, where descriptors match, each class."""
     even = ~points.feature | points.feature.all()  # a reference has nothing but features
     dry = points.kind != Terrain.WATER
     out = {
@@ -54,7 +54,7 @@ def _at(values: NDArray[np.generic], grid_map: ElevationMap, points: Points) -> 
 
 
 def estimator(subject: Subject, points: Points) -> tuple[dict[str, float], ByGroup, float]:
-    """Run the whole way with true poses; return the row of the estimator, the failures, and the height in metres."""
+    """Run all stages with true poses; return the row of the estimator, the failures, and the height in metres."""
     result = replay.replay(subject.source, subject.settings, subject.poses)
     found = result.elevation
     if found is None:
@@ -80,7 +80,7 @@ def estimator(subject: Subject, points: Points) -> tuple[dict[str, float], ByGro
 
 
 def _row(found: ElevationMap, seen: Mask, good: F64, above: float) -> dict[str, float]:
-    """What the map says of itself, and its errors `good` on accepted open ground."""
+    """Shares and texture of the map, and its errors `good` (metres) on accepted open ground."""
     texture = 1.0 - found.residual[seen]
     e = 100 * good / above if len(good) > 50 else np.array([np.nan])
     row = {
@@ -143,9 +143,9 @@ class Rectified:
 
 
 def disparity(pair: Rectified, near: float, far: float, strict: bool, wider: int = 1) -> F32:
-    """StereoSGBM over the true range of depths, in pixels; `strict` with every check of its own that it has.
+    """StereoSGBM over the true range of depths, in pixels; `strict`: with all of its own checks.
 
-    `wider`: on pictures so many times as wide, for finer disparities.
+    `wider`: factor of the pictures' width, for finer disparities.
     """
     low = wider * int(pair.f * pair.baseline / far) - 4
     count = -(-int(wider * pair.f * pair.baseline / near + 4 - low) // 16) * 16
@@ -156,10 +156,9 @@ def disparity(pair: Rectified, near: float, far: float, strict: bool, wider: int
 
 
 def by_pair(a: View, b: View, xyz: F64, wider: int = 1) -> tuple[F64, Mask]:
-    """What StereoSGBM on two views says of points (N, 3): heights (N,), NaN where nothing, and what it is sure of.
+    """StereoSGBM on two views at points (N, 3): heights (N,), NaN without one, and where it passes its own checks (N,).
 
-    The height is that of the end of the ray that the point is looked up on; only the disparities that the points' own
-    depths ask for are searched.
+    The height is that of the end of the ray to the point; only the disparities of the points' own depths are searched.
     """
     pair = Rectified(a, b)
     uv, z = pair.project(xyz)
@@ -173,7 +172,7 @@ def by_pair(a: View, b: View, xyz: F64, wider: int = 1) -> tuple[F64, Mask]:
 
 
 def map_of_pair(a: View, b: View, xyz: F64, cell: float, strict: bool) -> F64:
-    """What StereoSGBM on two views says of points (N, 3) as a map: its pixels put into cells, the highest stays."""
+    """StereoSGBM on two views as a map, at points (N, 3): its pixels are put into cells, the highest stays."""
     pair = Rectified(a, b)
     near, far = (float(v) for v in (pair.project(xyz)[1].min() - 1.0, pair.project(xyz)[1].max() + 1.0))
     found = disparity(pair, near, far, strict)
@@ -200,21 +199,21 @@ def _looked_up(found: F32, uv: F64) -> F64:
 
 
 def inside(view: View, xyz: F64) -> Mask:
-    """Which points (N, 3) lie in a picture, `BORDER` away from its end."""
+    """Mask (N,) of the points (N, 3) that lie in a picture, `BORDER` pixels away from its end."""
     uv = view.camera.project(view.world_from_cam.inverse.apply(xyz))
     with np.errstate(invalid="ignore"):
         return np.asarray(((uv > BORDER) & (uv < [view.camera.width - BORDER, view.camera.height - BORDER])).all(1))
 
 
 def _visible(subject: Subject, xyz: F64, view: View) -> Mask:
-    """The same of a subject; a reference's points are seen."""
+    """`stands_clear` for a subject; a reference's points always are."""
     if subject.truth is None:
         return np.ones(len(xyz), bool)
     return stands_clear(subject.surface(), subject.truth.grid, xyz, view)
 
 
 def stands_clear(surface: F32, grid: Grid, xyz: F64, view: View) -> Mask:
-    """Whether nothing of a surface stands between points (N, 3) and a camera."""
+    """Mask (N,) of the points (N, 3) that no part of a surface hides from a camera."""
     top, clear = float(np.nanmax(surface)), np.ones(len(xyz), bool)
     way = view.centre - xyz
     for rise in np.arange(0.2, top - float(np.nanmin(surface)), 0.2):
@@ -255,7 +254,7 @@ def _plane_guess(a: View, b: View, pixels: F32, ground: float) -> F32:
 
 
 def survival(views: list[View], above: float, ground: float, step: float) -> float:
-    """Percent of corners that Lucas-Kanade finds again `step` of the height on, to 0.5 px there and back."""
+    """Percent of corners that Lucas-Kanade finds again after `step` of the height, within 0.5 px there and back."""
     kept, all_ = 0, 0
     for a, b in pairs(views, above, step):
         one, two = _grey(a), _grey(b)

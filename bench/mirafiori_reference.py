@@ -4,8 +4,8 @@
     alight run ../shared/data/mirafiori/images --out out/mirafiori-reference --poses out/reference.tum \
         --set sources.calibration=out/reference.camchain.yaml
 
-The reference has its own lens: its principal point is 24 px from the maker's, which its poses make up for with 0.7
-degrees of tilt. So poses and lens belong together, and both are written.
+The reference has its own lens: its principal point is 24 px from the maker's, which its poses compensate by 0.7 degrees
+of tilt. So poses and lens belong together, and both are written.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def moved(local: LocalFrame, reference: LocalFrame, pose: Pose) -> Pose:
 
 
 def body_poses(source: Source, folder: Path) -> dict[int, Pose]:
-    """`world_from_body` by time, for every photo that the reference knows."""
+    """`world_from_body` by time, ns, for every photo of the reference."""
     z = np.load(folder / "sfm_reference.npz")
     reference = LocalFrame(*z["origin_llh"])
     index = {str(name): i for i, name in enumerate(z["names"])}
@@ -55,7 +55,7 @@ def tum_line(t_ns: int, pose: Pose) -> str:
 
 
 def camchain(size: NDArray[np.int64], params: NDArray[np.float64]) -> str:
-    """The reference's lens as Kalibr writes it; COLMAP counts pixels from the corner: half a pixel less."""
+    """The reference's lens in Kalibr's form; COLMAP counts pixels from the corner: half a pixel less."""
     fx, fy, cx, cy, *distortion = (float(v) for v in params)
     entry = {
         "camera_model": "pinhole",

@@ -1,4 +1,4 @@
-"""What the parts of bench_motion.py share: rows of the table, and one pass over a flight."""
+"""Common code of the parts of bench_motion.py: rows of the table, and one pass over a flight."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" /
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity: what was measured, what was asked for. Smaller is better unless `least`."""
+    """One quantity: its measured value and its limits. Smaller is better unless `least`."""
 
     name: str
     value: float
@@ -64,7 +64,7 @@ def say(*rows: Row) -> None:
 
 @dataclass
 class Flown:
-    """What one pass over a flight gave."""
+    """Result of one pass over a flight."""
 
     rig: Rig
     online: list[Motion] = field(default_factory=list)
@@ -99,7 +99,7 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
 
 
 def relative_px(a: Motion, b: Motion, truth: Callable[[int], Pose], rig: Rig, depth: float) -> float:
-    """Mean squared pixels by which points at `depth`, carried from one view to the other, miss."""
+    """Mean squared error in pixels of points at `depth`, transferred from one view to the other."""
     camera, body_from_cam = rig.cameras[0].camera, rig.cameras[0].body_from_cam
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, 5), np.linspace(0, camera.height - 1, 4))
     points = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)) * depth
@@ -135,7 +135,7 @@ def errors(motions: Sequence[Motion], truth: Callable[[int], Pose]) -> tuple[F64
 
 
 def recording(folder: Path, settings: Settings) -> Source | None:
-    """A recording, or a line that it is absent."""
+    """Open a recording; print a line if it is absent."""
     if not folder.is_dir():
         print(f"{folder}: absent, left out; set ALIGHT_DATA to the folder of recordings")
         return None

@@ -17,7 +17,7 @@ from alight_sim.flight import SimulatedFlight
 
 @dataclass(frozen=True)
 class Climbed:
-    """What one rung of the ladder gave."""
+    """Numbers of one rung of the ladder."""
 
     height: int
     ring: float  # px, RMS
@@ -29,7 +29,7 @@ class Climbed:
 
     @classmethod
     def of(cls, rung: ladder.Rung) -> Climbed:
-        """Fly it."""
+        """Fly a rung and measure it."""
         flight = rung.fly()
         flown = fly(flight, load_settings("", ["tuning.filter.smooth=false"]))
         px, length = ring_px(flown, flight.pose, float(rung.height))
@@ -39,7 +39,7 @@ class Climbed:
 
 
 def part_ladder(options: argparse.Namespace) -> None:
-    """The standard ladder with pictures, flights that nothing was tuned on: ring, states, vision alone beside it."""
+    """The standard ladder with pictures, flights without a part in tuning: ring, states, vision alone beside it."""
     scenes, heights = options.scenes.split(","), [int(h) for h in options.heights.split(",")]
     print(f"{'':34s}{'ring px':>9s}{'over s':>8s}{'lost':>6s}{'NEES':>7s}{'no GPS/INS %':>14s}{'nor IMU %':>11s}")
     found = []

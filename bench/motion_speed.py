@@ -1,4 +1,4 @@
-"""What navigation costs: in turn on one core by its CPU time, and how fast it is on two threads by the clock."""
+"""Cost of navigation: CPU time in turn on one core, and rate in real time on two threads."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Meter:
         self.ms = list[float]()
 
     def on(self, call: Callable[..., T]) -> Callable[..., T]:
-        """The same function, measured."""
+        """Wrap a function so that its calls are measured."""
 
         def measured(*given: object) -> T:
             begin = time.thread_time()
@@ -57,7 +57,7 @@ def part_speed(_: argparse.Namespace) -> None:
 
 
 def _in_turn(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> tuple[dict[str, Meter], list[int]]:
-    """One pass in turn: every exposure is followed by the yardstick, so that both see the machine alike."""
+    """One pass in turn: every exposure is followed by the yardstick, so that both have the same load of the machine."""
     lane, before, counts = FilterLane(rig, stages, history=False), list[U8](), list[int]()
     parts = {name: Meter() for name in ("rows", "tracking", "filter", "posterior", "yardstick")}
     posterior: Callable[[Navigation], object] = lambda n: n.posterior  # noqa: E731
@@ -98,7 +98,7 @@ def _say_in_turn(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> No
 
 
 def _threaded(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> float:
-    """Frames a second by the clock, as `alight.runner.live` runs the two halves."""
+    """Frames a second in real time, with the two halves as in `alight.runner.live`."""
     predictions = Mailbox[MotionPredictor | None](4)
     lane = FilterLane(rig, stages, False, predictions)
     boxes = Mailbox[FrameBatch](2), Mailbox[Callable[[], object]](4)

@@ -1,4 +1,4 @@
-"""Count the lines on the way from `alight run FLIGHT` to a site: raw lines, and code without blank lines and comments.
+"""Count the lines that run from `alight run FLIGHT` to a site: raw lines, and code without blank lines and comments.
 
 python bench/path_lines.py            # the modules that the replay imports, without bundle, training and outputs
 """

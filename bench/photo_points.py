@@ -1,6 +1,6 @@
-"""Points of drawn photos as structure from motion would have them: features that three photos share, at the true poses.
+"""Points of drawn photos like those of structure from motion: features that three photos share, at the true poses.
 
-Coverage is asked of these, beside the cells: leaves that sway, plain shade and what one photo sees have no such point.
+Coverage is measured on these beside the cells: swaying leaves, plain shade and ground in one photo have no such point.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NAME = "points.npy"
 
 
 class Seen(NamedTuple):
-    """What the photos share, and where they were taken."""
+    """Observations that the photos share, with their true poses and the camera."""
 
     observed: BundleObservations
     poses: list[Pose]  # world_from_cam, the true ones

@@ -48,7 +48,7 @@ class Drawn:
 
     @property
     def count(self) -> int:
-        """Photos."""
+        """Number of photos."""
         return self.lines * self.per_line
 
 
@@ -68,7 +68,7 @@ FULL = DRAWN | {
 
 
 def folder_of(name: str, drawn: dict[str, Drawn]) -> Path:
-    """The folder of a set's photos; drawn ones are kept from run to run, whatever is asked of them."""
+    """The folder of a set's photos; drawn ones are kept from run to run."""
     if name in REAL:
         return DATA / name / "images"
     d = drawn[name]
@@ -134,7 +134,7 @@ def second_of(t_ns: int) -> int:
 
 
 def tags(local: LocalFrame, place: F64, t_ns: int, size: tuple[int, int]) -> bytes:
-    """EXIF as a phone writes it: camera, focal length, time and GPS."""
+    """EXIF like that of a phone: camera, focal length, time and GPS."""
     latitude, longitude, height = (float(v) for v in local.to_geodetic(place))
     exif = Image.Exif()
     focal = 0.5 * SENSOR[0] / math.tan(0.5 * FIELD)
@@ -157,7 +157,7 @@ def sexagesimal(degrees: float) -> tuple[float, float, float]:
 
 
 def true_poses(photos: Path) -> Path:
-    """Write the true poses of drawn photos as TUM, in the frame that a run over them has."""
+    """Write the true poses of drawn photos as TUM, in the frame of a run over them."""
     z = np.load(photos.parent / "flown.npz")
     at = {int(s): Pose(r, c) for s, r, c in zip(z["seconds"], z["turns"], z["centres"], strict=True)}
     source = open_source(photos, Settings())
@@ -172,5 +172,5 @@ def true_poses(photos: Path) -> Path:
 
 
 def first(drawn: Drawn, lines: int) -> Drawn:
-    """The same with its first lines alone."""
+    """Return a set with its first lines alone."""
     return replace(drawn, lines=lines)

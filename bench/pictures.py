@@ -1,4 +1,4 @@
-"""Statistics of pictures that a matcher feels: texture by scale, gradients and their tails, contrast, noise."""
+"""Statistics of pictures that affect a matcher: texture by scale, gradients and their tails, contrast, noise."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def octaves(grey: F32) -> NDArray[np.float64]:
 
 
 def slope(by_octave: NDArray[np.float64]) -> float:
-    """Exponent a of a power spectral density f^-a that has these octaves; periods of 4 to 64 px."""
+    """Exponent a of a power spectral density f^-a fitted to these octaves; periods of 4 to 64 px."""
     k = np.arange(1, 5)
     return float(2 * np.polyfit(k, np.log2(by_octave[1:5]), 1)[0] + 2)
 

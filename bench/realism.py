@@ -1,6 +1,6 @@
-"""How real the simulator is: the same estimator, settings and statistics on simulated, rendered and real recordings.
+"""Realism of the simulator: the same estimator, settings and statistics on simulated, rendered and real recordings.
 
-    python bench/realism.py                        # every built-in scene, as the sample flight flies and as the photos
+    python bench/realism.py                        # every built-in scene, flown like the sample flight and the photos
     python bench/realism.py --scenes demo,meadow   # some
 
 The rendered sample flight and the photos lie beside the project (ALIGHT_DATA, or ../shared/data); without them the
@@ -41,7 +41,7 @@ Row = Mapping[str, float]
 
 
 def simulated(scene: str, like: str) -> Path:
-    """The folder of a simulated flight, as the sample (30 m, stereo, 5 m/s) or as the photos (47 m, one each 3 m)."""
+    """The folder of a simulated flight, like the sample (30 m, stereo, 5 m/s) or the photos (47 m, one each 3 m)."""
     out = OUT / f"{scene}-{like}"
     if like == "sample":
         made = simulate.fly(scene, SEED, 6.0, height=30.0, speed=5.0, rate_hz=8.0)
@@ -105,7 +105,7 @@ SHORT = {
 
 
 def short(tables: Mapping[str, Row]) -> Row:
-    """What decides, of all tables of one recording."""
+    """The decisive numbers of all tables of one recording."""
     return {name: tables.get(table, {}).get(column, np.nan) for name, (table, column) in SHORT.items()}
 
 
@@ -114,7 +114,7 @@ def _number(v: float) -> str:
 
 
 def recordings(scenes: Iterable[str], likes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
-    """What is compared, by name; made when called."""
+    """The compared recordings by name; each is made when called."""
     out: dict[str, Callable[[], Subject]] = {}
     if (DATA / "sample").is_dir():
         out["SAMPLE"] = lambda: flight("sample", DATA / "sample")

@@ -25,7 +25,7 @@ SEED = 1
 
 
 def picture(name: str, height: float) -> U8:
-    """What the left camera sees from above the middle of a scene, (480, 640, 3) RGB."""
+    """Picture of the left camera from above the middle of a scene, (480, 640, 3) RGB."""
     return simulate.fly(name, SEED, 1.0, height=height, speed=1.0).image(4, 0)
 
 

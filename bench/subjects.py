@@ -1,4 +1,4 @@
-"""What the realism table compares: a recording, its true poses, and points of the ground whose height is known."""
+"""Subjects of the realism table: a recording, its true poses, and points of the ground with known height."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Subject:
         ]
 
     def views(self) -> list[View]:
-        """The left ones."""
+        """The left pictures."""
         return [shot[0] for shot in self.exposures()]
 
     def surface(self) -> NDArray[np.float32]:
@@ -78,7 +78,7 @@ class Subject:
         return float(np.median([v.centre[2] for v in views]) - ground)
 
     def points(self, views: list[View], above: float, count: int = 40_000) -> Points:
-        """All points of a reference; else cells of the truth drawn evenly, and such points as a reference has."""
+        """All points of a reference; else cells of the truth drawn evenly, and points like those of a reference."""
         if self.cloud is not None:
             n = len(self.cloud)
             return Points(self.cloud, np.zeros(n, np.uint8), _smooth_points(self.cloud), np.ones(n, bool))

@@ -11,7 +11,7 @@ from alight.learned import table_path
 
 
 def version() -> str:
-    """Date and commit of a fit, as a card says them."""
+    """Date and commit of a fit, as a line for its card."""
     found = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     return f"Date: {datetime.now(UTC):%Y-%m-%d}, commit {found.stdout.strip() or 'unknown'}."
 

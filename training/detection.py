@@ -1,10 +1,10 @@
-"""Measure `learned/detection.npz`: how likely heights, and pixels, show an obstacle of a size (docs/lab/detection.md).
+"""Measure `learned/detection.npz`: probability that heights or pixels show an obstacle (docs/lab/detection.md).
 
     PYTHONPATH=bench python training/detection.py                   # measure on tuning flights, and write the table
     PYTHONPATH=bench python training/detection.py --look FLIGHT...  # on other flights with truth, print only
 
-An obstacle is what stands out of the true surface by more than the lander stands. It is found where the relief of the
-heights, or the contrast of the picture, exceeds what 98 of 100 places of truly quiet ground of the same flight have.
+An obstacle stands out of the true surface by more than the lander's tallest obstacle. It is found where the relief of
+the heights, or the contrast of the picture, exceeds that of 98 of 100 places of truly quiet ground of the same flight.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ EVEN, MOST = 500, 400  # least cells of even ground, most obstacles of a flight 
 
 @dataclass(frozen=True, eq=False)
 class Obstacles:
-    """The obstacles of one flight that stand apart, and the response to each."""
+    """The isolated obstacles of one flight, and the response of heights and picture to each."""
 
     height: F64  # (N,) metres
     width: F64  # (N,) metres at half their height
@@ -58,7 +58,7 @@ def _root(power: F32) -> F32:
 
 
 def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacles | None:
-    """Find the obstacles in the truth of one flight and what the map shows of each."""
+    """Find the obstacles in the truth of one flight, and the response of the map to each; None: there is no map."""
     j = judgeable(name, how, scratch)  # type: ignore[arg-type]
     if j is None:
         return None
@@ -127,7 +127,7 @@ def report(all_of: Sequence[Obstacles]) -> list[str]:
 
 
 def table_bytes(all_of: Sequence[Obstacles]) -> bytes:
-    """The file: sizes, and the share found by heights and by pixels at each."""
+    """Content of the file (.npz): sizes, and the share found by heights and by pixels at each."""
     width, g, p = (np.concatenate([getattr(o, k) for o in all_of]) for k in ("width", "sampling", "pixel"))
     out = io.BytesIO()
     shares = {}

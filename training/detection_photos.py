@@ -1,9 +1,9 @@
-"""How likely pixels show a spot, from real photos against themselves reduced (docs/lab/detection.md); prints only.
+"""Probability that pixels show a spot, from real photos and their reduced copies (docs/lab/detection.md); prints only.
 
     PYTHONPATH=bench python training/detection_photos.py ../shared/data/mirafiori ../shared/data/caliterra
 
-A spot is what exceeds, at full resolution, what 98 of 100 places of the same photo have: as in `detection.py`, but
-without a truth. It is found where it does so again in the photo reduced 2, 3 and 4 times and compressed anew. Reduced
+A spot has, at full resolution, a contrast above that of 98 % of the places of the same photo: as in `detection.py`, but
+without a truth. It is found where this holds again in the photo reduced 2, 3 and 4 times and compressed anew. Reduced
 photos are sharper and less noisy than photos from farther away, so the shares are upper bounds.
 """
 
@@ -28,13 +28,13 @@ PHOTOS = 12  # of a folder, evenly spread
 
 
 def strength(rgb: np.ndarray, width: float) -> F32:
-    """Root mean square contrast of spots of a width in pixels, as the evidence takes it, (H, W)."""
+    """Root mean square contrast of spots of a width in pixels, as in the evidence, (H, W)."""
     height = width / 2
     return np.sqrt(np.maximum(patch_mean(spots_of(log_brightness(rgb), height) ** 2, 1.0, height), 0))
 
 
 def reduced(rgb: np.ndarray, factor: int) -> np.ndarray:
-    """The photo as a camera with fewer pixels would keep it."""
+    """The photo as from a camera with fewer pixels: reduced and compressed."""
     size = (rgb.shape[1] // factor, rgb.shape[0] // factor)
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
     packed = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
@@ -42,7 +42,7 @@ def reduced(rgb: np.ndarray, factor: int) -> np.ndarray:
 
 
 def found_again(photo: Path) -> list[tuple[float, int, int]]:
-    """Of one photo: width over the reduced pixel, spots, and those found again."""
+    """Rows of one photo: width over the reduced pixel, number of spots, and number of those found again."""
     rgb, out = np.asarray(cv2.imread(str(photo))), []
     for width in WIDTHS:
         full = strength(rgb, width)

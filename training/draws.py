@@ -1,6 +1,6 @@
 """Cells drawn for a fit: by weight, each flight's terms shifted anew each round.
 
-The shift stands for another camera, light and ground: without it a net learns the flights by heart.
+The shift simulates another camera, light and ground: without it a net overfits to the flights.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def rounds_of(
         weight: (N,) of the cells, sums to 1.
         flight: (N,) number of each cell's flight.
         terms: of a cell.
-        rounds: how often.
+        rounds: number of rounds.
         batch: cells of a step; a round is a whole number of batches.
     """
     count = len(weight) // batch * batch

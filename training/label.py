@@ -6,8 +6,8 @@
     PYTHONPATH=bench python training/label.py geojson out/mirafiori bench/labels/mirafiori.json --out labels.geojson
 
 `page` writes one HTML page that holds the photos and is drawn on in a browser; it loads and saves the file of labels.
-`show` paints the labels over a run's orthophoto. `geojson` gives them in longitude and latitude (RFC 7946) as that run
-places them. Why labels are kept in pixels of photos: docs/lab/labels.md.
+`show` paints the labels over a run's orthophoto. `geojson` gives them in longitude and latitude (RFC 7946) by the poses
+of that run. docs/lab/labels.md explains why labels are kept in pixels of photos.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ TINT = 0.35  # share of a label's colour in the overlay
 
 
 def photo_times(folder: Path) -> dict[str, int]:
-    """Capture time in ns of every photo of a folder by its name, as a run over the folder knows it."""
+    """Capture time in ns of every photo of a folder by its name, as in a run over the folder."""
     return {e.name: e.t_ns for e in open_source(folder, Settings()).events() if isinstance(e, Frame)}
 
 
@@ -52,7 +52,7 @@ def page(folder: Path, only: list[str]) -> str:
         only: file names of the photos to show; empty: all.
 
     Raises:
-        InputError: the folder holds no photos that a run takes.
+        InputError: the folder holds no photos that a run can use.
         ValueError: a photo of `only` is not in the folder.
     """
     times = photo_times(folder)
@@ -94,7 +94,7 @@ def overlay(run: Run, truth: LabelledMap) -> U8:
 
 
 def geojson(run: Run, truth: LabelledMap) -> dict[str, Any]:
-    """The labels as polygons in longitude and latitude (RFC 7946), as the run places them on Earth."""
+    """The labels as polygons in longitude and latitude (RFC 7946), by the run's place on Earth."""
     if run.local is None:
         raise ValueError(f"{run.folder}: the run has no place on Earth")
     transform = rasterio.Affine(*truth.grid.transform)
@@ -118,7 +118,7 @@ def _lon_lat(run: Run, ring: NDArray[np.float64], hole: bool) -> list[list[float
 
 
 def check(path: Path) -> int:
-    """Print what is wrong with a file of labels, or what it holds; return the exit code."""
+    """Print the faults of a file of labels, or its counts; return the exit code."""
     labels = read_labels(path)
     wrong = problems(labels)
     for sentence in wrong:

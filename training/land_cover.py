@@ -2,8 +2,8 @@
 
     PYTHONPATH=bench python training/land_cover.py
 
-Half of the cells are drawn as they come, half so that every class of every flight weighs alike: what is common has to
-be told from what is rare and small. Needs the extra `train` (scikit-learn). Maps are kept under --scratch, because
+Half of the cells are drawn evenly, half so that every class of every flight has the same weight: common classes must be
+distinguished from rare and small ones. Needs the extra `train` (scikit-learn). Maps are kept under --scratch, because
 making them is most of the work.
 """
 
@@ -48,7 +48,7 @@ SOFT = 0.05  # added to the variance of every term
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Evidence of some cells, and what is there."""
+    """Evidence of some cells, and their true classes."""
 
     names: tuple[str, ...]
     values: F32  # (N, terms)
@@ -58,13 +58,13 @@ class Rows:
 
 
 def evidence_of(e: ElevationMap) -> dict[str, F32]:
-    """The terms of one map."""
+    """The terms of one map, (R, C) each, by identifier."""
     colours = appearance(e)
     return dict(evidence.land_cover_terms(e, colours, relief(e, wetness(e, colours), TerrainSettings())))
 
 
 def worst_class(j: Judgeable) -> U8:
-    """(R, C): the class of every cell; that of what may not be landed on where any of it is in the cell."""
+    """(R, C): the class of every cell; a class that may not be landed on wins if any part of the cell has it."""
     label, grid = j.truth.label, j.truth.grid
     barred = ~np.isin(label, [int(k) for k in LANDABLE])
     reach = 0.5 * j.elevation.grid.cell / grid.cell
@@ -75,7 +75,7 @@ def worst_class(j: Judgeable) -> U8:
 
 
 def _drawn(kind: U8) -> tuple[I64, F64]:
-    """Some of the cells (N,) of a flight, those of class 0 left aside, and their weights."""
+    """Draw cells (N,) of a flight, without those of class 0; return their indices and their weights."""
     rng = np.random.default_rng(0)
     every = np.flatnonzero(kind)
     parts = [rng.choice(every, min(AS_THEY_COME, len(every)), replace=False)]
@@ -88,7 +88,7 @@ def _drawn(kind: U8) -> tuple[I64, F64]:
 
 
 def _seen_of(name: str, scratch: Path) -> Iterator[tuple[Judgeable, Mask]]:
-    """The maps of a flight on the cells of the land cover, and which cells count, (R, C)."""
+    """The maps of a flight on the cells of the land cover, and the masks (R, C) of the cells that count."""
     if "/looks/" in name:
         maps = [(look.judgeable, look.about) for look in kept_looks(name, scratch)]
     else:
@@ -112,7 +112,7 @@ def _cells_of(name: str, scratch: Path) -> tuple[list[str], F32, U8] | None:
 
 
 def rows_of(flights: Iterable[str], scratch: Path) -> list[Rows]:
-    """Some cells of every flight, or of the looks of a world; kept beside its map."""
+    """Draw cells of every flight, or of the looks of a world; they are kept beside its map."""
     out = []
     for number, name in enumerate(flights):
         path = scratch / f"{name.replace('/', '_')}-cover.npz"
@@ -130,7 +130,7 @@ def rows_of(flights: Iterable[str], scratch: Path) -> list[Rows]:
 
 
 def joined(parts: list[Rows]) -> Rows:
-    """The cells of several flights."""
+    """Join the cells of several flights."""
     values, kind, weight, flight = (
         np.concatenate([getattr(p, k) for p in parts]) for k in ("values", "kind", "weight", "flight")
     )
@@ -138,7 +138,7 @@ def joined(parts: list[Rows]) -> Rows:
 
 
 def fit_net(r: Rows, seed: int = 0) -> Net:
-    """The net of some cells: Adam over draws by weight, each round's evidence shifted anew."""
+    """Fit a net to some cells: Adam over draws by weight, each round's evidence shifted anew."""
     rng = np.random.default_rng(seed)
     usual = np.average(r.values, axis=0, weights=r.weight).astype(np.float32)
     spread = np.sqrt(np.average((r.values - usual) ** 2, axis=0, weights=r.weight)).astype(np.float32) + 1e-6
@@ -184,7 +184,7 @@ def known_ground(parts: list[Rows], families: list[str]) -> KnownGround:
 
 
 def with_limit(parts: list[Rows], names: list[str]) -> KnownGround:
-    """The known ground of all families; its limit is what 95 of 100 landable cells of families left out keep."""
+    """The known ground of all families; 95 % of the landable cells of families left out lie within its limit."""
     families = [family_of(n) for n in names]
     found, weight = [], []
     for f in sorted(set(families)):

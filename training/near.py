@@ -1,11 +1,11 @@
-"""Fit the rates of looks from near by in `learned/`, and print what they are worth on families of scenes left out.
+"""Fit the rates of looks from near by in `learned/`, and print their accuracy on families of scenes left out.
 
     PYTHONPATH=bench python training/near.py
 
-The same sums of rising broken lines as in `p_safe.py`, over all terms together, fitted to looks from 4 to 10 m alone,
-under any light.
-A hazard is what breaks the lander's own limits: from near by the height of a stone is measured, and one that is lower
-than the limit is none. Nothing but simulated flights is fitted to; other renderers and real places only judge.
+The rates are sums of rising piecewise linear curves as in `p_safe.py`, over all terms together, fitted to looks from 4
+to 10 m alone, under any light. A hazard exceeds the lander's own limits: from near by the height of a stone is
+measured, and a lower stone is no hazard. Only simulated flights are fitted to; other renderers and real places only
+test.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LEVELS = (0.8, 0.9, 0.95, 0.97, 0.99)
 
 @dataclass(frozen=True, eq=False)
 class NearSample:
-    """Some cells of one world's looks that no limit refuses, flat."""
+    """Flat arrays of some cells of one world's looks that no limit refuses."""
 
     family: str
     terms: F64  # (N, T)
@@ -75,7 +75,7 @@ def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
 
 
 def sample_of(name: str, scratch: Path) -> NearSample | None:
-    """Some cells of every look of a world."""
+    """Draw cells of every look of a world; None: it has none."""
     rng = np.random.default_rng(0)
     parts = [p for look in kept_looks(name, scratch) if (p := _cells(look, rng)) is not None]
     if not parts:
@@ -111,7 +111,7 @@ def claimed(rates: dict[str, Rate], s: NearSample) -> F64:
 
 
 def line(name: str, p: F64, safe: Mask) -> str:
-    """What is false and found at some levels."""
+    """Line of text: false claims and safe cells found at some levels."""
     parts = [
         f"{k}: false {100 * (~safe[p >= k]).mean() if (p >= k).any() else 0:5.2f} found "
         f"{100 * (p[safe] >= k).mean() if safe.any() else 0:5.1f}"
@@ -121,7 +121,7 @@ def line(name: str, p: F64, safe: Mask) -> str:
 
 
 def report(samples: Sequence[NearSample], p: Sequence[F64]) -> list[str]:
-    """A line a family, and one of all."""
+    """A line of text a family, and one of all."""
     pairs = list(zip(samples, p, strict=True))
     out = []
     for f in sorted({s.family for s in samples}):
@@ -131,7 +131,7 @@ def report(samples: Sequence[NearSample], p: Sequence[F64]) -> list[str]:
 
 
 def main() -> None:
-    """Fit, say what it is worth, and write the tables with their cards."""
+    """Fit, print the accuracy, and write the tables with their cards."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     parser.add_argument("--worlds", nargs="*", default=WORLDS)

@@ -1,10 +1,10 @@
 """Fit the outlier probability of `alight.parallax.uncertainty` (eq. 15) on tuning flights of the ladder, true poses.
 
-    PYTHONPATH=bench python training/outlier_probability.py   # prints coefficients, and their worth a flight
+    PYTHONPATH=bench python training/outlier_probability.py   # prints coefficients, and their accuracy a flight
 
-A cell is wrong when it is off by more than a hundredth of the height above it. The logarithms of the evidence are the
-terms of a logistic regression; each flight weighs the same, and so do its batch and its ring. Real photos and the
-sample flight are not used: they check the result.
+A cell is wrong when its error exceeds a hundredth of the height above it. The logarithms of the evidence are the terms
+of a logistic regression; each flight has the same weight, and so have its batch and its ring. Real photos and the
+sample flight are not used: they test the result.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ EVERY = 5  # cells: neighbours say the same
 
 @contextmanager
 def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
-    """What the trust stage knew of every grid it judged while this lasts."""
+    """Record the evidence and the heights of every grid that the trust stage judges in this context."""
     import alight.parallax.batch as batch
     import alight.parallax.recursive as ring
 
@@ -86,7 +86,7 @@ def names() -> list[str]:
 
 
 def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
-    """Rows of the batch, then of the ring."""
+    """Yield the rows of the batch, then of the ring."""
     flight = rung(name).fly()
     shots = list(exposures(flight))
     views = [v for shot in shots for v in shot]
@@ -109,7 +109,7 @@ def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
 
 
 def logistic(X: F64, y: NDArray[np.bool_], weight: F64) -> F64:
-    """Coefficients of a logistic regression, the constant last, next to no penalty."""
+    """Coefficients of a logistic regression, the constant last, with hardly any penalty."""
     found = LogisticRegression(C=1e6, max_iter=1000, tol=1e-8).fit(X, y, sample_weight=weight)
     return np.r_[found.coef_[0], found.intercept_]
 

@@ -1,10 +1,10 @@
-"""Fit the tables of rates in `learned/`, and print what they are worth on families of scenes left out.
+"""Fit the tables of rates in `learned/`, and print their accuracy on families of scenes left out.
 
     PYTHONPATH=bench python training/p_safe.py
 
-Each rate is a sum of rising broken lines, fitted by maximum likelihood to whether a touchdown truly meets no obstacle,
-or truly lies on ground that bears and is dry. What the worst family of scenes left out asks for is printed, and is not
-applied: docs/lab/p-safe.md. Nothing but simulated flights is fitted to; other renderers and real places only judge.
+Each rate is a sum of rising piecewise linear curves, fitted by maximum likelihood to whether a touchdown truly has no
+obstacle, or truly lies on ground that bears and is dry. The factor for the worst family of scenes left out is printed,
+but not applied: docs/lab/p-safe.md. Only simulated flights are fitted to; other renderers and real places only test.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ KEPT = ((0.95, 1.0), (0.99, 1.5))  # levels of P, and how often the hazards that
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some cells of one map, flat."""
+    """Flat arrays of some cells of one map."""
 
     name: str
     family: str
@@ -65,7 +65,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One rate of a sum: its terms, and what it is multiplied by."""
+    """One rate of a sum: its terms, and its factor (`share`)."""
 
     terms: tuple[str, ...]
     values: F64  # (N, T)
@@ -74,7 +74,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Cells of one factor: the rates whose sum it rests on, whether a hazard is there, the family, the weight."""
+    """Cells of one factor: inputs of the rates that are summed, truth of a hazard, family, weight."""
 
     parts: tuple[Part, ...]
     hazard: Mask
@@ -82,13 +82,13 @@ class Rows:
     weight: F64  # families alike, maps of a family alike
 
     def some(self, which: Mask) -> Rows:
-        """Some of the cells."""
+        """Return the cells that `which` (N,) marks."""
         parts = tuple(Part(p.terms, p.values[which], p.share[which]) for p in self.parts)
         return Rows(parts, self.hazard[which], self.family[which], self.weight[which] / self.weight[which].sum())
 
 
 def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = SOME) -> Sample:
-    """Draw cells of one map, or of what lies about the place of a look, and look up the truth."""
+    """Draw cells of one map, or those about the place of a look, and look up the truth."""
     s = Settings().stages()
     found, reasons = evidence(j.elevation, cover_of(j, tables), s.lander, s.hazards)
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
@@ -110,7 +110,7 @@ def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = 
 
 
 def together(parts: Sequence[Sample], name: str) -> Sample:
-    """The cells of several maps as of one."""
+    """Join the cells of several maps."""
 
     def joined_of(field: str) -> Any:
         values = [getattr(p, field) for p in parts]
@@ -123,7 +123,7 @@ def together(parts: Sequence[Sample], name: str) -> Sample:
 
 
 def samples_of_flight(name: str, scratch: Path, tables: Tables, hows: Sequence[How]) -> list[Sample]:
-    """One of every way of mapping, or one of all looks of a world."""
+    """One sample of every way of mapping, or one of all looks of a world."""
     if "/looks/" in name:
         looks = kept_looks(name, scratch)
         parts = [sample(look.judgeable, tables, look, SOME // len(looks)) for look in looks]
@@ -133,7 +133,7 @@ def samples_of_flight(name: str, scratch: Path, tables: Tables, hows: Sequence[H
 
 
 def rows(samples: Sequence[Sample], what: str, families: list[str]) -> Rows:
-    """The cells of one factor: those that nothing refuses, less those that are a hazard of the other factor alone.
+    """The cells of one factor: those that nothing refuses, without those that are a hazard of the other factor alone.
 
     A tuft that is uneven and does not bear is a hazard of the ground.
     """
@@ -171,14 +171,14 @@ def _knots(values: F64, weight: F64) -> F64:
 
 
 def _ramps(values: F64, knots: F64) -> F64:
-    """(N, T (K - 1) + 1): how far each value has come between two knots, 0 to 1, and 1 for the bias."""
+    """(N, T (K - 1) + 1): position of each value between two knots, clipped to 0 to 1, and 1 for the bias."""
     parts = [((values[:, t, None] - k[:-1]) / np.diff(k)).clip(0, 1) for t, k in enumerate(knots)]
     return np.concatenate([*parts, np.ones((len(values), 1))], axis=1)
 
 
 @dataclass(eq=False)
 class _Likelihood:
-    """Of the numbers of hazards, which are Poisson; one weight a ramp, the rates of the parts one after the other."""
+    """Likelihood of Poisson numbers of hazards; one weight a ramp, the rates of the parts one after the other."""
 
     ramps: list[F64]
     share: list[F64]
@@ -193,15 +193,15 @@ class _Likelihood:
         return [s * np.exp(np.minimum(z, MOST)) for z, s in zip(logs, self.share, strict=True)]
 
     def rate(self, x: F64) -> F64:
-        """Of all parts together, shares included."""
+        """Rate (N,) of all parts together, shares included."""
         return np.asarray(np.sum(self._rates(self._logs(x)), axis=0))
 
     def lost(self, rate: F64) -> F64:
-        """Of every cell."""
+        """Loss (N,) of every cell: the negative log likelihood."""
         return np.where(self.hazard, -np.log(np.maximum(-np.expm1(-rate), 1e-12)), rate)
 
     def __call__(self, x: F64) -> tuple[float, F64]:
-        """The mean loss with its penalty, and the slope."""
+        """The mean loss with its penalty, and its gradient."""
         logs = self._logs(x)
         rates = self._rates(logs)
         rate = np.sum(rates, axis=0)
@@ -213,7 +213,7 @@ class _Likelihood:
 
 
 def fit(r: Rows, eager: float) -> tuple[Rate, ...]:
-    """Maximum likelihood, no line falling; families on which more is lost weigh more (Sagawa et al. 2020)."""
+    """Fit by maximum likelihood, no curve falling; families with more loss have more weight (Sagawa et al. 2020)."""
     knots = [_knots(p.values, r.weight) for p in r.parts]
     ramps = [_ramps(p.values, k) for p, k in zip(r.parts, knots, strict=True)]
     x = np.concatenate([np.r_[np.full(a.shape[1] - 1, 0.1), -5.0] for a in ramps])
@@ -238,7 +238,7 @@ def fit(r: Rows, eager: float) -> tuple[Rate, ...]:
 
 
 def expected(rates: Sequence[Rate], r: Rows) -> F64:
-    """Hazards of every cell."""
+    """Expected number of hazards (N,) of every cell."""
     each = [
         p.share * np.exp(rate.log_rate(dict(zip(p.terms, p.values.T, strict=True))))
         for rate, p in zip(rates, r.parts, strict=True)
@@ -247,7 +247,7 @@ def expected(rates: Sequence[Rate], r: Rows) -> F64:
 
 
 def caution(rate: F64, r: Rows) -> float:
-    """The factor on all rates with which the worst family left out keeps what is claimed at `KEPT`."""
+    """The factor on all rates with which the claims at `KEPT` hold on the worst family left out."""
     for factor in np.geomspace(0.25, 32, 85):
         p = np.exp(-factor * rate)
         false = [
@@ -271,7 +271,7 @@ def folds_of(names: Sequence[str], whole_families: bool) -> dict[str, int]:
 
 
 def left_out(samples: list[Sample], strange: list[Sample], what: str) -> tuple[Rows, F64]:
-    """The `strange` cells, and their rates by what was fitted to the samples of all other families."""
+    """The `strange` cells, and their rates by a fit to the samples of all other families."""
     families = sorted({s.family for s in samples})
     known, r = rows(samples, what, families), rows(strange, what, families)
     out = np.empty(len(r.hazard))
@@ -290,7 +290,7 @@ def claimed(s: Sample, obstacle: Sequence[Rate], ground: Sequence[Rate]) -> F32:
 
 
 def table(samples: list[Sample], p_of: Callable[[Sample], F32]) -> list[str]:
-    """What is false and found at some levels, by family."""
+    """Lines of text: false claims and safe cells found at some levels, by family."""
     out = []
     for f in sorted({s.family for s in samples}):
         own = [s for s in samples if s.family == f]
@@ -310,7 +310,7 @@ def table(samples: list[Sample], p_of: Callable[[Sample], F32]) -> list[str]:
 
 
 def samples_of(names: Sequence[str], scratch: Path, whole_families: bool, hows: Sequence[How] = HOWS) -> list[Sample]:
-    """Cells of every flight, their cover judged by a net that has not seen the flight, or nothing of its family."""
+    """Cells of every flight, their land cover by a net that was fitted without the flight, or without its family."""
     parts = {names[r.flight[0]]: r for r in rows_of(names, scratch)}
     fold = folds_of(list(parts), whole_families)
     out = []

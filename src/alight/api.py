@@ -93,7 +93,7 @@ def run(
         settings: a `Settings` model, a mapping of keys, or the name of a YAML file.
         poses: `truth`, or a TUM file of body poses in ENU, instead of the estimated motion.
         prior_dem: heights from elsewhere, to begin the search with and to compare with.
-        home: where the vehicle is armed that is to fly the route: `LAT,LON,ALT_MSL`, with `geoid`, or with the
+        home: place where the vehicle that flies the route is armed: `LAT,LON,ALT_MSL`, with `geoid`, or with the
             separation there (ellipsoid minus sea level) as a fourth number. None: heights of `route.plan` are above the
             site.
         geoid: grid of geoid heights in metres, on degrees.
@@ -126,7 +126,7 @@ def judge(
     lander: Lander | None = None,
     settings: SettingsLike = None,
 ) -> Result:
-    """Judge heights that were made elsewhere: where this lander may touch down, how surely, and why not elsewhere.
+    """Judge heights from another source: P(safe) and reasons of each cell, and the landing sites of this lander.
 
     Args:
         dem: a height raster: metres, square cells, north up.
@@ -154,7 +154,7 @@ def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -
 
     Args:
         scene: the name of a built-in scene, a scene file (YAML), or a scene.
-        seed: another seed, another place.
+        seed: of the random ground and flight; another seed gives another place.
         wishes: `height` [m], `duration` [s], `speed` [m/s] and others of `alight_sim.fly`.
 
     Raises:
@@ -181,11 +181,11 @@ def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
 
 
 def check(source: str | Path | Source, *, seconds: float = 10.0, start: float = 0.0) -> list[CheckResult]:
-    """Check the rig of a flight log or a recording: each result has a name, a verdict, the evidence and the mend.
+    """Check the rig of a flight log or a recording: each result has a name, a verdict, the evidence and a remedy.
 
     Args:
         source: a flight log, a recording (.mcap), an opened source, or a simulated flight.
-        seconds: how much of it is read.
+        seconds: length of the part that is read.
         start: s from the first exposure at which to begin.
 
     Raises:
@@ -228,8 +228,8 @@ def campaign(
     Args:
         scenes: names, scene files, or `all`.
         out: folder of the campaign.
-        landings: how many there are to be.
-        seed: of everything that chance decides.
+        landings: number of landings, those that the folder holds included.
+        seed: of all random numbers.
         jobs: processes of this machine.
         scheduler: address of a Dask cluster instead.
         settings: as for `run`.
@@ -255,7 +255,7 @@ def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05
     """Train the model of appearance on a folder of pictures by class and write it to `out`; return its provenance.
 
     Args:
-        sampling: metres a pixel, where no index.csv says it.
+        sampling: metres a pixel, where no index.csv gives it.
 
     Raises:
         AlightError: the pictures cannot be used, or the file cannot be written.
@@ -268,7 +268,7 @@ def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05
 def evaluate_appearance(
     folder: str | Path, model: str | Path | None = None, sampling: float = 0.05, progress: Progress = _quiet
 ) -> Confusion:
-    """Compare a model of appearance (default: the package's own) with labelled pictures: the table of confusion.
+    """Compare a model of appearance (default: the package's own) with labelled pictures; return the confusion matrix.
 
     Raises:
         InputError: the pictures or the model cannot be used.

@@ -1,4 +1,4 @@
-"""The compiler's one doorway: cache location, threading layer and the `kernel` decorators.
+"""The package's only import of Numba: cache location, threading layer and the `kernel` decorators.
 
 Numba keys its cache by each file's own time stamp, so a change in a helper of another file leaves stale callers. The
 cache folder is therefore named by a hash of every kernel source: `*kernels.py` beside the stages, and those of the
@@ -24,7 +24,7 @@ R = TypeVar("R")
 
 log = logging.getLogger(__name__)
 _DIGEST = hashlib.sha256().digest_size
-LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s to wait for a loop that another process compiles, and between two looks
+LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s to wait for a loop that another process compiles, and between two tries
 
 
 class _Compile(Protocol):
@@ -60,7 +60,7 @@ from numba.core import event  # noqa: E402
 from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
 from numba.core.registry import CPUDispatcher  # noqa: E402
 
-# who imported numba before us has it caching beside the sources, by each file's own time: stale callers again
+# if numba was imported before this module, it caches beside the sources, by each file's own time: stale callers again
 numba.config.CACHE_DIR = str(CACHE or "")
 numba.config.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"  # nowhere else: not in the package
 if not numba.config.DISABLE_JIT:
@@ -68,19 +68,19 @@ if not numba.config.DISABLE_JIT:
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """The files of one loop, each compiled form with a digest: what is damaged counts as not there."""
+    """Cache files of one loop, each compiled form with a digest; a damaged file counts as missing."""
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
-        except Exception:  # pickle raises whatever the damaged bytes happen to ask for
+        except Exception:  # damaged bytes can make pickle raise any exception
             return {}
 
     def _load_data(self, name: str) -> Any:
         content = Path(self._data_path(name)).read_bytes()
         digest, data = content[:_DIGEST], content[_DIGEST:]
         if hashlib.sha256(data).digest() != digest:
-            raise OSError(f"{name}: damaged")  # the compiler takes that for a file that is not there
+            raise OSError(f"{name}: damaged")  # the compiler treats this as a missing file
         return pickle.loads(data)
 
     def _save_data(self, name: str, data: Any) -> None:
@@ -90,11 +90,11 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _Turns(event.Listener):  # type: ignore[misc]
-    """The loops that this process compiles now, innermost last: others wait for them instead of compiling them too.
+    """Locks of the loops that this process compiles now, innermost last; other processes wait instead of compiling too.
 
-    A turn is for all forms of a loop: they share one index, and who writes it leaves out what another wrote meanwhile.
-    Two processes never wait for each other: who holds a loop wants only those that it calls. Numba's own lock lets one
-    thread of a process compile at a time.
+    A lock covers all forms of a loop: they share one index, and a write would lose the forms that another process wrote
+    meanwhile. Two processes never wait for each other: the holder of a loop waits only for the loops that it calls.
+    Numba's own lock lets one thread of a process compile at a time.
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class _Turns(event.Listener):  # type: ignore[misc]
         event.register("numba:compile", self)
 
     def take(self, path: Path) -> None:
-        """Take the turn to compile a loop; whoever had it may have compiled it."""
+        """Wait for the lock of a loop, `LONGEST_TURN` at most; its last holder may have compiled the loop."""
         file, end = None, time.monotonic() + LONGEST_TURN
         with suppress(OSError):  # a folder that cannot be written
             file = path.open("wb")
@@ -111,16 +111,16 @@ class _Turns(event.Listener):  # type: ignore[misc]
         self._held.append(file)
 
     def leave(self) -> None:
-        """Let others take the innermost loop."""
+        """Release the lock of the innermost loop."""
         if self._held and (file := self._held.pop()) is not None:
             file.close()
 
     def on_start(self, event: Any) -> None:
-        """Its turn was taken when it was not found in the cache."""
+        """Do nothing: the lock was taken when the loop was not found in the cache."""
 
     def on_end(self, event: Any) -> None:
-        """A loop that cannot be compiled is not saved either."""
-        if any(getattr(event, "_exc_details", None) or ()):  # `is_failed` says no to every event that has ended
+        """Release the lock of a loop whose compilation failed: it will not be saved."""
+        if any(getattr(event, "_exc_details", None) or ()):  # `is_failed` is False for every event that has ended
             self.leave()
 
 
@@ -128,7 +128,7 @@ _turns = _Turns()
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """The compiled forms of one loop on disk; a full or read-only disk costs time and ends nothing."""
+    """The compiled forms of one loop on disk; a full or read-only disk costs time and raises nothing."""
 
     _cache_file: Any
 
@@ -138,7 +138,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _CheckedFile(own._cache_path, self._impl.filename_base, own._source_stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled form; None: it is this process's turn to compile it."""
+        """Return the compiled form; None: this process has the lock and must compile it."""
         found = super().load_overload(sig, target_context)
         if found is None:
             _turns.take(Path(self._cache_file._index_path).with_suffix(".turn"))
@@ -172,10 +172,10 @@ def _compiler(**options: Any) -> _Compile:
 
 kernel: _Compile = _compiler()
 parallel_kernel: _Compile = _compiler(parallel=True)
-# for reductions to a minimum of numbers that are none of them NaN: any order gives the same bits
+# for minima of numbers without NaN: any order gives the same bits
 minimum_kernel: _Compile = _compiler(fastmath={"nnan", "nsz", "reassoc"})
-# for sums of numbers that are none of them NaN: their order, and so their last bits, are the machine's. Inlined into
-# the caller: a copy of its own, optimised once more or once less, made the compiling run differ from all later ones
+# for sums of numbers without NaN: their order, and so their last bits, depend on the machine. Inlined into the caller:
+# a separate copy, optimised once more or once less, made the compiling run differ from all later ones
 sum_kernel: _Compile = _compiler(fastmath={"nnan", "nsz", "reassoc", "contract"}, forceinline=True)
 inline: _Compile = _compiler(inline="always")
 prange = numba.prange
@@ -184,12 +184,12 @@ pixelwise: _Compile = _compiler(forceinline=True)
 
 
 def most_threads() -> int:
-    """The threads that this process may use: the machine's, or those that the user allows."""
+    """Number of threads that this process may use: the machine's, or the number that the user allows."""
     return int(numba.config.NUMBA_NUM_THREADS)
 
 
 def use_threads(count: int) -> None:
-    """Let compiled loops that this thread calls use so many, no more than there were allowed at the start."""
+    """Set the number of threads for compiled loops that this thread calls, `most_threads()` at most."""
     numba.set_num_threads(min(count, most_threads()))
 
 
@@ -204,10 +204,11 @@ def _stage_kernels() -> Iterator[Any]:
 
 
 def load_cached(parallel: bool) -> int:
-    """Load every loop of the stages that is in the cache, for all the types it is there for; return how many.
+    """Load all cached forms of the stages' loops; return the number of forms.
 
     Args:
-        parallel: those that use several threads; they start them, and a process with threads may not fork.
+        parallel: load the loops that use several threads, else the others. Parallel loops start threads, and a process
+            with threads may not fork.
     """
     loaded = 0
     for loop in _stage_kernels():
@@ -224,18 +225,18 @@ def load_cached(parallel: bool) -> int:
 
 
 def _mark(folder: Path) -> Path:
-    """The file that says that all loops are compiled: of these sources at this place, as the cache goes by both."""
+    """File that marks all loops as compiled, named by the sources and their place, as the cache depends on both."""
     about = [sys.version, numba.__version__, *(f"{p.resolve()} {p.stat().st_mtime_ns}" for p in kernel_sources())]
     return folder / f"warm-{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
 
 
 def is_warm() -> bool:
-    """Whether every loop of a run was compiled on this machine, of these sources."""
+    """Whether every loop of a run was compiled on this machine, from these sources."""
     return CACHE is not None and _mark(CACHE).exists()
 
 
 def mark_warm() -> None:
-    """Note that it was."""
+    """Record that every loop of a run was compiled on this machine, from these sources."""
     if CACHE is not None:
         with suppress(OSError):
             _mark(CACHE).touch()
@@ -249,8 +250,8 @@ class CompilationListener(event.Listener):  # type: ignore[misc]
         event.register("numba:compile", self)
 
     def on_start(self, event: Any) -> None:
-        """A loop is being compiled."""
+        """Note the name of the loop."""
         self.names.append(event.data["dispatcher"].py_func.__qualname__)
 
     def on_end(self, event: Any) -> None:
-        """It is compiled."""
+        """Do nothing."""

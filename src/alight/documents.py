@@ -1,4 +1,4 @@
-"""YAML, JSON and plain text from outside: of a size, depth and kind that no settings file or scene exceeds."""
+"""YAML, JSON and plain text from outside, within limits of size and depth that no settings file or scene exceeds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class DocumentError(ValueError):
-    """A text that is no document; the message says why, in one line."""
+    """A text that is not a valid document; the message gives the reason in one line."""
 
 
 def read_bytes(path: Path, largest: int) -> bytes:
@@ -60,7 +60,7 @@ class _Loader(yaml.SafeLoader):
     """YAML of words and decimal numbers: no dates, no octal 010, no 1:30 for 90; a key is a word and stands once."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """A mapping whose keys are words."""
+        """Construct a mapping; refuse keys that are no words or stand twice."""
         names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise DocumentError(f"the key {twice[0][:40]!r} stands twice; write it once")
@@ -71,7 +71,7 @@ class _Loader(yaml.SafeLoader):
         return tree
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        """An integer that is not too long to be one of ours."""
+        """Construct an integer; refuse one of more than `MOST_DIGITS` digits."""
         _see_digits(node.value)
         return int(node.value)
 
@@ -96,7 +96,7 @@ def parse_yaml(text: str) -> Any:
 
     Raises:
         DocumentError: it is no YAML, too deep or too large with its aliases written out, refers to itself, or holds
-            what is neither a word nor a number.
+            a value that is neither a word nor a number.
     """
     if len(text) > LONGEST:
         raise DocumentError(f"not valid YAML: longer than {LONGEST} characters")
@@ -171,13 +171,13 @@ def _integer(digits: str) -> int:
 
 
 def _see_digits(text: str) -> None:
-    """Refuse an integer that is so long that even to read it takes time."""
+    """Refuse an integer so long that its conversion takes noticeable time."""
     if len(text) > MOST_DIGITS:
         raise DocumentError(LONG_INTEGER)
 
 
 def validated(kind: type[Model], tree: Any) -> Model:
-    """The value of a document as a record of a kind.
+    """Return the value of a document as a record of type `kind`.
 
     Raises:
         DocumentError: with the first key that is missing, unknown or of a wrong type.
@@ -191,7 +191,7 @@ def validated(kind: type[Model], tree: Any) -> Model:
 
 
 def _check(tree: Any, depth: int) -> None:
-    """Refuse what is too deep, an integer that no number of ours reaches, and other than words, numbers and lists."""
+    """Refuse nesting beyond `DEEPEST`, integers beyond `LARGEST_INTEGER`, and values of other types than JSON's."""
     if depth > DEEPEST:
         raise DocumentError(_deep())
     if isinstance(tree, Mapping):

@@ -1,4 +1,4 @@
-"""A lock on a file that the system gives back however its process ends."""
+"""A lock on a file, which the system releases however the process ends."""
 
 from typing import IO, Any
 

@@ -1,6 +1,6 @@
-"""Pieces of work that know nothing of each other: done in turn, taken from what was saved, or on other machines.
+"""Independent tasks: done in turn, read from saved results, or done on other machines.
 
-A stage says what is to be done (`Task`); who does it is the caller's choice (`Jobs`), and the results are the same.
+A stage defines the tasks (`Task`); the caller chooses the workers (`Jobs`). The results are the same.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from alight import compiled, memory
 
 @dataclass(frozen=True, eq=False)
 class Sent:
-    """A large argument that many tasks share: it goes to a process once, however many of them run there."""
+    """A large argument that many tasks share: it is sent to a process once, however many of them run there."""
 
     name: str  # the same name is the same value
     value: Any
@@ -28,41 +28,41 @@ class KeptHere:
     """An argument that a process, or a thread of it, makes for itself and keeps from task to task, such as a cache."""
 
     name: str  # the same name is the same object
-    make: Callable[[], Any]  # can be pickled; what it makes may be used by several threads
+    make: Callable[[], Any]  # can be pickled; its result may be used by several threads
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One piece of work. What it gives is made of records, arrays, numbers and text."""
+    """One piece of work. Its result consists of records, arrays, numbers and text."""
 
     name: str  # unique in a run
-    do: Callable[..., Any]  # a function of a module; of a task that stays here, any
-    arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by what they stand for, also within a tuple
-    about: str = ""  # what else its result rests on; a saved one of another text is not used
-    here: bool = False  # it is not worth sending, or has tasks of its own
+    do: Callable[..., Any]  # a function of a module; any function if the task stays here
+    arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by their values, also within a tuple
+    about: str = ""  # further inputs of the result, as text; a result saved with another text is not used
+    here: bool = False  # stays in this process: not worth sending, or has tasks of its own
 
 
 class Jobs(Protocol):
-    """Who does the work."""
+    """Workers that do tasks."""
 
     def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
-        """Yield what each task gives, in the order of the tasks.
+        """Yield the result of each task, in the order of the tasks.
 
         Args:
-            tasks: what is to be done; drawn as it is done.
-            at_once: this machine does as many at a time as it may have threads, each with compiled loops on one.
+            tasks: drawn from the iterable as they are done.
+            at_once: this machine does as many tasks at a time as it has threads, each with compiled loops on one.
         """
 
 
 class InTurn:
-    """This process does all of it."""
+    """Tasks done by this process, in turn or on its threads."""
 
     def __init__(self) -> None:
         self._kept: tuple[str, Any] = "", None  # the last one: a step has one, hundreds of megabytes
         self._making = Lock()
 
     def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
-        """As `Jobs`. What tasks kept for one another is let go after the last of them."""
+        """As `Jobs`. The object that is kept from task to task (`KeptHere`) is freed after the last task."""
         try:
             yield from self._run(tasks, compiled.most_threads() if at_once else 1)
         finally:

@@ -1,6 +1,6 @@
-"""Where compiled loops are kept: a folder of the user's own that nobody else can write, else a private temporary one.
+"""Cache folder of compiled loops: the user's own, which nobody else can write, else a private temporary one.
 
-What is in the cache is run as the user. A folder that another user owns or can write to is therefore never read.
+Code in the cache runs with the user's rights. A folder that another user owns or can write to is therefore never read.
 """
 
 import atexit
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 NAMED = "NUMBA_CACHE_DIR"  # names another folder; child processes find the one of their parent there
 COST = "loops are compiled anew by this command, about 4 minutes"
 THREADS = ("NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-MOST_THREADS = 16  # a processor; more is a slip of the pen and ends in a process that starts no thread at all
+MOST_THREADS = 16  # per processor; a larger number is a typing error, and the process could start no thread at all
 
 
 def is_private(folder: Path) -> bool:
@@ -43,7 +43,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def _usual(name: str) -> Path | None:
-    """The folder of that name in the user's own cache, made where it can be; None without a home."""
+    """Folder of this name in the user's cache, created if possible; None without a home."""
     given = os.environ.get("XDG_CACHE_HOME") or ""
     try:
         root = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
@@ -80,9 +80,9 @@ def _remove(folder: Path, maker: int) -> None:
 
 
 def cache_folder(name: str) -> Path | None:
-    """The folder to load compiled loops from and to keep them in; None: they are kept in memory alone.
+    """Folder that compiled loops are loaded from and saved in; None: they are kept in memory alone.
 
-    A folder that may not be trusted or written is replaced, with a warning that says what it costs.
+    A folder that may not be trusted or written is replaced, with a warning that names the cost.
 
     Args:
         name: of the folder, of these sources.
@@ -106,9 +106,9 @@ def cache_folder(name: str) -> Path | None:
 
 
 def mend_threads() -> None:
-    """Take numbers of threads out of the environment that the compiler or OpenCV would refuse, or no machine has.
+    """Remove thread counts from the environment that the compiler or OpenCV would refuse, or that no machine has.
 
-    Where /dev/shm is missing or read-only, numba warns at length of a lock that only concurrent imports need: not here.
+    Also silence a warning: without a writable /dev/shm, numba warns of a lock that only concurrent imports need.
     """
     warnings.filterwarnings("ignore", message="Could not obtain multiprocessing lock")
     most = MOST_THREADS * (os.cpu_count() or 1)

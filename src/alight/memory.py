@@ -17,7 +17,7 @@ def keep_little() -> None:
 
 
 def give_back() -> None:
-    """Return what is free in the heap to the system, after a step that had many smaller arrays."""
+    """Return the free memory of the heap to the system, after a step that had many smaller arrays."""
     _call("malloc_trim", 0)
 
 

@@ -13,7 +13,7 @@ from alight.settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The answer of one run, and the maps that it rests on.
+    """Result of one run: landing sites, and the maps and motions that they follow from.
 
     Maps carry their `grid`: cell (row 0, column 0) is the northernmost and westernmost, `grid.xy()` gives the metres
     east and north of the columns and rows. Heights are metres above the origin of the recording; NaN is unknown.
@@ -29,7 +29,7 @@ class Result:
 
     @property
     def candidates(self) -> tuple[Site, ...]:
-        """Places that nothing refuses, not sure enough: `doubt` says why, `look` from where it would be settled."""
+        """Places that nothing refuses, P(safe) below the limit: `doubt` is the cause, `look` the view to settle it."""
         return self.record.sites.candidates
 
     @property
@@ -39,7 +39,7 @@ class Result:
 
     @property
     def reason(self) -> str:
-        """Why there is no site; empty if there is one."""
+        """Reason why there is no site; empty if there is one."""
         return self.record.sites.reason
 
     @property
@@ -72,7 +72,7 @@ class Result:
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Everything that the report warns of, one sentence each."""
+        """Warnings of the report, one sentence each."""
         from alight.report import warnings
 
         return warnings(self.record)
@@ -88,14 +88,14 @@ class Result:
         return self.record.settings
 
     def latitude_longitude(self, site: Site) -> tuple[float, float] | None:
-        """Return degrees on WGS84; None where the recording says nothing about its place on Earth."""
+        """Return degrees on WGS84; None if the recording has no place on Earth."""
         if not self.record.georeferenced:
             return None
         latitude, longitude, _ = self.record.local.to_geodetic([site.east, site.north, site.up])
         return float(latitude), float(longitude)
 
     def ellipsoid_height(self, site: Site) -> float | None:
-        """Return metres above the WGS84 ellipsoid; None where the recording says nothing about its place on Earth."""
+        """Return metres above the WGS84 ellipsoid; None if the recording has no place on Earth."""
         if not self.record.georeferenced:
             return None
         return float(self.record.local.to_geodetic([site.east, site.north, site.up])[2])

@@ -25,21 +25,21 @@ if TYPE_CHECKING:  # the world's scene names a rig, and rigs are made here
     from alight_sim.world import World
 
 Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
-COARSEST = 4  # halvings of the layers of looks
-REACH = 12.0  # heights above the ground to which the ground is made; beyond it goes on level
+COARSEST = 4  # halvings of the layers of looks, at most
+REACH = 12.0  # distance to which the ground is made, in heights above ground; beyond it goes on level
 FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 
 
 @dataclass(frozen=True)
 class Shutter:
-    """When light falls on the rows. Row r is open about `time + (r - (H - 1) / 2) * line_time`."""
+    """Exposure times of the rows. Row r is open about `time + (r - (H - 1) / 2) * line_time`."""
 
     exposure: float = 0.0  # s
     line_time: float = 0.0  # s from one row to the next: rolling shutter
-    moments: int = 1  # instants that the exposure is summed of
+    moments: int = 1  # instants over which the exposure is summed
 
     def opened(self, rows: int, moment: int) -> F64:
-        """(rows,) seconds of one moment of each row, from the picture's time; (1,) where all rows are one."""
+        """(rows,) seconds of one moment of each row, from the picture's time; (1,) where all rows open together."""
         part = (moment + 0.5) / self.moments - 0.5
         lines = np.arange(rows) - 0.5 * (rows - 1) if self.line_time else np.zeros(1)
         return np.asarray(part * self.exposure + self.line_time * lines)
@@ -47,7 +47,7 @@ class Shutter:
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """A camera ready to look: the rays of all its pixels, undistorted once."""
+    """A camera with the rays of all its pixels, undistorted once."""
 
     camera: Camera
     samples: int = 1  # rays a pixel
@@ -61,7 +61,7 @@ class Eye:
         object.__setattr__(self, "rays", tuple(rays))
 
     def depth(self, world: World, world_from_cam: Pose, sample: int = 0) -> F64:
-        """(H, W) depth of what each pixel sees, metres along the optical axis; -1 where it sees none of the ground.
+        """(H, W) depth of the ground point of each pixel, metres along the optical axis; -1 where it sees no ground.
 
         Raises:
             InputError: the camera is below the ground.
@@ -73,7 +73,7 @@ class Eye:
     def radiance(self, world: World, poses: Poses | Pose, time: float, shutter: Shutter | None = None) -> F32:
         """(H, W, 3) linear light of an exposure whose middle is at `time`, seconds.
 
-        `poses` gives the camera's place at any number of times; a Pose is a camera that stands still.
+        `poses` gives the camera's poses at given times; a Pose is a camera that stands still.
 
         Raises:
             InputError: the camera is below the ground.
@@ -131,13 +131,13 @@ class Eye:
 
 
 def _level(world: World, bounds: Box, up: float, pixel: float) -> int:
-    """How often the cells of looks and light are halved in number: no finer than a pixel covers of the ground below."""
+    """Number of halvings of the cells of looks and light: no finer than a pixel's footprint on the ground below."""
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
 
 def rays_in_pixel(samples: int) -> NDArray[np.float64]:
-    """(samples, 2) where in a pixel its rays go, evenly, about its centre (R2 sequence; a turned square for four)."""
+    """(samples, 2) offsets of a pixel's rays from its centre, pixels: R2 sequence; a turned square for four."""
     if samples == 4:
         return np.array(FOUR)
     k = np.arange(samples)[:, None]

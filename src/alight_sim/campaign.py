@@ -12,16 +12,16 @@ from alight_sim.world import World, build
 
 @dataclass(frozen=True)
 class CampaignWorld:
-    """One kind of world, and where to look for a place in it."""
+    """One kind of world, and the area in which a place is searched."""
 
     name: str
     scene: str | Scene  # a built-in scene's name, or a scene
-    area: Box = (-45.0, -45.0, 45.0, 45.0)  # west, south, east, north: where a place is looked for
+    area: Box = (-45.0, -45.0, 45.0, 45.0)  # west, south, east, north: searched for a place
     start: tuple[float, float, float] = (-20.0, -12.0, 40.0)  # east, north, metres above the ground there
     safe: bool = True  # there are places where a small lander is safe
 
     def build(self, seed: int = 0) -> World:
-        """The world of a seed."""
+        """Build the world of a seed."""
         return build(self.scene, seed)
 
 
@@ -31,7 +31,7 @@ def _scene(name: str, description: str, **ground: Any) -> Scene:
 
 
 def campaign_worlds() -> dict[str, CampaignWorld]:
-    """All kinds by name."""
+    """All kinds of campaign worlds by name."""
     rough = [{"height": 1.5, "longest": 60, "shortest": 6, "fall": 1.7}]
     rubble = _scene(
         "rubble", "Dense rubble everywhere: boulders and scree without a gap.", cover="bare", look="scree",

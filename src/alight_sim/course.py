@@ -13,8 +13,8 @@ from alight_sim.vehicle import VEHICLES, TrueTrajectory, fly_through
 from alight_sim.world import World
 
 LEAD = 0.5  # s that the inertial sensors run before the first frame and after the last
-CLEAR = 2.0  # metres that the vehicle must have above the ground
-AROUND, LOW = 5.0, 0.1  # metres and share: "the ground under the start" is the low tenth of what is around
+CLEAR = 2.0  # metres, least height of the vehicle above the surface
+AROUND, LOW = 5.0, 0.1  # metres and share: "the ground under the start" is the low tenth of the heights around
 LONGEST = 7200.0  # s
 
 Extent = tuple[float, float, float, float]  # west, south, east, north, metres
@@ -47,7 +47,7 @@ def chart(world: World, plan: FlightPlan, rng: np.random.Generator) -> TrueTraje
 
 
 def ground_at(world: World, place: F64) -> float:
-    """Height of the ground around a place, trees and houses left out where there is ground between them, metres."""
+    """Height of the ground around a place, metres; trees and houses are left out where ground lies between them."""
     steps = np.arange(-AROUND, AROUND + 0.5, 1.0)
     heights = [world.height_at(place[0] + e, place[1] + n) for e in steps for n in steps]
     return float(np.nanquantile(heights, LOW))
@@ -74,7 +74,7 @@ def _above_ground(world: World, points: F64) -> None:
 
 
 def _what(world: World, p: F64) -> str:
-    """What stands at a place, in a word."""
+    """Name of the thing at a place, for messages."""
     reach = 0.6 * world.cell  # at least one cell's centre
     around = world.truth((p[0] - reach, p[1] - reach, p[0] + reach, p[1] + reach))
     kind = Terrain(int(around.label.flat[np.argmax(around.height)]))
@@ -86,7 +86,7 @@ def _what(world: World, p: F64) -> str:
 
 
 def _keeps_clear(world: World, trajectory: TrueTrajectory) -> None:
-    """Look every metre or tenth of a second."""
+    """Check extent and clearance along the flight, every metre or tenth of a second."""
     west, south, east, north = world.extent
     fastest = float(np.linalg.norm(np.diff(trajectory.position.c, axis=0), axis=1).max() / 0.25)
     step = min(0.1, 1.0 / max(fastest, 1e-3))

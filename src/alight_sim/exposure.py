@@ -1,4 +1,4 @@
-"""What lens and sensor make of the light: blur, falloff, exposure control, noise, tone; one random stream each."""
+"""Model of lens and sensor: blur, falloff, exposure control, noise, tone; one random stream each."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from alight_sim.kernels.exposure import LEVELS, develop
 from alight_sim.section import Section
 from alight_sim.vehicle import correlated
 
-HOT = 0.9  # of full scale: what a hot pixel adds
+HOT = 0.9  # of full scale: signal that a hot pixel adds
 CONTROL_RANGE = math.log(16.0)  # exposure control changes the gain by no larger factor, either way
 Seeds = np.random.SeedSequence
 
 
 class GainStep(Section):
-    """The exposure control changes its mind at once."""
+    """A sudden step of the gain."""
 
     at: float = Field(description="s after the first frame")
     factor: float = Field(gt=0, description="of the gain, from then on")
 
 
 class Imaging(Section):
-    """What happens between the lens and the file."""
+    """Image formation from the lens to the file."""
 
     rate_hz: float = Field(8.0, gt=0, le=1000, description="exposures a second")
     samples: int = Field(1, ge=1, le=16, description="rays a pixel")
@@ -53,12 +53,12 @@ class Imaging(Section):
     dust: int = Field(0, ge=0, le=1000, description="specks on the sensor, soft and dark")
 
 
-QUIET = {"gain_drift": 0.0, "white_balance": 0.0, "noise": 0.0}  # an imaging without chance
+QUIET = {"gain_drift": 0.0, "white_balance": 0.0, "noise": 0.0}  # an imaging without random effects
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """One camera's glass and silicon: made once, then fed with light."""
+    """Lens and sensor of one camera with their flaws: made once, used for every exposure."""
 
     imaging: Imaging
     falloff: F32  # (H, W) share of light that gets through
@@ -67,7 +67,7 @@ class Sensor:
 
     @classmethod
     def of(cls, camera: Camera, imaging: Imaging, seeds: Seeds) -> Sensor:
-        """Make one with flaws of its own."""
+        """Make the sensor of a camera, with flaws of its own: dust and hot pixels."""
         dust, hot = (np.random.default_rng(s) for s in seeds.spawn(2))
         size = (camera.height, camera.width, 3)
         count = round(imaging.hot_pixels * camera.height * camera.width)
@@ -104,7 +104,7 @@ def _falloff(camera: Camera, imaging: Imaging, rng: np.random.Generator) -> F32:
 def gains(imaging: Imaging, seconds: F64, seeds: Seeds, metered: F64 | None = None) -> F64:
     """(N, 3) gains of one camera for red, green and blue at rising times in seconds.
 
-    `metered` (N,) is the mean linear light of each exposure: what exposure control would see.
+    `metered` (N,) is the mean linear light of each exposure: the input of exposure control.
     """
     drift, white = (np.random.default_rng(s) for s in seeds.spawn(2))
     log = np.full((len(seconds), 3), math.log(imaging.gain))
@@ -118,7 +118,7 @@ def gains(imaging: Imaging, seconds: F64, seeds: Seeds, metered: F64 | None = No
 
 
 def _control(imaging: Imaging, seconds: F64, metered: F64) -> F64:
-    """(N,) logarithm of what exposure control does."""
+    """(N,) logarithm of the factor of exposure control on the gain."""
     out, before = np.empty(len(metered)), None
     for i, light in enumerate(metered):
         step = controlled(imaging, before, float(light), seconds[i] - seconds[max(i - 1, 0)])
@@ -128,7 +128,7 @@ def _control(imaging: Imaging, seconds: F64, metered: F64) -> F64:
 
 @dataclass(frozen=True)
 class ControlStep:
-    """What exposure control does at one exposure."""
+    """State of exposure control at one exposure."""
 
     free: float  # logarithm of the factor on the gain, before it ends at 1/16 and 16
     wanted: float  # logarithm of the factor that would have brought the mean to its target
@@ -140,9 +140,9 @@ class ControlStep:
 
 
 def controlled(imaging: Imaging, before: ControlStep | None, metered: float, seconds: float) -> ControlStep:
-    """Exposure control, so many seconds after the exposure before: a first-order lag towards the wanted mean.
+    """Step exposure control, `seconds` after the previous exposure: a first-order lag towards the target mean.
 
-    `metered` is the mean linear light now; what counts is what the exposure before showed. None: it has settled.
+    `metered` is the mean linear light now; the gain follows from the previous exposure. `before` None: it has settled.
     """
     wanted = math.log(imaging.auto_target / max(metered * imaging.gain, 1e-6))
     if before is None:

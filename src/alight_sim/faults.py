@@ -1,4 +1,4 @@
-"""What goes wrong on the way from the cameras: lost, late, badly stamped pictures, wrong calibration, covered lenses.
+"""Faults between cameras and log: lost, late or wrongly stamped pictures, wrong calibration, covered lenses.
 
 The pictures themselves are drawn with the true rig; a wrong calibration or mounting is only claimed.
 """
@@ -19,25 +19,25 @@ from alight_sim.section import Section
 
 
 class Span(Section):
-    """A time of the flight."""
+    """An interval of the flight."""
 
     at: float = Field(description="s after the first exposure")
     seconds: float = Field(gt=0, description="s that it lasts")
 
     def holds(self, seconds: F64) -> NDArray[np.bool_]:
-        """(N,): the times inside, the start included and the end not."""
+        """(N,): true for times within the interval, the start included and the end not."""
         return np.asarray((seconds >= self.at) & (seconds < self.at + self.seconds))
 
 
 class Cover(Span):
-    """Something lies over a lens."""
+    """A cover over a lens for an interval of the flight."""
 
     camera: int | None = Field(None, ge=0, description="its number in the rig; all without it")
     share: float = Field(0.98, ge=0, le=1, description="share of the light that is kept out")
 
 
 class Calibration(Section):
-    """How the claimed rig differs from the true one."""
+    """Errors of the claimed rig against the true one."""
 
     focal: float = Field(0.0, gt=-0.5, lt=0.5, description="share by which the claimed focal length is too long")
     principal: tuple[float, float] = Field((0.0, 0.0), description="pixels right, down, of the claimed principal point")
@@ -48,7 +48,7 @@ class Calibration(Section):
     baseline: float = Field(0.0, gt=-0.9, lt=0.9, description="share by which the cameras are claimed too far apart")
 
     def claim(self, cam: RigCamera, first: RigCamera) -> RigCamera:
-        """The camera as the calibration has it."""
+        """Return a camera with the errors of the calibration. `first`: the rig's first camera."""
         lens = cam.camera
         claimed = replace(
             lens,
@@ -67,7 +67,7 @@ class Calibration(Section):
 
 
 class Faults(Section):
-    """Everything that may go wrong between the shutter and the log; nothing does unless asked for."""
+    """Faults between the shutter and the log; all are off by default."""
 
     dropped: float = Field(0.0, ge=0, lt=1, description="share of exposures that are lost, all cameras together")
     dropped_one: float = Field(0.0, ge=0, lt=1, description="share of exposures of which one camera's picture is lost")
@@ -86,7 +86,7 @@ class Faults(Section):
     covered: tuple[Cover, ...] = Field((), description="lenses that see nothing")
 
     def claimed(self, true: Rig) -> Rig:
-        """The rig that the log has, of the true one."""
+        """Return the rig that the log claims, from the true one."""
         if self.calibration == Calibration() and not any(self.mounting_deg):
             return true
         turn = Pose(so3_exp(np.radians(self.mounting_deg)), np.zeros(3))
@@ -94,14 +94,14 @@ class Faults(Section):
         return Rig(tuple(replace(c, body_from_cam=turn @ c.body_from_cam) for c in cams))
 
     def cover(self, seconds: float, cam: int) -> float:
-        """Share of the light that is kept out of a camera."""
+        """Share of the light that is kept out of a camera at a time, seconds."""
         over = [c.share for c in self.covered if c.camera in (None, cam) and bool(c.holds(np.array([seconds])).item())]
         return max(over, default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Exposures:
-    """When the cameras looked, when they say so, when it came, and what was lost. All (N,), in order of true time."""
+    """True time, stamp and arrival of each exposure, and the pictures lost. All (N,), in order of true time."""
 
     true_ns: I64
     stamp_ns: I64
@@ -110,13 +110,13 @@ class Exposures:
 
     @property
     def order(self) -> NDArray[np.intp]:
-        """(M,) exposures of which something is left, in order of arrival."""
+        """(M,) exposures with at least one picture left, in order of arrival."""
         there = np.flatnonzero(self.seen.any(axis=1))
         return np.asarray(there[np.argsort(self.arrival_ns[there], kind="stable")])
 
 
 def exposures(faults: Faults, beat_ns: I64, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
-    """Damage the even beat of `beat_ns` (N,) of a rig of so many cameras; each fault has a stream of its own."""
+    """Apply faults of timing and loss to the even beat `beat_ns` (N,); each fault has its own random stream."""
     rngs = [np.random.default_rng(s) for s in seeds.spawn(6)]
     n, start = len(beat_ns), int(beat_ns[0])
     period = float(np.diff(beat_ns).min(initial=10**12))

@@ -31,8 +31,8 @@ from alight_sim.vehicle import Limits, TrueTrajectory
 from alight_sim.world import World, build
 
 START_NS = 1_700_000_000_000_000_000
-NAV_OFFSET_NS = 13_000_000  # the navigation solution keeps its own time
-METER = 16  # pixels across: what exposure control looks at
+NAV_OFFSET_NS = 13_000_000  # of the GPS/INS rows, which do not fall on exposures
+METER = 16  # pixels across, of the picture that exposure control meters
 # one random stream for each source of randomness; a new one goes at the end
 WIND, NAV, IMU_BIAS, IMU_NOISE, IMAGE, FAULTS, GAIN, FLAWS = range(8)
 
@@ -41,14 +41,14 @@ S = TypeVar("S", bound=Section)
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFlight:
-    """A flight over a world. Use it where a recording goes; every call of `events` gives the same events."""
+    """A flight over a world, used like a recording; every call of `events` gives the same events."""
 
     world: World
     trajectory: TrueTrajectory
     seed: int
-    true_rig: Rig  # what draws
-    scene: Scene  # what was flown: the world's, with what was asked for instead
-    repeatable: bool = True  # the scene and the seed alone make this flight again
+    true_rig: Rig  # the rig that draws the pictures
+    scene: Scene  # the scene as flown: the world's, with the arguments of `fly`
+    repeatable: bool = True  # the scene and the seed alone reproduce this flight
     georeferenced: bool = True
     warnings: list[str] = field(default_factory=list)
     kind: Literal["flight"] = "flight"
@@ -60,32 +60,32 @@ class SimulatedFlight:
 
     @property
     def local(self) -> LocalFrame:
-        """Where the world lies."""
+        """Local frame of the world: its origin on Earth."""
         return self.world.local
 
     @cached_property
     def rig(self) -> Rig:
-        """What the calibration claims."""
+        """The rig as the calibration claims it."""
         return self.faults.claimed(self.true_rig)
 
     @property
     def plan(self) -> FlightPlan:
-        """Where and how it flies."""
+        """The plan of the flight."""
         return self.scene.flight
 
     @property
     def imaging(self) -> Imaging:
-        """What lens and sensor do."""
+        """Settings of lens and sensor."""
         return self.scene.imaging
 
     @property
     def faults(self) -> Faults:
-        """What goes wrong."""
+        """Faults between shutter and log."""
         return self.scene.faults
 
     @property
     def seconds(self) -> float:
-        """From the first frame to the last beat."""
+        """Duration of the trajectory from the first exposure, seconds."""
         return self.trajectory.duration
 
     @property
@@ -110,7 +110,7 @@ class SimulatedFlight:
 
     @property
     def counts(self) -> dict[str, int]:
-        """What arrives, and what is lost where something is."""
+        """Number of exposures that arrive, and of lost images by camera where there are any."""
         lost = {
             f"{cam.name} images lost": int((~self.exposures.seen[:, k]).sum())
             for k, cam in enumerate(self.true_rig.cameras)
@@ -124,7 +124,7 @@ class SimulatedFlight:
 
     @property
     def imu_noise(self) -> ImuNoise:
-        """What the maker of the IMU states."""
+        """Noise densities of the IMU as its maker states them."""
         return ImuNoise(**self.imu.densities)
 
     @property
@@ -133,7 +133,7 @@ class SimulatedFlight:
 
     @property
     def photos(self) -> tuple[()]:
-        """A flight is no set of photos."""
+        """Empty: a flight is no set of photos."""
         return ()
 
     @property
@@ -144,7 +144,7 @@ class SimulatedFlight:
 
     @cached_property
     def exposures(self) -> Exposures:
-        """When the cameras looked, what they say of it, and what was lost."""
+        """True times, stamps and arrivals of the exposures, and the pictures lost."""
         beats = np.arange(int(self.seconds * self.rate_hz + 1e-9) + 1)
         beat_ns = START_NS + np.round(beats * 1e9 / self.rate_hz).astype(np.int64)
         return exposures(self.faults, beat_ns, len(self.true_rig.cameras), self.seeds(FAULTS))
@@ -156,12 +156,12 @@ class SimulatedFlight:
 
     @cached_property
     def imu_times(self) -> I64:
-        """(N,) ns."""
+        """(N,) ns: times of the inertial samples."""
         return self._clock(self.imu.rate_hz, 0)
 
     @cached_property
     def nav_times(self) -> I64:
-        """(N,) ns."""
+        """(N,) ns: times of the GPS/INS rows."""
         return self._clock(self.nav.rate_hz, NAV_OFFSET_NS)
 
     def _clock(self, rate_hz: float, offset_ns: int) -> I64:
@@ -170,7 +170,7 @@ class SimulatedFlight:
 
     @staticmethod
     def since(t_ns: I64) -> F64:
-        """(N,) seconds of the trajectory."""
+        """(N,) seconds of the trajectory at times (N,), ns."""
         return np.asarray((t_ns - START_NS).astype(np.float64) * 1e-9)
 
     # -- truth
@@ -182,7 +182,7 @@ class SimulatedFlight:
 
     @cached_property
     def truth(self) -> SceneTruth:
-        """The ground as it is, where the cameras saw it."""
+        """True ground within `seen`."""
         return self.world.truth(self.seen)
 
     @cached_property
@@ -210,15 +210,15 @@ class SimulatedFlight:
 
     @cached_property
     def biases(self) -> tuple[F64, F64]:
-        """True (N, 3) gyroscope and accelerometer biases at `imu_times`."""
+        """True (N, 3) gyroscope and accelerometer biases at `imu_times`, rad/s and m/s^2."""
         return imu_biases(len(self.imu_times), self.imu, self.seeds(IMU_BIAS))
 
     # -- events
 
     def events(self) -> Iterator[Event]:
-        """Yield navigation and inertial samples and frames as they arrive; pictures are drawn as they are asked for.
+        """Yield navigation and inertial samples and frames as they arrive; pictures are drawn on demand.
 
-        Frames are stamped with the time that the cameras claim; only late ones come out of the order of stamps.
+        Frames carry the time that the cameras claim; only late ones arrive out of the order of stamps.
         """
         nav = simulated_nav(self.trajectory, self.nav_times, self.since(self.nav_times), self.nav, self.seeds(NAV))
         seconds = self.since(self.imu_times)
@@ -236,7 +236,7 @@ class SimulatedFlight:
         return Frame(int(x.stamp_ns[k]), images, str(x.true_ns[k]))
 
     def image(self, index: int, cam: int) -> U8:
-        """Draw one picture, (H, W, 3) RGB, lost or not; any order gives the same."""
+        """Draw one picture, (H, W, 3) RGB, lost or not; the order of calls does not matter."""
         seconds = float(self.since(self.frame_times[index : index + 1])[0])
         light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, self._shutter)
         key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
@@ -244,7 +244,7 @@ class SimulatedFlight:
 
     @cached_property
     def eyes(self) -> tuple[Eye, ...]:
-        """The cameras, their rays undistorted."""
+        """The cameras with their undistorted rays."""
         return tuple(Eye(c.camera, self.imaging.samples) for c in self.true_rig.cameras)
 
     @property
@@ -259,13 +259,13 @@ class SimulatedFlight:
 
     @cached_property
     def _gains(self) -> list[F64]:
-        """(N, 3) of each camera."""
+        """(N, 3) gains of each camera."""
         seconds = self.since(self.frame_times)
         cams = range(len(self.true_rig.cameras))
         return [gains(self.imaging, seconds, self.seeds(GAIN, cam), self._metered(cam, seconds)) for cam in cams]
 
     def _metered(self, cam: int, seconds: F64) -> F64 | None:
-        """(N,) mean light of every exposure, from a picture of a few pixels; None where nobody asks."""
+        """(N,) mean light of every exposure, from a picture of a few pixels; None: exposure control is off."""
         if not self.imaging.auto:
             return None
         lens, at = self.true_rig.cameras[cam].camera, self.camera_at(cam)
@@ -273,7 +273,7 @@ class SimulatedFlight:
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
-        """The random stream of one source of randomness."""
+        """Seeds of one source of randomness."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
 
@@ -293,7 +293,7 @@ def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
 
 
 def seen_box(flight: SimulatedFlight) -> Extent:
-    """Where the border of the pictures meets the lowest ground, at worst the whole world."""
+    """West, south, east, north of the box where the pictures' border meets the lowest ground, within the world."""
     world = flight.world
     west, south, east, north = world.extent
     low, s = world.low, flight.since(flight.frame_times)
@@ -332,7 +332,7 @@ def fly(
     imu: ImuErrors | None = None,
     faults: Faults | None = None,
 ) -> SimulatedFlight:
-    """Fly over a scene as it says, unless told otherwise here; nothing is drawn before `events` is read.
+    """Fly over a scene by its own settings and the arguments given; nothing is drawn before `events` is read.
 
     `waypoints`: (east, north, height) in metres, heights counted like those of the plan. The same arguments give the
     same events, bit for bit.
@@ -359,7 +359,7 @@ def fly(
 
 
 def _with(section: S, wishes: dict[str, Any]) -> S:
-    """The section with the wishes that are not None."""
+    """Return the section with those wishes that are not None."""
     try:
         return type(section).model_validate(dict(section) | {k: v for k, v in wishes.items() if v is not None})
     except ValidationError as e:

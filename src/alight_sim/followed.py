@@ -1,4 +1,4 @@
-"""The cameras of a vehicle that something else flies: pictures of a scene at the poses that it reports."""
+"""Cameras of a vehicle that another program flies: pictures of a scene at the poses that it reports."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from alight_sim.steered.cameras import SteeredCameras
 from alight_sim.steered.flight import sized_rig
 from alight_sim.world import World, build
 
-KEPT_NS = 60_000_000_000  # of the track
+KEPT_NS = 60_000_000_000  # length of track that is kept
 LEAD_NS = 200_000_000  # from the first pose to the first exposure
-LATEST_NS = 1_000_000_000  # late, from which exposures are left out
-FEET_OFF = 0.15  # m above its place on the ground, from which a vehicle flies
+LATEST_NS = 1_000_000_000  # delay from which exposures are left out
+FEET_OFF = 0.15  # m above its place on the ground: a higher vehicle flies
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class ReportedPlace:
-    """A position as it was reported, in any frame that is level and points north."""
+    """A reported position and velocity, in any frame that is level and points north."""
 
     t_ns: int
     position: F64  # (3,) metres east, north, up
@@ -40,7 +40,7 @@ class ReportedPlace:
 
 
 class ReportedTrack:
-    """The motion between reports: attitudes turn evenly, places follow their velocities. Nanoseconds of one clock."""
+    """Motion between reports: slerp of attitudes, Hermite's cubics of positions. Nanoseconds of one clock."""
 
     def __init__(self) -> None:
         self._turns = deque[tuple[int, F64]]()
@@ -60,7 +60,7 @@ class ReportedTrack:
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """From when to when the motion is known; None: not at all."""
+        """Start and end of the time with known motion, ns; None: there is none."""
         if len(self._turns) < 2 or len(self.places) < 2:
             return None
         begin = max(self._turns[0][0], self.places[0].t_ns)
@@ -77,12 +77,12 @@ class ReportedTrack:
 class FollowedCameras:
     """The cameras of a scene on a vehicle whose track is reported.
 
-    The first position reported is put over `start` of the scene, as high as the vehicle says that it is above its home:
-    the scene's ground there is taken for the home's.
+    The first reported position is put over `start` of the scene, at the reported height above the home. The scene's
+    ground at `start` counts as the ground of the home.
 
     Args:
         scene: a built-in scene's name, or a scene file.
-        seed: of everything that chance decides.
+        seed: of all random draws.
         size: of the pictures, pixels.
         rate_hz: exposures a second.
         start: east and north in the scene, metres.
@@ -107,23 +107,23 @@ class FollowedCameras:
         ground = ground_at(self.world, np.array([*start, 0.0]))
         self._home = np.array([*start, ground + standing])
         self._offset: F64 | None = None  # (3,) metres from the reported frame to the scene
-        self._shift_ns: int | None = None  # from a second of the flight to the reported clock
-        self.left_out = 0  # exposures, because drawing them took too long
+        self._shift_ns: int | None = None  # from the flight's time to the reported clock
+        self.left_out = 0  # number of exposures left out because drawing took too long
 
     def _seeds(self, *key: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self._seed, spawn_key=key)
 
     def restart(self) -> None:
-        """Forget the track: what is reported from now on is in another frame."""
+        """Forget the track: later reports are in another frame."""
         self.track, self._offset, self._shift_ns, self._cameras.next = ReportedTrack(), None, None, 0
 
     def place(self, position: F64, above_home: float) -> None:
-        """Tie the reported frame to the scene, once: position (3,) and height in metres at one instant."""
+        """Tie the reported frame to the scene, once: position (3,) and height above the home at one instant, metres."""
         if self._offset is None:
             self._offset = self._home + np.array([0.0, 0.0, above_home]) - position
 
     def take(self) -> list[tuple[int, Frame]]:
-        """Draw the exposures whose motion is known by now: instants of the reported clock, ns, and what they saw."""
+        """Draw the exposures whose motion is known by now; return stamps on the reported clock, ns, and frames."""
         span = self.track.span_ns
         if self._offset is None or span is None:
             return []
@@ -141,7 +141,7 @@ class FollowedCameras:
         return out
 
     def touchdown(self) -> Touchdown | None:
-        """The oracle's verdict on where the vehicle stands, with its last speed in the air; None: it has not flown."""
+        """Judge the place where the vehicle stands, with its last velocity in the air; None: it has not flown."""
         span = self.track.span_ns
         if self._offset is None or span is None or self._shift_ns is None:
             return None
@@ -170,7 +170,7 @@ def _drop(kept: deque[T], before_ns: int, time_of: Callable[[T], int]) -> None:
 
 
 def _about(kept: deque[T], t_ns: float, time_of: Callable[[T], int]) -> tuple[T, T]:
-    """The last one before a time and the first one after it."""
+    """Return the last item before a time and the first one after it."""
     k = min(max(bisect_right(kept, t_ns, key=time_of), 1), len(kept) - 1)
     return kept[k - 1], kept[k]
 

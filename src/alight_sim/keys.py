@@ -1,4 +1,4 @@
-"""Every key of a scene file, out of the models themselves: what `alight simulate --keys` prints."""
+"""Tables of every key of a scene file, made from the models; `alight simulate --keys` prints them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def reference() -> str:
 
 
 def _sections(model: type[Section], path: str) -> Iterator[tuple[str, type[Section]]]:
-    """Sections within a section, depth first; the things stand by themselves."""
+    """Yield the paths and sections within a section, depth first, without the things."""
     for name, field in model.model_fields.items():
         inner = section_of(field)
         if inner is not None and "thing" not in inner.model_fields:

@@ -12,12 +12,12 @@ from scipy.special import ndtri
 from alight.arrays import F64
 from alight_sim.section import Section
 
-SUN_STEP = math.radians(0.1)  # shadows are computed anew when the sun has turned by so much
+SUN_STEP = math.radians(0.1)  # rad of the sun's turn after which shadows are computed anew
 
 
 @dataclass(frozen=True)
 class Sun:
-    """Where the light comes from, radians, and its linear colours on a white flat surface."""
+    """Direction of the sun, radians, and linear colours of sun and sky on a white flat surface."""
 
     azimuth: float = math.radians(140.0)  # clockwise from north
     elevation: float = math.radians(43.0)
@@ -37,7 +37,7 @@ class Sun:
 
 
 class Clouds(Section):
-    """Clouds: what they take of the sun drifts over the ground."""
+    """Clouds, whose shadows drift over the ground."""
 
     share: float = Field(0.0, ge=0, le=1, description="of the ground that lies in their shadow")
     size: float = Field(120.0, gt=1, description="metres, of the larger ones")
@@ -53,13 +53,13 @@ class Wind(Section):
 
     @property
     def towards(self) -> tuple[float, float]:
-        """Unit vector (east, north) of where it blows."""
+        """Unit vector (east, north) along which the wind blows."""
         a = math.radians(self.from_deg)
         return -math.sin(a), -math.cos(a)
 
 
 class Light(Section):
-    """The light over a scene."""
+    """Sun, sky, haze, clouds and wind of a scene."""
 
     azimuth_deg: float = Field(140.0, description="of the sun, clockwise from north")
     elevation_deg: float = Field(43.0, gt=3, le=90, description="of the sun above the horizon")
@@ -71,7 +71,7 @@ class Light(Section):
     wind: Wind = Wind()
 
     def sun_step(self, time: float) -> int:
-        """Which step of the sun a time, seconds, falls in: within a step all shadows stand still."""
+        """Number of the sun's step at a time, seconds: within a step all shadows stand still."""
         return round(math.radians(self.turn_deg_per_s) * time / SUN_STEP)
 
     def sun_at(self, time: float) -> Sun:
@@ -84,9 +84,9 @@ class Light(Section):
         return Sun(azimuth, elevation, (direct[0], direct[1], direct[2]), (blue[0], blue[1], blue[2]))
 
     def numbers(self, time: float) -> F64:
-        """(20,) what `kernels.shade` takes: the sun's nine, extinction, air light, clouds, wind and drift."""
+        """(20,) input of `kernels.shade`: the sun's nine, extinction, air light, clouds, wind and drift."""
         sun, (e, n) = self.sun_at(time), self.wind.towards
-        # the haze shines as a white card would that faces the sky, a little less: the horizon's brightness
+        # the haze is a little darker than a white card that faces the sky: the brightness of the horizon
         air = [0.35 * a * math.sin(sun.elevation) + 1.6 * b for a, b in zip(sun.colour, sun.sky, strict=True)]
         edge = float(np.clip(-ndtri(self.clouds.share), -4.0, 4.0)) * 0.95  # deviation of three octaves
         dark = self.clouds.dark if self.clouds.share > 0 else 0.0

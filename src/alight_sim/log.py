@@ -23,8 +23,8 @@ from alight_sim.flight import SimulatedFlight
 
 EARTH_RADIUS = 6371008.8  # metres, mean
 BAND = 512  # rows of a raster at a time: a multiple of its tiles
-JPEG_QUALITY = 90  # what small cameras write
-LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # of a pixel on the disk: plain ground in haze
+JPEG_QUALITY = 90  # of small cameras
+LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # of a pixel on the disk, at least: plain ground in haze
 NAV_COLUMNS = (
     "timestamp,latitude,longitude,height,q_w,q_x,q_y,q_z,v_e,v_n,v_u,w_x,w_y,w_z,"
     "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,sigma_ve,sigma_vn,sigma_vu"
@@ -86,7 +86,7 @@ def _refuse(out: Path, overwrite: bool) -> None:
 
 
 def _refuse_too_large(flight: SimulatedFlight, out: Path, image: str) -> None:
-    """Refuse a flight whose images cannot have room, before the first of them is drawn."""
+    """Refuse a flight whose images do not fit on the disk, before the first of them is drawn."""
     pixels = sum(c.camera.width * c.camera.height for c in flight.rig.cameras)
     needed = LEAST_BYTES[image] * flight.length * pixels
     there = next((p for p in (out, *out.resolve().parents) if p.is_dir()), Path("/"))
@@ -209,7 +209,7 @@ def _write_streams(flight: SimulatedFlight, root: Path, image: str, progress: Pr
 
 
 def file_names(flight: SimulatedFlight) -> list[str]:
-    """One a exposure: its stamp, and a number where that is repeated."""
+    """One name for each exposure: its stamp, and a number where the stamp is repeated."""
     stamps = flight.exposures.stamp_ns.tolist()
     first = {t: k for k, t in reversed(list(enumerate(stamps)))}
     return [str(t) if first[t] == k else f"{t}-{k - first[t]}" for k, t in enumerate(stamps)]
@@ -263,7 +263,7 @@ def _exposure_rows(flight: SimulatedFlight) -> Iterable[str]:
 
 
 def scene_yaml(flight: SimulatedFlight) -> dict[str, Any]:
-    """What truth/scene.yaml says: the scene, the flight, what went wrong, and how much of the ground is safe."""
+    """Contents of truth/scene.yaml: the scene, the flight, the faults, and the safe share of the ground."""
     world, truth = flight.world, flight.truth
     share = np.bincount(truth.label.ravel(), minlength=len(Terrain)) / truth.label.size
     return {

@@ -1,4 +1,4 @@
-"""Names of what a place looks like, beside its class: one class has many looks."""
+"""Names of the looks of ground, beside its class: one class has many looks."""
 
 from enum import IntEnum
 

@@ -1,4 +1,4 @@
-"""What each look is made of: colours, contrast at every scale, patches, cracks, stones, leaves, shine, water."""
+"""Material of each look: colours, contrast at every scale, patches, cracks, stones, leaves, shine, water."""
 
 from __future__ import annotations
 
@@ -27,34 +27,34 @@ class Material:
     third: Colour = (0.2, 0.16, 0.12)  # patches: moss, soil that shows, stains
     mix: float = 0.0  # more (to 1) or less (to -1) of `second`
     patch: float = -1.5  # more (0 = half) or less (-2 = hardly any) of `third`
-    edge: float = 0.5  # how soft a patch ends
+    edge: float = 0.5  # softness of a patch's border
     contrast: float = 0.25  # standard deviation of the reflectance over its mean, octaves of 3 m to 1.2 cm
-    uneven: float = 0.5  # how much that contrast differs from place to place
-    vary: float = 0.2  # the same of the reflectance over places of 6 to 130 m
-    hue: float = 0.06  # of the colour
-    roughening: float = 0.0  # amplitude of an octave goes with wavelength to this power
+    uneven: float = 0.5  # variation of that contrast from place to place
+    vary: float = 0.2  # variation of the reflectance over places of 6 to 130 m
+    hue: float = 0.06  # variation of the colour
+    roughening: float = 0.0  # amplitude of an octave is proportional to its wavelength to this power
     ridge: float = 0.0  # share of creases in the noise
     bump: float = 0.1  # slope of the micro-relief that the sun shades
-    crack: float = 0.0  # how dark the cracks are
+    crack: float = 0.0  # darkness of the cracks
     things: Four = (
         0.0,
         0.0,
         0.0,
         0.0,
-    )  # share of lattice cells with a stone, leaf of up to 1.2, 3, 8, 22 cm
-    tone: float = 0.0  # how much brighter a thing is than the ground
-    spread: float = 0.4  # and how that differs
+    )  # share of lattice cells with a stone or leaf of up to 1.2, 3, 8, 22 cm
+    tone: float = 0.0  # brightness of a thing over that of the ground, less 1
+    spread: float = 0.4  # variation of that brightness
     tall: float = 0.3  # height of a thing over its radius: its shadow
-    deep: float = 0.0  # metres below the surface to which one sees between leaves
-    lift: float = 0.0  # metres by which its tips stand above the height that truth knows: the mean of what is seen
+    deep: float = 0.0  # metres, visible depth between leaves
+    lift: float = 0.0  # metres of its tips above the true height, which is the mean of the visible heights
     open: float = 0.0  # more (1) or less (-1) gaps between the leaves
     coarse: float = 0.5  # leaves in tufts of 40 cm (1) or as single blades (0)
     sway: float = 0.0  # metres, in a wind of 4 m/s
-    hot: float = 0.1  # how much brighter with the sun behind the camera
+    hot: float = 0.1  # gain of brightness with the sun behind the camera
     gloss: float = 0.0
     pattern: int = 0  # laid by people: see kernels.texture
     bed: Look = Look.MUD  # below water
-    waves: float = 1.0  # their slope
+    waves: float = 1.0  # factor on their slope
     scum: float = 0.0  # share of water that algae or foam cover
 
     def row(self) -> list[float]:
@@ -156,7 +156,7 @@ MATERIALS: dict[Look, Material] = {
     Look.GLASS: _laid((0.02, 0.022, 0.025), (0.02, 0.022, 0.025), (0.02, 0.02, 0.02), contrast=0.02, gloss=1.0,
                       patch=-3.0, bump=0.0),
     Look.TWIGS: _crown((0.13, 0.115, 0.10), (0.20, 0.18, 0.155), deep=2.0, open=0.9, coarse=0.0, hot=0.1, sway=0.02),
-    # nothing on these is larger than 6 cm: what is larger stands in the height layer
+    # nothing on these is larger than 6 cm: larger things stand in the height layer
     Look.FINE_GRAVEL: Material((0.215, 0.20, 0.18), (0.27, 0.25, 0.225), (0.18, 0.16, 0.14), patch=-1.2, edge=0.9,
                                contrast=0.13, uneven=0.4, vary=0.11, hue=0.03, bump=0.11, roughening=-0.05,
                                things=(0.55, 0.4, 0.0, 0.0), tone=0.05, spread=0.45, tall=0.7),
@@ -172,7 +172,7 @@ MATERIALS: dict[Look, Material] = {
     Look.PLOUGHED: Material((0.095, 0.073, 0.05), (0.145, 0.115, 0.08), (0.075, 0.058, 0.042), patch=-1.0, edge=0.8,
                             contrast=0.2, uneven=0.4, vary=0.16, hue=0.03, bump=0.25, things=(0.5, 0.45, 0.0, 0.0),
                             tone=0.1, spread=0.5, tall=0.8),
-    # what floats on still water; not wet, so that the level surface looks like ground
+    # plants that float on still water; not wet, so that the level surface looks like ground
     Look.DUCKWEED: Material((0.095, 0.15, 0.028), (0.14, 0.185, 0.045), (0.04, 0.06, 0.02), patch=-1.4, edge=0.3,
                             contrast=0.11, uneven=0.7, vary=0.13, hue=0.06, bump=0.012,
                             things=(0.3, 0.02, 0.0, 0.0), tone=0.2, spread=0.4, tall=0.05),
@@ -203,7 +203,7 @@ BY_CLASS: dict[Terrain, Look] = {
 
 @cache
 def tables() -> tuple[F32, NDArray[np.int32], F32]:
-    """(L, PARAMS) numbers of the looks, (9,) look of each class, (L,) 1 for water: what the kernels take."""
+    """(L, PARAMS) numbers of the looks, (9,) look of each class, (L,) 1 for water: input of the kernels."""
     looks = np.array([MATERIALS[k].row() for k in Look], np.float32)
     wet = np.array([k in (Look.CLEAR_WATER, Look.MURKY_WATER, Look.STILL_WATER) for k in Look], np.float32)
     return looks, np.array([BY_CLASS[k] for k in Terrain], np.int32), wet

@@ -21,7 +21,7 @@ NODE = 1.0  # metres along the path between the heights of the ground that a car
 
 
 class Moving(Protocol):
-    """Anything made of upright boxes whose places are functions of time."""
+    """Interface of moving things: upright boxes whose places are functions of time."""
 
     def boxes_at(self, times: F64) -> F64:
         """(T, M, 12) boxes at times in seconds, as `kernels.boxes` takes them."""
@@ -79,7 +79,7 @@ class Mover:
 
     @cached_property
     def paint(self) -> F64:
-        """(M, 3) colours."""
+        """(M, 3) linear RGB of each car."""
         if self.traffic.colour is not None:
             return np.tile(np.array(self.traffic.colour), (len(self.starts), 1))
         rng = np.random.default_rng(np.random.SeedSequence([self.seed & 0xFFFFFFFF, 78]))

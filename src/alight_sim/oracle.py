@@ -1,7 +1,7 @@
-"""The true lander on the true surface: is a touchdown safe? Brute force; shares no code with what chooses sites.
+"""Safety of touchdowns of the true lander on the true surface, by brute force. Shares no code with site selection.
 
-The surface is bilinear between the world's cell centres, so above any plane it is highest at cell centres. Bodies that
-move are on it where they are at the time asked for. Metres, radians, headings clockwise from north.
+The surface is bilinear between the world's cell centres, so above any plane it is highest at cell centres. Moving
+bodies are on it at their places at the given time. Metres, radians, headings clockwise from north.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from alight_sim.world import World
 
 BEARS = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED, Terrain.ROCK)
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # rad: any number of them is spread over any symmetry of the gear
-ASIDE = ("headings", "support", "foot_contact")  # how a map is judged: here all is tried, and feet stand on the highest
+ASIDE = ("headings", "support", "foot_contact")  # settings of a map alone: here all is tried, feet stand on the highest
 _RIM = 8  # places on the rim of a foot
-_BATCH = 4_000_000  # heights looked at together
+_BATCH = 4_000_000  # heights evaluated together
 
 
 @dataclass(frozen=True)
@@ -41,19 +41,19 @@ class OracleLander:
     skids: tuple[float, float] | None = None  # length, distance
     max_step: float | None = None  # between neighbouring cells of the footprint; None: only the roughness counts
     rotor_radius: float | None = None  # None: within the footprint
-    rotor_rise: float = 0.3  # what stands beside the footprint may be so high above the plane
+    rotor_rise: float = 0.3  # largest height of things beside the footprint above the plane
     max_sink: float = 1.0  # m/s
     max_drift: float = 0.5  # m/s over the ground
-    upon: tuple[Terrain, ...] = BEARS  # what bears
+    upon: tuple[Terrain, ...] = BEARS  # classes that bear it
 
     @classmethod
     def of(cls, numbers: Mapping[str, Any], **more: Any) -> OracleLander:
-        """Out of a mapping such as the dump of a lander's settings; keys of `ASIDE` are left aside."""
+        """Make a lander from a mapping, such as the dump of a lander's settings; keys of `ASIDE` are ignored."""
         return cls(**{k: v for k, v in numbers.items() if k not in ASIDE}, **more)
 
     @property
     def reach(self) -> float:
-        """Metres from the centre within which the ground counts."""
+        """Radius about the centre within which the ground counts, metres."""
         feet = max((math.hypot(*f) for f in self.feet or ()), default=0.0) + self.foot_radius
         skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
         return max(self.radius, self.rotor_radius or 0.0, feet, skids)
@@ -71,7 +71,7 @@ class TrueSurface:
 
     @classmethod
     def of(cls, world: World, box: Box, seconds: float | None = None) -> TrueSurface:
-        """The ground of a box (west, south, east, north), with bodies where they are then; None: without them."""
+        """The surface of a box (west, south, east, north) with the bodies at a time, seconds; None: without them."""
         truth = world.truth(box)
         height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
         grid = truth.grid
@@ -99,7 +99,7 @@ class TrueSurface:
         return np.clip(row, 0.0, rows - 1.0), np.clip(col, 0.0, cols - 1.0)
 
     def heights(self, places: F64) -> F64:
-        """(...) bilinear at places (..., 2)."""
+        """(...) bilinear heights at places (..., 2), metres."""
         row, col = self.index(places)
         i = np.minimum(row.astype(np.int64), self.height.shape[0] - 2)
         j = np.minimum(col.astype(np.int64), self.height.shape[1] - 2)
@@ -125,10 +125,10 @@ class Disc(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Touchdown:
-    """The verdict on one touchdown."""
+    """Judgement of one touchdown."""
 
     safe: bool
-    reasons: tuple[str, ...]  # why not: slope, roughness, step, belly, rotor, ground, sink, drift
+    reasons: tuple[str, ...]  # broken limits: slope, roughness, step, belly, rotor, ground, sink, drift
     tilt: float  # rad, of the plane that it stands on, the worst where it rocks
     belly_gap: float  # metres between the belly (plane of the feet, where no clearance is given) and the ground below
     roughness: float  # metres, largest deviation from the footprint's least-squares plane
@@ -141,7 +141,7 @@ class Touchdown:
 
 @dataclass(frozen=True, eq=False)
 class SafePlaces:
-    """Where a touchdown is safe: centres on a grid, each at several headings."""
+    """Safety of touchdowns at centres on a grid, each at several headings."""
 
     east: F64  # (C,)
     north: F64  # (R,)
@@ -159,7 +159,7 @@ class SafePlaces:
         return np.asarray(self.safe_at.any(axis=2))
 
     def with_margin(self, margin: float) -> Mask:
-        """(R, C): safe at every heading, and so is every centre within `margin` metres; the grid's edge is not."""
+        """(R, C): safe at every heading, as is every centre within `margin` metres; beyond the grid nothing is safe."""
         step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
         k = math.floor(margin / step + 1e-9)
         padded = np.pad(self.safe, k, constant_values=False)
@@ -178,14 +178,14 @@ def judge_touchdown(
     velocity_world: Sequence[float] | F64 = (0.0, 0.0, 0.0),
     seconds: float = 0.0,
 ) -> Touchdown:
-    """Place the lander where it came down, at its heading and speed, and say whether that was safe.
+    """Judge a touchdown: the lander at its place of contact, with its heading and velocity.
 
     Args:
         world: with its bodies (`SteeredFlight.world`).
         lander: its gear and limits.
         pose: `world_from_body` at the contact; its heading and place count, the ground gives height and tilt.
         velocity_world: (3,) m/s just before the contact.
-        seconds: of the flight, where bodies are then.
+        seconds: time of the flight, for the places of bodies.
     """
     east, north = float(pose.translation[0]), float(pose.translation[1])
     heading = math.atan2(pose.rotation[0, 0], pose.rotation[1, 0])
@@ -239,7 +239,7 @@ class _Found(NamedTuple):
 
 
 def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: float) -> _Found:
-    """All that counts but speed, at N centres (N, 2) and one heading."""
+    """Judge N centres (N, 2) at one heading by all limits but those of speed."""
     disc = _disc(surface, centres, lander.radius, heading)
     plane, roughness = _fitted(disc)
     planes, contact = plane[:, None], disc.label
@@ -272,7 +272,7 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
 def _cells(
     surface: TrueSurface, centres: F64, radius: float, beside: tuple[int, int] = (0, 0)
 ) -> tuple[F64, F64, F64, U8, Mask]:
-    """East and north of centres (N, 2), height, class and whether within the radius: cells about them, (N, M) each.
+    """Cells about centres (N, 2), each (N, M): east and north from the centre, height, class, true within the radius.
 
     `beside`: rows and columns by which all of the cells are moved, to compare them with their neighbours.
     """
@@ -299,7 +299,7 @@ def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> 
 
 
 def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
-    """(N,) metres between neighbouring cells of the discs about centres (N, 2)."""
+    """(N,) largest step between neighbouring cells of the discs about centres (N, 2), metres."""
     _, _, here, _, inside = _cells(surface, centres, radius)
     worst = np.zeros(len(centres))
     for beside in ((1, 0), (0, 1)):
@@ -322,7 +322,7 @@ def _fitted(disc: Disc) -> tuple[F64, F64]:
 
 
 def _highest_above(disc: Disc, planes: F64) -> F64:
-    """(N,) by how much the ground is above the planes (N, P, 3), the worst of them; -inf where nothing is inside."""
+    """(N,) largest height of the ground above the planes (N, P, 3), metres; -inf where nothing is inside."""
     worst = np.full(len(planes), -math.inf)
     for k in range(planes.shape[1]):
         p = planes[:, k, :, None]

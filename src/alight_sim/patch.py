@@ -1,4 +1,4 @@
-"""A rectangle of the world as arrays: what the rays meet, and what the shading looks up there."""
+"""A rectangle of the world as arrays: heights for the rays, and layers for the shading."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from alight_sim.materials import tables
 
 @dataclass(frozen=True, eq=False)
 class GroundPatch:
-    """A rectangle of the world as arrays: heights are bilinear between cell centres, and nothing else is drawn."""
+    """A rectangle of the world as arrays: the drawn surface is bilinear between the cell centres."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin, topmost surface
-    label: U8  # (R, C) Terrain codes; this and what follows: of blocks of 2^level cells, means or what most are
+    label: U8  # (R, C) Terrain codes; from here on: blocks of 2^level cells, means or most frequent codes
     skin: F32  # (R, C, SKIN): `light`, then `tint` (1 where there is none), side by side: a pixel reads all of a cell
     look: U8 | None = None  # (R, C) codes of Look; None: all by class
     tinted: bool = False
@@ -46,7 +46,7 @@ class GroundPatch:
 
     @cached_property
     def cells(self) -> U8:
-        """(R, C, 2) the look of each cell, and what is about it (`STEP`, `PLAIN`)."""
+        """(R, C, 2) look of each cell, and bits of its surroundings (`STEP`, `PLAIN`)."""
         of_class = tables()[1].astype(np.uint8)[self.label]
         looks = of_class if self.look is None else np.where(self.look == 0, of_class, self.look)
         about = np.where(_is_plain(self.label.astype(np.uint16) + np.uint16(16) * looks), PLAIN, 0)
@@ -56,35 +56,35 @@ class GroundPatch:
 
     @cached_property
     def place(self) -> F64:
-        """(3,) east and north of cell (0, 0), and the cell: what the kernels take."""
+        """(3,) east and north of cell (0, 0), and size of a cell, metres: input of the kernels."""
         return np.array([self.grid.east, self.grid.north, self.grid.cell])
 
     @cached_property
     def skin_place(self) -> F64:
-        """The same of the layers that are not heights."""
+        """(3,) east and north of block (0, 0), and size of a block of the layers other than height, metres."""
         shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
         return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
 
     @cached_property
     def low(self) -> float:
-        """The lowest height."""
+        """The lowest height, metres above the origin."""
         return float(self.height.min())
 
     @property
     def nbytes(self) -> int:
-        """Memory, with the pyramids and what is about the cells."""
+        """Memory in bytes, with the pyramids and `cells`."""
         parts = (self.height, self.label, self.skin, self.look)
         return sum(p.nbytes for p in parts if p is not None) + self.height.nbytes * 8 // 3 + 2 * self.label.size
 
 
 def _is_plain(codes: NDArray[np.uint16]) -> Mask:
-    """(R, C) whether all cells within `WIDE` of a cell, those of the array, have its code."""
+    """(R, C) true where all cells of the array within `WIDE` of a cell have its code."""
     square = np.ones((2 * WIDE + 1, 2 * WIDE + 1), np.uint8)
     return np.asarray(cv2.erode(codes, square) == cv2.dilate(codes, square))
 
 
 def _is_step(height: F32) -> Mask:
-    """(R, C) whether the four cells from a cell on differ by `EDGE` or more; not at the rim, where not all 16 are."""
+    """(R, C) true where the four cells from a cell on differ by `EDGE` or more; false at the rim, without 16 cells."""
     out = np.zeros(height.shape, bool)
     a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
     top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))

@@ -1,4 +1,4 @@
-"""Where to fly: the patterns of a flight plan, as lines of way-points."""
+"""Patterns of a flight plan, as lines of way-points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HELD: tuple[Pattern, ...] = ("hover", "descent", "approach", "climb", "two_heigh
 
 
 class FlightPlan(Section):
-    """A flight: `height: 40` alone is a fine one."""
+    """Plan of a flight; `height: 40` alone is enough."""
 
     pattern: Pattern = Field("transect", description="what to fly; `waypoints` where those are given")
     height: float = Field(40.0, gt=0, le=10_000, description="metres above what `above` says, at the start")
@@ -73,17 +73,17 @@ class FlightPlan(Section):
 
     @property
     def kind(self) -> Pattern:
-        """The pattern; way-points given say it themselves."""
+        """Pattern that is flown: `waypoints` where those are given."""
         return "waypoints" if self.waypoints else self.pattern
 
     @property
     def rolling(self) -> bool:
-        """A transect begins and ends at full speed: it is a piece of a longer flight."""
+        """True for a transect: it begins and ends at full speed, as a piece of a longer flight."""
         return self.kind == "transect"
 
     @property
     def heading(self) -> float | None:
-        """Rad counter-clockwise from east, held; None: along the course. Where there is no course it is held."""
+        """Rad counter-clockwise from east, held; None: along the course. Patterns of `HELD` hold `course_deg`."""
         if self.heading_deg is not None:
             return math.radians(90.0 - self.heading_deg)
         return math.radians(90.0 - self.course_deg) if self.kind in HELD else None
@@ -119,7 +119,7 @@ def _lawn_mower(plan: FlightPlan) -> F64:
 
 
 def _spiral(plan: FlightPlan) -> F64:
-    """Archimedes': the radius grows with the angle; points a metre apart."""
+    """Archimedean spiral: the radius grows with the angle; points are a metre apart."""
     gap = (plan.spacing or 0.3 * plan.height) / (2.0 * math.pi)
     last = 2.0 * math.pi * plan.turns
     fine = np.linspace(0.0, last, max(int(200 * plan.turns), 50))

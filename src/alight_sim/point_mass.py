@@ -21,40 +21,40 @@ _STAND = 0.02  # m above the ground that counts as standing
 
 @dataclass(frozen=True)
 class FlightLimits:
-    """What the vehicle does at most."""
+    """Limits of the vehicle's motion."""
 
     speed: float = 8.0  # m/s over the ground
     climb: float = 2.5  # m/s
     sink: float = 1.5  # m/s
     acceleration: float = 3.0  # m/s^2
     turn: float = 1.0  # rad/s
-    drag: float = 0.15  # 1/s, deceleration per m/s of air speed: how far it leans into the wind
-    lag: float = 0.0  # s, twice: how late the thrust follows what is asked for; 0: it leans at once
+    drag: float = 0.15  # 1/s, deceleration per m/s of air speed: it leans into the wind by that
+    lag: float = 0.0  # s, of each of two lags of the thrust behind its command; 0: it leans at once
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What the vehicle is to do; None: nothing about that."""
+    """Set-point of the vehicle; None: not commanded."""
 
     position: F64 | None = None  # (3,) metres
-    velocity: F64 | None = None  # (3,) m/s; with a position: on top of what leads there
+    velocity: F64 | None = None  # (3,) m/s; with a position: added to the velocity towards it
     heading: float | None = None  # rad, clockwise from north
     speed: float = math.inf  # m/s, a limit below the vehicle's own
-    sink: float = math.inf  # m/s, the same downwards
+    sink: float = math.inf  # m/s, limit downwards
 
 
 @dataclass
 class PointMass:
-    """The true vehicle. `step` it; nothing else changes it.
+    """The true vehicle. Only `step` moves it.
 
     `ground` gives the height of the ground under a point (east, north); gusts are a Gauss-Markov acceleration.
     """
 
     limits: FlightLimits = FlightLimits()
     ground: Callable[[float, float], float] = lambda east, north: 0.0
-    wind_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, where the air goes
-    gusts: float = 0.0  # m/s^2, standard deviation of what they push
-    push_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s^2, from outside, on top of that
+    wind_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, velocity of the air
+    gusts: float = 0.0  # m/s^2, standard deviation of their acceleration
+    push_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s^2, external, on top of the gusts
     seed: int = 0
     position: F64 = field(default_factory=lambda: np.zeros(3))
     velocity: F64 = field(default_factory=lambda: np.zeros(3))
@@ -82,7 +82,7 @@ class PointMass:
 
     @property
     def world_from_body(self) -> Pose:
-        """The true pose: thrust holds weight, drag and the acceleration."""
+        """The true pose: thrust balances weight, drag and the acceleration."""
         return Pose(self._attitude(), self.position.copy())
 
     @property
@@ -92,7 +92,7 @@ class PointMass:
 
     @property
     def specific_force_body(self) -> F64:
-        """(3,) m/s^2, what an accelerometer feels."""
+        """(3,) m/s^2, as an accelerometer measures it."""
         return np.asarray(self._attitude().T @ (self._acceleration + _LIFT))
 
     def step(self, dt: float, wanted: Wanted | None) -> None:
@@ -120,7 +120,7 @@ class PointMass:
             self.heading += max(-self.limits.turn * dt, min(self.limits.turn * dt, left))
 
     def _follow(self, dt: float, asked: F64) -> None:
-        """Two lags in a row: attitude and turn rate are continuous."""
+        """Follow the commanded acceleration with two lags in series: attitude and turn rate are continuous."""
         keep = math.exp(-dt / self.limits.lag) if self.limits.lag > 0 else 0.0
         self._thrust = asked + keep * (self._thrust - asked)
         self._acceleration = self._thrust + keep * (self._acceleration - self._thrust)

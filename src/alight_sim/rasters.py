@@ -1,4 +1,4 @@
-"""Worlds out of arrays, and a user's own height raster, classes and orthophoto."""
+"""Worlds from arrays, or from a user's own height raster, classes and orthophoto."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from alight_sim.tiles import SIDE, Tile
 EARTH_RADIUS = 6371008.8  # metres, mean
 MOST_CELLS = 60_000_000  # of a world out of rasters: it is held in memory
 NODATA = -3.0e38
-FARTHEST = 50_000.0  # metres from the origin: beyond, east-north-up and the rasters' map part
+FARTHEST = 50_000.0  # metres from the origin: beyond, east-north-up and the rasters' map differ too much
 
 
 def _beside(value: Path | None, info: ValidationInfo) -> Path | None:
-    """A raster's name is counted from the folder of the scene file."""
+    """Resolve a raster's name against the folder of the scene file."""
     folder = (info.context or {}).get("folder")
     return None if value is None else ((folder or Path()) / value.expanduser()).resolve()
 
@@ -42,7 +42,7 @@ Beside = Annotated[Path, AfterValidator(_beside)]
 
 
 class SceneRaster(Section):
-    """GeoTIFFs that a world is made of, in any coordinates; where no origin is given it is the middle of the heights.
+    """GeoTIFFs of a world, in any coordinates; without an origin, the middle of the height raster is the origin.
 
     Without a size the world is as large as the height raster. Layers may be laid on it, and relief where it is given.
     """
@@ -58,7 +58,7 @@ class SceneRaster(Section):
 
 @dataclass(frozen=True, eq=False)
 class GroundRasters:
-    """Rasters as they lie on the world's grid."""
+    """Rasters on the world's grid."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin
@@ -67,7 +67,7 @@ class GroundRasters:
     warnings: tuple[str, ...]
 
     def heights(self, x: F64, y: F64) -> F64:
-        """Bilinear at places of any shape; beyond the edge the nearest cell's."""
+        """Bilinear heights at places of any shape, metres; beyond the edge the nearest cell's."""
         rows, cols = self.grid.index(x, y)
         return np.asarray(map_coordinates(self.height, [rows, cols], np.float64, order=1, mode="nearest"))
 
@@ -77,12 +77,12 @@ class GroundRasters:
         r = np.clip(np.rint(rows), 0, self.grid.rows - 1).astype(np.int64)
         c = np.clip(np.rint(cols), 0, self.grid.cols - 1).astype(np.int64)
         sheet.label[:] = self.label[r, c]
-        sheet.depth[sheet.label == Terrain.WATER] = 1.0  # nobody knows
+        sheet.depth[sheet.label == Terrain.WATER] = 1.0  # metres; the true depth is unknown
         if self.tint is not None:
             sheet.look[:], sheet.tint[:] = Look.PLAIN, self.tint[r, c]
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Of all heights in a box."""
+        """Lowest and highest height in a box, metres."""
         return raster_height_range(self.grid, self.height, box)
 
 
@@ -145,7 +145,7 @@ def reach(raster: SceneRaster, local: LocalFrame, cell: float) -> Box:
 
 
 def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: float) -> GroundRasters:
-    """Bring the rasters onto the cells of the extent.
+    """Resample the rasters to the cells of the extent.
 
     Raises:
         InputError: not readable, no coordinate system, no overlap, too many holes, codes that are no classes.
@@ -175,7 +175,7 @@ def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: floa
 def _warped(
     path: Path, what: str, local: LocalFrame, grid: Grid, bands: list[int], how: Resampling, **more: Any
 ) -> Any:
-    """(bands, R, C) of a raster on the grid."""
+    """(bands, R, C) of a raster, resampled to the grid."""
     with _opened(path, what) as dataset:
         if len(bands) > dataset.count:
             raise InputError(f"{path}: the {what} has {dataset.count} band(s), {len(bands)} are needed; choose another")
@@ -190,7 +190,7 @@ def _warped(
 
 
 def _heights(raster: SceneRaster, local: LocalFrame, grid: Grid) -> tuple[F32, Mask]:
-    """Metres above the origin's horizontal plane, and where they were filled in."""
+    """(R, C) metres above the origin's horizontal plane, and (R, C) true where they were filled in."""
     options = {"nodata": NODATA, "dtype": "float32", "src_nodata": None}
     with _opened(raster.height, "height raster") as dataset:
         options["src_nodata"] = dataset.nodata if dataset.nodata is not None else math.nan
@@ -242,7 +242,7 @@ def _image(path: Path, local: LocalFrame, grid: Grid, gamma: float) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Arrays:
-    """A source of tiles out of arrays that are there; outside, their edge goes on."""
+    """Source of tiles from given arrays; outside, their edge goes on."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin
@@ -253,23 +253,23 @@ class Arrays:
 
     @property
     def cell(self) -> float:
-        """Metres."""
+        """Size of a cell, metres."""
         return self.grid.cell
 
     @property
     def anchor(self) -> tuple[float, float]:
-        """The south-west corner."""
+        """East and north of the south-west corner, metres."""
         grid = self.grid
         return grid.east - 0.5 * grid.cell, grid.north + 0.5 * grid.cell - grid.rows * grid.cell
 
     @property
     def extent(self) -> Box:
-        """West, south, east, north."""
+        """West, south, east, north of the arrays, metres."""
         west, south = self.anchor
         return west, south, west + self.grid.cols * self.cell, south + self.grid.rows * self.cell
 
     def tile(self, i: int, j: int) -> Tile:
-        """A window; beyond the edge the nearest cell."""
+        """Tile (i, j): a window of the arrays; beyond the edge the nearest cell."""
         k = np.arange(SIDE)
         cols = np.clip(i * SIDE + k, 0, self.grid.cols - 1)
         rows = np.clip(self.grid.rows - (j + 1) * SIDE + k, 0, self.grid.rows - 1)
@@ -279,5 +279,5 @@ class Arrays:
         return Tile(self.height[at], self.label[at], depth, look, None if self.tint is None else self.tint[at])
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Of all heights."""
+        """Lowest and highest height in a box, metres."""
         return raster_height_range(self.grid, self.height, box)

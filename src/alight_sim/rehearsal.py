@@ -1,4 +1,4 @@
-"""A rehearsal by the clock: a simulated autopilot on a UDP port, and its cameras as a folder that fills."""
+"""A rehearsal in real time: a simulated autopilot on a UDP port, and its cameras that write to a folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SEPARATION = 46.0  # m, ellipsoid above sea level
 
 
 class CameraFolder:
-    """Writes exposures in the layout of a flight log, as they come.
+    """Writer of exposures in the layout of a flight log, one by one.
 
     Raises:
         OutputError: the folder cannot be made, or holds pictures already.
@@ -45,18 +45,18 @@ class CameraFolder:
                 table.flush()
 
     def close(self) -> None:
-        """End the tables."""
+        """Close the tables."""
         for table in self._tables:
             table.close()
 
 
 class Rehearsal:
-    """A vehicle of a scene that an autopilot flies, by the clock; a context that runs in a thread of its own.
+    """A vehicle over a scene that a simulated autopilot flies in real time; a context with a thread of its own.
 
     Args:
         flight: made with `steered_by="truth"`; on the ground or in the air.
         folder: for its pictures, stamped by this machine's steady clock.
-        port: of this machine, to speak to; who speaks to `server.port` is answered as well.
+        port: of this machine, to send to; senders to `server.port` are answered as well.
         px4: speak PX4's dialect.
         wrong: (3,) metres, error of the autopilot's estimate.
     """
@@ -76,7 +76,7 @@ class Rehearsal:
         self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
     def _expose(self) -> None:
-        """Stamps are of the steady clock: the simulation's own time, and when that began."""
+        """Write the new exposures, stamped by the steady clock: simulated time plus the clock at its start."""
         self._shift_ns = self._shift_ns or time.monotonic_ns() - self.flight.time_ns
         for frame in self.vehicle.take():
             self._cameras.write(frame, frame.t_ns + self._shift_ns)
@@ -90,7 +90,7 @@ class Rehearsal:
         self._cameras.close()
 
     def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Let it run."""
+        """Let it run for `seconds` of the steady clock, or until `until` is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and not until():
             time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""The lie of the land: a slope and fractal relief, evaluated at any place."""
+"""Fractal relief of the ground, evaluated at any place."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from alight_sim.kernels.layers import DUNES, HILLS, RIDGES, add_fractal, add_fra
 from alight_sim.section import Section
 
 FORMS = {"hills": HILLS, "ridges": RIDGES, "dunes": DUNES}
-FEW = 8192  # places that one thread sees to sooner than many
+FEW = 8192  # places up to which one thread is faster than many
 
 
 class FractalRelief(Section):
-    """Ups and downs between two wavelengths."""
+    """Fractal relief between two wavelengths."""
 
     height: float = Field(0.4, ge=0.0, le=200.0, description="metres, standard deviation")
     longest: float = Field(40.0, gt=0.0, le=5000.0, description="metres, longest wavelength")
@@ -49,7 +49,7 @@ def octaves(deviation: float, longest: float, shortest: float, fall: float) -> t
 
 
 def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
-    """A field of unit deviation at places of any shape."""
+    """Noise of unit deviation at places of any shape, between two wavelengths, metres."""
     if x.size == 0:
         return np.zeros(x.shape)
     east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))

@@ -1,4 +1,4 @@
-"""The planes on which a lander rests: through its feet, or along its two rails."""
+"""The planes on which a lander rests: on its feet, or on its two skids."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def resting_on_feet(at: F64, height: F64) -> F64:
 
 
 def resting_on_skids(at: F64, height: F64) -> F64:
-    """(N, 2, 3) planes on which two rails rest: those of the lowest and of the highest pitch where it rocks.
+    """(N, 2, 3) planes on which two skids rest: those of the lowest and of the highest pitch where it rocks.
 
-    With a pitch p a rail passes over its middle at max(z - p s): the sum over both rails is convex in p.
+    With a pitch p a skid passes over its middle at max(z - p s): the sum over both skids is convex in p.
     """
     half = len(at) // 2
     s, wide = at[:half, 0], float(at[0, 1] - at[half, 1])

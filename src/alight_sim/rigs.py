@@ -20,7 +20,7 @@ Lens = Literal["none", "radial-tangential", "equidistant"]
 
 
 class Transform(Section):
-    """A rigid motion as sensor.yaml has it."""
+    """A rigid transformation in the format of sensor.yaml."""
 
     cols: Literal[4] = Field(4, description="always 4")
     rows: Literal[4] = Field(4, description="always 4")
@@ -33,7 +33,7 @@ class Transform(Section):
 
     @property
     def pose(self) -> Pose:
-        """The motion; a rotation that is exact to rounding stays as it is, bit for bit."""
+        """The pose; a rotation that is exact to rounding stays as it is, bit for bit."""
         M = np.reshape(self.data, (4, 4))
         R = M[:3, :3]
         return Pose(R, M[:3, 3]) if np.abs(R @ R.T - np.eye(3)).max() < 1e-12 else Pose.from_matrix(M)
@@ -43,7 +43,7 @@ Pixels = Annotated[int, Field(ge=1, le=12_000)]
 
 
 class CameraModel(Section):
-    """One camera: a sensor.yaml may be pasted here; or say where it sits, how it is tilted and its field of view."""
+    """One camera: the contents of a sensor.yaml, or its place, tilt and field of view."""
 
     sensor_type: Literal["camera"] = Field("camera", description="as in sensor.yaml")
     comment: str = Field("", description="for people")
@@ -69,7 +69,7 @@ class CameraModel(Section):
 
     @property
     def camera(self) -> Camera:
-        """Its lens."""
+        """Image size, intrinsics and distortion."""
         (width, height), numbers = self.resolution, self.intrinsics
         if numbers is None:
             half = math.radians(0.5 * self.field_deg)
@@ -82,12 +82,12 @@ class CameraModel(Section):
 
     @property
     def body_from_cam(self) -> Pose:
-        """Where it sits; the image's top is forward or up."""
+        """Pose of the camera in the body; the image's top is forward or up."""
         return self.T_BS.pose if self.T_BS else Pose(looking(math.radians(self.tilt_deg)), np.array(self.place))
 
 
 class RigModel(Section):
-    """`rig: pair`, or `rig: {cameras: [...]}`."""
+    """A rig by name, `rig: pair`, or by its cameras, `rig: {cameras: [...]}`."""
 
     name: RigName = Field("pair", description="a built-in rig, where no cameras are given")
     cameras: tuple[CameraModel, ...] = Field((), max_length=8, description="cameras of your own, the left one first")
@@ -99,19 +99,19 @@ class RigModel(Section):
 
     @property
     def rig(self) -> Rig:
-        """The cameras, cam0, cam1 and so on."""
+        """The rig; cameras of your own are named cam0, cam1 and so on."""
         if not self.cameras:
             return BUILT_IN[self.name]()
         return Rig(tuple(RigCamera(f"cam{k}", c.camera, c.body_from_cam) for k, c in enumerate(self.cameras)))
 
     @classmethod
     def of(cls, rig: Rig) -> RigModel:
-        """What makes this rig again, bit for bit."""
+        """Return the model that makes this rig again, bit for bit."""
         return cls.model_validate({"cameras": [_described(c) for c in rig.cameras]})
 
 
 def looking(tilt: float) -> F64:
-    """Body from camera of one that looks `tilt` radians below the horizon ahead."""
+    """(3, 3) body from camera of one that looks `tilt` radians below the horizon ahead."""
     c, s = math.cos(tilt), math.sin(tilt)
     return np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
 
@@ -128,7 +128,7 @@ def _described(cam: RigCamera) -> dict[str, Any]:
 
 
 def default_rig() -> Rig:
-    """A pair of 640x480 cameras looking down, 0.5 m apart across the body, mounted as exactly as people do."""
+    """A pair of 640x480 cameras looking down, 0.5 m apart across the body, with small errors of mounting."""
     left = Camera(640, 480, 481.2, 480.3, 323.0, 242.9, "radial-tangential", (-0.0899, 0.0195, -0.00077, 0.00065))
     right = Camera(640, 480, 480.2, 479.8, 322.6, 239.1, "radial-tangential", (-0.0895, 0.0187, -0.00063, 0.0005))
     return Rig(
@@ -140,7 +140,7 @@ def default_rig() -> Rig:
 
 
 def _looking_down(*small: float) -> F64:
-    """Body from camera: image top is forward, image right is right, turned by a small rotation vector."""
+    """(3, 3) body from camera: image top is forward, image right is right, turned by a small rotation vector, rad."""
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return np.asarray(cv2.Rodrigues(np.array(small))[0] @ down)
 
@@ -150,7 +150,7 @@ def _single() -> Rig:
 
 
 def _wide() -> Rig:
-    """Two fisheyes that see 120 degrees."""
+    """Two fisheye cameras with a field of view of 120 degrees."""
     lens = Camera(640, 480, 306.0, 306.0, 319.5, 239.5, "equidistant", (-0.01, 0.02, -0.01, 0.002))
     return Rig(tuple(RigCamera(c.name, lens, c.body_from_cam) for c in default_rig().cameras))
 

@@ -1,4 +1,4 @@
-"""The scene file: one YAML file says what the world is made of; every section and every key may be left out."""
+"""The scene file: one YAML file that describes a world; every section and every key may be left out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FOLDER = Path(__file__).parent / "scenes"
 
 
 class Origin(Section):
-    """Where on Earth the world lies."""
+    """Origin of the world on Earth."""
 
     latitude: float = Field(47.6213, ge=-89.0, le=89.0, description="degrees, WGS84")
     longitude: float = Field(13.4127, ge=-180.0, le=180.0, description="degrees, WGS84")
@@ -42,7 +42,7 @@ class Origin(Section):
 
     @property
     def local(self) -> LocalFrame:
-        """East, north, up from here."""
+        """Local frame at this origin: east, north, up."""
         return LocalFrame(self.latitude, self.longitude, self.height)
 
 
@@ -50,7 +50,7 @@ Side = Annotated[float, Field(gt=0.0, le=20_000.0)]
 
 
 class SceneGround(Section):
-    """What the world is made of: relief first, then the layers in their order; or a raster of your own."""
+    """Ground of the world: relief first, then the layers in their order; or a raster of your own."""
 
     size: tuple[Side, Side] = Field((120.0, 120.0), description="[east, north] metres about the origin, with truth")
     cell: float = Field(0.1, ge=0.05, le=0.2, description="metres")
@@ -67,7 +67,7 @@ class SceneGround(Section):
     raster: SceneRaster | None = Field(None, description="a height raster of your own instead of relief and layers")
 
     def fall(self, x: F64, y: F64) -> F64:
-        """Heights of the slope at places."""
+        """Heights of the slope at places, metres."""
         steep, towards = math.tan(math.radians(self.slope_deg)), math.radians(self.downhill_deg)
         return np.asarray(-steep * (math.sin(towards) * x + math.cos(towards) * y))
 
@@ -79,7 +79,7 @@ class SceneGround(Section):
 
 
 class Scene(Section):
-    """One world to fly over, and how to fly it."""
+    """One world and the flight over it."""
 
     name: str = Field("scene", description="what it is called")
     description: str = Field("", description="one sentence for people")
@@ -96,15 +96,15 @@ class Scene(Section):
 
 
 def built_in() -> dict[str, Path]:
-    """The packaged scenes by name."""
+    """Paths of the packaged scenes by name."""
     return {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}
 
 
 def read_scene(path: Path, seed: int = 0) -> Scene:
-    """Read a scene file; rasters in it are found beside it. `seed`: of what the file leaves to be drawn.
+    """Read a scene file; rasters in it are found beside it. `seed`: of the values that the file draws.
 
     Raises:
-        InputError: not readable, not YAML, or a key or value that a scene does not know.
+        InputError: not readable, not YAML, an unknown key or a wrong value.
     """
     try:
         tree = parse_yaml(read_text(path))
@@ -122,16 +122,16 @@ def read_scene(path: Path, seed: int = 0) -> Scene:
 
 
 def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None, seed: int = 0) -> Scene:
-    """A scene out of plain values.
+    """Make a scene from plain values.
 
     Args:
-        tree: what a scene file holds, `draw` included (`alight_sim.variation`).
-        where: what an error names.
-        folder: where its rasters are looked for.
-        seed: of what is drawn.
+        tree: contents of a scene file, `draw` included (`alight_sim.variation`).
+        where: name of the source in errors.
+        folder: names of rasters count from it.
+        seed: of the drawn values.
 
     Raises:
-        InputError: a key or value that a scene does not know.
+        InputError: an unknown key or a wrong value.
     """
     try:
         return Scene.model_validate(resolve(tree, seed, where), context={"folder": folder})
@@ -140,7 +140,7 @@ def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None, se
 
 
 def explain(error: ValidationError) -> str:
-    """The first thing wrong with a scene, in one line: the key, and what it may be."""
+    """First error of a scene in one line: the key, and its possible values."""
     problems = error.errors(include_url=False)
     first = problems[0]
     key = ".".join(str(k + 1) if isinstance(k, int) else str(k) for k in first["loc"])
@@ -161,7 +161,7 @@ def _tag(problem: Any) -> str:
 
 
 def _known(loc: tuple[int | str, ...]) -> str:
-    """The keys of the section that a wrong key stands in."""
+    """List the keys of the section with the wrong key."""
     section: Any = Scene
     kinds = things()
     for part in loc[:-1]:
@@ -174,7 +174,7 @@ def _known(loc: tuple[int | str, ...]) -> str:
 
 
 def _inner(annotation: Any) -> Any:
-    """The section that a field holds, out of tuples and options."""
+    """The section that a field holds, within tuples and unions."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     for part in getattr(annotation, "__args__", ()):
@@ -185,6 +185,6 @@ def _inner(annotation: Any) -> Any:
 
 
 def things() -> dict[str, type[Section]]:
-    """The things that layers may be made of, by name."""
+    """Kinds of things that layers may hold, by name."""
     union = Thing.__args__[0]
     return {kind.model_fields["thing"].annotation.__args__[0]: kind for kind in union.__args__}

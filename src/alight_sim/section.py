@@ -1,4 +1,4 @@
-"""The base of everything a person may write in a scene file."""
+"""Base of all sections that a person may write in a scene file."""
 
 from typing import Annotated
 
@@ -11,4 +11,4 @@ Side = Annotated[float, Field(ge=0.5, le=1000.0)]  # metres, of a level place
 
 
 class Section(FrozenModel):
-    """One section of a scene: checked as settings are."""
+    """One section of a scene: checked like settings."""

@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 
 
 class Jump(Section):
-    """The position is off by a step for a while: a wrong satellite, a changed solution."""
+    """A step of the position for a while, as by a wrong satellite or a changed solution."""
 
     at: float = Field(description="s after the first exposure")
     seconds: float | None = Field(None, gt=0, description="s that it lasts; to the end without it")
@@ -29,7 +29,7 @@ class Jump(Section):
 
 
 class Outage(Span):
-    """GPS/INS is gone for a while."""
+    """An outage of GPS/INS."""
 
     what: Literal["position", "rows"] = Field(
         "position", description="only the position is empty, or whole rows are missing"
@@ -37,7 +37,7 @@ class Outage(Span):
 
 
 class NavErrors(Section):
-    """GPS/INS: drift (first-order Gauss-Markov) plus white noise, whose sigmas it claims, and what it does not know."""
+    """Errors of GPS/INS: drift (first-order Gauss-Markov) and white noise of claimed sigmas; unclaimed errors."""
 
     rate_hz: float = Field(20.0, gt=0, le=1000, description="rows a second")
     position: Triple = Field((1.0, 1.0, 1.5), description="metres east, north, up: standard deviation of the drift")
@@ -58,7 +58,7 @@ class NavErrors(Section):
 
 
 class ImuErrors(Section):
-    """MEMS: white noise by density, biases that walk, scale and misalignment."""
+    """Errors of a MEMS IMU: white noise by density, random walk of the biases, scale and misalignment."""
 
     rate_hz: float = Field(200.0, gt=0, le=10000, description="samples a second")
     gyroscope_noise_density: float = Field(4e-4, ge=0, description="rad/s/sqrt(Hz)")
@@ -73,13 +73,13 @@ class ImuErrors(Section):
 
     @property
     def densities(self) -> dict[str, float]:
-        """What a maker states, by the keys of imu0/sensor.yaml."""
+        """Noise densities and random walks as a maker states them, by the keys of imu0/sensor.yaml."""
         names = [f"{s}_{n}" for s in ("gyroscope", "accelerometer") for n in ("noise_density", "random_walk")]
         return {k: float(getattr(self, k)) for k in names}
 
 
 class Sensors(Section):
-    """What measures besides the cameras."""
+    """Sensors besides the cameras."""
 
     nav: NavErrors = Field(NavErrors(), description="GPS/INS")
     imu: ImuErrors = Field(ImuErrors(), description="IMU")
@@ -93,7 +93,7 @@ class MarkovNoise:
         self._state: tuple[float, F64] | None = None
 
     def at(self, seconds: float) -> F64:
-        """(N,) at a time later than the last one asked for."""
+        """(N,) at a time in seconds, later than that of the last call."""
         white = self._rng.standard_normal(len(self._sigma))
         if self._state is not None:
             keep = math.exp(-(seconds - self._state[0]) / self._tau)
@@ -108,7 +108,7 @@ def _claimed(*parts: Triple | float, least: float) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class TrueMotion:
-    """How the body moves at an instant: what the sensors measure."""
+    """Motion of the body at an instant: the quantities that the sensors measure."""
 
     position_world: F64  # (3,) metres
     velocity_world: F64  # (3,) m/s
@@ -134,7 +134,7 @@ class NavStream:
         self._sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
 
     def sample(self, t_ns: int, seconds: float, true: TrueMotion) -> NavSample | None:
-        """The row of a time of the flight, of the motion `errors.latency` before it; None: it is missing."""
+        """The row at a time of the flight, with the motion `errors.latency` before it; None: the row is missing."""
         e = self.errors
         jump = self._jump(seconds)
         drift = self._drift.at(seconds)
@@ -165,7 +165,7 @@ class NavStream:
         return out
 
     def _turned(self, seconds: float) -> F64:
-        """(3, 3) by which the heading is wrong, in the world."""
+        """(3, 3) rotation in the world: the error of the heading."""
         tau = self.errors.yaw_tau
         fade = 1.0 if tau is None else math.exp(-max(seconds, 0.0) / tau)
         return so3_exp([0.0, 0.0, -math.radians(self.errors.yaw_start_deg) * fade])
@@ -206,14 +206,14 @@ class BiasWalk:
         self._walked = [np.zeros(3), np.zeros(3)]
 
     def next(self) -> tuple[F64, F64]:
-        """(3,) gyroscope and (3,) accelerometer bias of the next sample."""
+        """(3,) gyroscope and (3,) accelerometer bias of the next sample, rad/s and m/s^2."""
         for k, (rng, step) in enumerate(zip(self._rngs, self._steps, strict=True)):
             self._walked[k] = self._walked[k] + step * rng.standard_normal(3)
         return self._starts[0] + self._walked[0], self._starts[1] + self._walked[1]
 
 
 def imu_biases(n: int, errors: ImuErrors, seeds: np.random.SeedSequence) -> tuple[F64, F64]:
-    """(N, 3) gyroscope and (N, 3) accelerometer biases."""
+    """(N, 3) gyroscope biases, rad/s, and (N, 3) accelerometer biases, m/s^2."""
     walk = BiasWalk(errors, seeds)
     both = np.array([walk.next() for _ in range(n)])
     return both[:, 0], both[:, 1]
@@ -229,7 +229,7 @@ class ImuStream:
         self._sigmas = errors.gyroscope_noise_density * root, errors.accelerometer_noise_density * root
 
     def sample(self, t_ns: int, rate: F64, force: F64, biases: tuple[F64, F64]) -> ImuSample:
-        """What it says of a true turn rate and specific force in the body, with scale, misalignment, bias and noise."""
+        """Measure a turn rate and specific force in the body, with scale, misalignment, bias and noise."""
         measured = self._axes[0] @ rate + biases[0] + self._sigmas[0] * self._gyro.standard_normal(3)
         felt = self._axes[1] @ force + biases[1] + self._sigmas[1] * self._accel.standard_normal(3)
         return ImuSample(t_ns, measured, felt)
@@ -243,7 +243,7 @@ def simulated_imu(
     errors: ImuErrors,
     seeds: np.random.SeedSequence,
 ) -> Iterator[ImuSample]:
-    """Yield turn rate and specific force in the body."""
+    """Yield samples of turn rate and specific force in the body."""
     stream = ImuStream(errors, seeds)
     rates, forces = flight.angular_velocity_body(seconds), flight.specific_force_body(seconds)
     for i, t in enumerate(t_ns):

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 SIDE = 256  # cells of a tile's side
 BLOCK = 25.6  # metres: things are scattered block by block, whatever the cell
-RING = 8  # places around a thing's foot where the ground is asked
+RING = 8  # places around a thing's foot where the ground is sampled
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """SIDE x SIDE cells."""
+    """Layers of SIDE x SIDE cells."""
 
     height: F32  # metres above the origin
     label: U8
@@ -40,17 +40,17 @@ class Tile:
 
     @property
     def nbytes(self) -> int:
-        """Memory."""
+        """Memory, bytes."""
         parts = (self.height, self.label, self.depth, self.look, self.tint)
         return sum(p.nbytes for p in parts if p is not None)
 
 
 class TileSource(Protocol):
-    """Where tiles come from."""
+    """Interface of a source of tiles."""
 
     @property
     def cell(self) -> float:
-        """Metres."""
+        """Size of a cell, metres."""
 
     @property
     def anchor(self) -> tuple[float, float]:
@@ -60,24 +60,24 @@ class TileSource(Protocol):
         """The tile that starts SIDE * cell * (i east, j north) of the anchor."""
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Heights between which everything in the box lies, on the safe side."""
+        """Lower and upper bound of all heights in the box, metres."""
 
 
 class Under(Protocol):
-    """What lies under the layers instead of relief: rasters."""
+    """Interface of rasters that lie under the layers instead of relief."""
 
     def heights(self, x: F64, y: F64) -> F64:
-        """At places of any shape."""
+        """Heights at places of any shape, metres."""
 
     def lay(self, sheet: Sheet) -> None:
-        """Classes and colours."""
+        """Set the classes and colours of the sheet."""
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Lowest and highest in a box."""
+        """Lowest and highest height in a box, metres."""
 
 
 class Cache:
-    """The newest values within a number of bytes."""
+    """Cache of the values used last, within a number of bytes."""
 
     def __init__(self, limit: int) -> None:
         self.limit, self.used = limit, 0
@@ -85,7 +85,7 @@ class Cache:
         self._lock = threading.RLock()
 
     def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
-        """The value of a key, made where it is not held."""
+        """Return the value of a key; make it where it is not held."""
         with self._lock:
             if key in self._held:
                 self._held.move_to_end(key)
@@ -109,7 +109,7 @@ def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
 
 
 class Lay:
-    """One layer at work in one world: its random stream, its things, the ground before it."""
+    """One layer in one world: its random stream, its things, the ground before it."""
 
     def __init__(self, stack: Stack, layer: Layer, index: int, seed: int) -> None:
         self.stack, self.layer, self.index, self.seed = stack, layer, index, seed
@@ -118,13 +118,13 @@ class Lay:
         self.block = lru_cache(4096)(self._block)
 
     def keep(self, key: str, make: Callable[[], F64]) -> F64:
-        """Something made once."""
+        """Return the value of a key, made at the first call."""
         if key not in self._kept:
             self._kept[key] = make()
         return np.asarray(self._kept[key])
 
     def choose(self, i: NDArray[np.int64], j: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """One of `count` for every cell of a lattice."""
+        """Choose a number below `count` for every cell of a lattice, by its hash."""
         return np.asarray((_mixed(i, j, self.seed) % np.uint64(count)).astype(np.int64))
 
     def before(self, x: F64, y: F64) -> Sheet:
@@ -133,17 +133,17 @@ class Lay:
 
     @property
     def scattered(self) -> Scattered:
-        """The layer as one of many things."""
+        """The layer as a `Scattered` one."""
         assert isinstance(self.layer, Scattered)
         return self.layer
 
     def things(self, box: Box) -> F64:
-        """(N, COLUMNS): those that reach into a box, in an order that does not depend on the box."""
+        """(N, COLUMNS): things that reach into a box, in an order that does not depend on the box."""
         found = [self.block(i, j) for i, j in _blocks(box, self.scattered.largest)]
         return overlapping(np.concatenate(found), box)
 
     def _candidates(self, i: int, j: int) -> tuple[F64, int]:
-        """Things of one block before the ground is asked; how many of them are there by name."""
+        """Things of one block before the ground is sampled, and the number of those at given places."""
         layer = self.scattered
         named = np.array(layer.at, dtype=np.float64).reshape(-1, 2)
         named = named[(np.floor(named / BLOCK) == (i, j)).all(axis=1)]
@@ -180,7 +180,7 @@ class Lay:
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def ring(self, i: int, j: int) -> tuple[F64, F64]:
-        """(N, 1 + RING) places where the ground is asked for a block's candidates: the middle first, then around it."""
+        """(N, 1 + RING) places where the ground under a block's candidates is sampled: middle first, then around."""
         things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
         reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
@@ -189,11 +189,11 @@ class Lay:
 
     @property
     def shapes(self) -> bool:
-        """It changes the solid ground, so that it stands on what the layers before it made."""
+        """True: it changes the solid ground, so it stands on the ground of the layers before it."""
         return type(self.layer).shape is not Layer.shape
 
     def _feet(self, i: int, j: int) -> tuple[F64, Mask]:
-        """Level of each foot, and whether its ground is of an allowed class all around."""
+        """(N,) level of each foot, and (N,) true where its ground is of an allowed class all around."""
         if self.shapes:
             sheet = self.before(*self.ring(i, j))
             ground, label, look = sheet.ground, sheet.label, sheet.look
@@ -207,7 +207,7 @@ class Lay:
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
-        """Clear of what stands apart in earlier layers, and of those of its own that come first."""
+        """(N,) true for things clear of earlier layers' things that are apart, and of their own with precedence."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room
@@ -227,7 +227,7 @@ class Lay:
 
 
 def _first(things: F64) -> F64:
-    """Who comes first where two of a kind want one place: as good as random, the same from everywhere."""
+    """Precedence where two things of a layer compete for a place: pseudo-random, equal in every block."""
     return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
 
 
@@ -239,7 +239,7 @@ def _blocks(box: Box, reach: float) -> list[tuple[int, int]]:
 
 
 class Stack:
-    """A scene's ground section at work: relief, then every layer in turn."""
+    """Source of tiles from a scene's ground section: relief, then every layer in turn."""
 
     anchor: tuple[float, float] = (0.0, 0.0)
 
@@ -259,7 +259,7 @@ class Stack:
         return int(state[0]) & 0x7FFFFFFF
 
     def base(self, x: F64, y: F64) -> F64:
-        """Heights of slope and relief alone."""
+        """Heights of slope, raster and relief alone, metres."""
         out = self.spec.fall(x, y)
         if self.raster is not None:
             out += self.raster.heights(x, y)
@@ -269,7 +269,7 @@ class Stack:
 
     @property
     def reliefs(self) -> tuple[FractalRelief, ...]:
-        """Over a raster only what the scene asks for."""
+        """Relief of the ground; over a raster only relief that the scene gives."""
         return () if self.raster is not None and "relief" not in self.spec.model_fields_set else self.spec.relief
 
     def ground(self, x: F64, y: F64, upto: int | None = None, cell: float = 0.0) -> Sheet:
@@ -284,7 +284,7 @@ class Stack:
         return sheet
 
     def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8, U8]]:
-        """Ground, classes and looks under the candidates of all layers that stand, asked for at once; by layer."""
+        """Ground, classes and looks under the candidates of all layers that stand, sampled at once; by layer."""
         standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
         rings = [lay.ring(i, j) for lay in standing]
         sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
@@ -308,7 +308,7 @@ class Stack:
         return Tile(height, sheet.label, depth, sheet.look, tint)
 
     def range(self, box: Box) -> tuple[float, float]:
-        """From the relief at coarse places, and what the layers may add."""
+        """Lower and upper bound of heights in a box, metres: base at coarse places, and the rise of the layers."""
         west, south, east, north = box
         count = [min(200, 2 + math.ceil((b - a) / 4.0)) for a, b in ((west, east), (south, north))]
         base = self.base(*np.meshgrid(np.linspace(west, east, count[0]), np.linspace(south, north, count[1])))

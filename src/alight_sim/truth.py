@@ -1,4 +1,4 @@
-"""Truth: where a lander is truly safe, by brute force over the world's own layers. Shares no code with the stages."""
+"""True safety of a lander's footprint, by brute force over the world's own layers. Shares no code with the stages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BAND = 1024  # rows judged at a time: a large world's running sums need no more 
 
 @dataclass(frozen=True)
 class TrueFootprint:
-    """What a lander stands: every cell centre within `radius` of an allowed class and near the disc's plane."""
+    """Limits of a footprint: every cell centre within `radius` is of an allowed class and near the disc's plane."""
 
     radius: float = 1.5  # metres
     max_slope: float = math.radians(10.0)  # rad
@@ -30,7 +30,7 @@ class TrueFootprint:
 
 
 class TrueLander(Section):
-    """The lander that a scene's truth is kept for."""
+    """The lander for which a scene's truth is judged."""
 
     radius: float = Field(1.5, gt=0.0, le=50.0, description="metres, of the disc that it needs")
     max_slope_deg: float = Field(10.0, gt=0.0, le=60.0, description="of the disc's plane")
@@ -41,14 +41,14 @@ class TrueLander(Section):
 
     @property
     def footprint(self) -> TrueFootprint:
-        """The same in radians and codes."""
+        """Limits of its footprint, in radians and codes of Terrain."""
         classes = tuple(Terrain[name.upper()] for name in self.upon)
         return TrueFootprint(self.radius, math.radians(self.max_slope_deg), self.max_roughness, classes)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneTruth:
-    """The ground as it is."""
+    """True heights and classes of the ground."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin
@@ -56,7 +56,7 @@ class SceneTruth:
     _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
 
     def safe(self, footprint: TrueFootprint | None = None) -> Mask:
-        """(R, C): a touchdown centred here keeps every limit. A disc that leaves the world does not."""
+        """(R, C): true where a touchdown keeps every limit. A disc that leaves the world does not."""
         key = footprint or TrueFootprint()
         if key not in self._masks:
             self._masks[key] = safe_mask(self.height, self.label, self.grid.cell, key)
@@ -64,7 +64,7 @@ class SceneTruth:
 
 
 def _half_widths(radius: float, cell: float) -> NDArray[np.int64]:
-    """(2 k + 1,) cells either side of the middle in each row of a disc: those whose centres lie within the radius."""
+    """(2 k + 1,) cells either side of the middle in each row of a disc: their centres lie within the radius."""
     k = math.floor(radius / cell + 1e-9)
     rise = np.arange(-k, k + 1) * cell
     return np.asarray(np.floor(np.sqrt(np.maximum(radius**2 - rise**2, 0.0)) / cell + 1e-9).astype(np.int64))

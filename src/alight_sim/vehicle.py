@@ -1,9 +1,9 @@
 """The vehicle: a smooth flight along a planned line, and the attitude that flies it in wind.
 
-Position, heading, gusts and wobble are uniform B-splines, so that velocity, acceleration and turn rate are exact
-derivatives and the noise-free IMU integrates back to the trajectory. A spline's derivatives stay within those of its
-control points: the limits of speed, acceleration, climb, sink and turn rate hold by construction, and what gusts do
-comes on top. The attitude is that of the thrust which the motion, gravity and the drag of the air ask for.
+Position, heading, gusts and wobble are uniform B-splines. So velocity, acceleration and turn rate are exact
+derivatives, and the noise-free IMU integrates back to the trajectory. A spline's derivatives stay within those of its
+control points: the limits of speed, acceleration, climb, sink and turn rate hold by construction. The effect of gusts
+comes on top. The attitude is that of the thrust that balances the motion, gravity and the drag of the air.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from alight.geometry import Pose
 from alight_sim.section import Section
 
 GRAVITY = 9.80665  # m/s^2
-UPWARDS = np.array([0.0, 0.0, GRAVITY])  # what holds a vehicle against gravity, world
+UPWARDS = np.array([0.0, 0.0, GRAVITY])  # m/s^2, balances gravity, world
 KNOT = 0.25  # s between control points
 DEGREE = 5
-HOLD, DAMPING = 1.2, 0.7  # rad/s and share of critical: how an autopilot holds its place against a gust
+HOLD, DAMPING = 1.2, 0.7  # rad/s and share of critical: an autopilot that holds its place against a gust
 SHARP = 8  # the tilt limit bends in within a few per cent of it: (1 + (tilt / limit)^16)^(-1/16)
 
 
 class Limits(Section):
-    """What the vehicle does at most; gusts come on top, but never over the tilt."""
+    """Limits of the vehicle's motion; gusts come on top, but never over the tilt."""
 
     acceleration: float = Field(2.5, gt=0, le=8.0, description="m/s^2, in all directions together")
     tilt_deg: float = Field(30.0, gt=1.0, lt=80.0, description="degrees from level, wind and gusts included")
@@ -56,7 +56,7 @@ class Air(Section):
 
     @property
     def wind_world(self) -> F64:
-        """(3,) m/s, where the air goes."""
+        """(3,) m/s: velocity of the air."""
         bearing = math.radians(self.from_deg)
         return -self.wind * np.array([math.sin(bearing), math.cos(bearing), 0.0])
 
@@ -66,11 +66,11 @@ CALM = Air(wind=0.0, gusts=0.0, wobble_deg=0.0)
 
 @dataclass(frozen=True)
 class SimulatedVehicle:
-    """What kind of aircraft it is."""
+    """Properties of a kind of aircraft."""
 
     drag: float  # 1/s: deceleration per m/s of air speed
     lean_left: float = 0.0  # rad: against the side force of a tail rotor
-    vibration: tuple[tuple[float, float], ...] = ()  # (Hz, m/s^2) of what the rotor shakes
+    vibration: tuple[tuple[float, float], ...] = ()  # (Hz, m/s^2) of the rotor's vibration
 
 
 VEHICLES = {
@@ -81,7 +81,7 @@ VEHICLES = {
 
 @dataclass(frozen=True, eq=False)
 class TrueTrajectory:
-    """Where the vehicle is at any time of the flight, seconds from its start. Times: one, or (N,)."""
+    """True motion of the vehicle at given times, seconds from the flight's start. Times: one, or (N,)."""
 
     position: BSpline  # (3,) metres, world, without vibration
     heading: BSpline  # rad, counter-clockwise from east
@@ -97,7 +97,7 @@ class TrueTrajectory:
         return self.position.derivative(1), self.position.derivative(2)
 
     def _shaken(self, t: F64 | float, order: int) -> F64:
-        """Vibration along (1, 0.6, 0.8) of the world, and its derivatives."""
+        """(..., 3) vibration along (1, 0.6, 0.8) of the world, or its derivative of an order."""
         t = np.asarray(t, dtype=np.float64)[..., None]
         out: F64 = np.zeros(3)
         for hertz, acceleration in self.vehicle.vibration:
@@ -107,11 +107,11 @@ class TrueTrajectory:
         return out
 
     def place_world(self, t: F64 | float) -> F64:
-        """(..., 3) metres."""
+        """(..., 3) metres: positions in the world."""
         return np.asarray(self.position(t)) + self._shaken(t, 0)
 
     def velocity_world(self, t: F64 | float) -> F64:
-        """(..., 3) m/s."""
+        """(..., 3) m/s in the world."""
         return np.asarray(self._derivatives[0](t)) + self._shaken(t, 1)
 
     def acceleration_world(self, t: F64 | float) -> F64:
@@ -119,7 +119,7 @@ class TrueTrajectory:
         return np.asarray(self._derivatives[1](t)) + self._shaken(t, 2)
 
     def rotations(self, t: F64 | float) -> F64:
-        """(..., 3, 3) `world_from_body`: up is where the thrust must point, forward where the nose does."""
+        """(..., 3, 3) `world_from_body`: up along the required thrust, forward along the heading."""
         push = np.asarray(self._derivatives[1](t)) + UPWARDS
         push += self.vehicle.drag * (np.asarray(self._derivatives[0](t)) - self.wind - self.gusts(t))
         psi = np.asarray(self.heading(t))
@@ -147,14 +147,14 @@ class TrueTrajectory:
         return np.asarray(sine * (1.0 + (sine**2).sum(axis=-1, keepdims=True) / 6.0) / (2.0 * h))
 
     def specific_force_body(self, t: F64 | float) -> F64:
-        """(..., 3) m/s^2: what an accelerometer feels."""
+        """(..., 3) m/s^2, as an accelerometer measures it."""
         force = self.acceleration_world(t) + UPWARDS
         return np.asarray((np.swapaxes(self.rotations(t), -1, -2) @ force[..., None])[..., 0])
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """A polyline timed within the limits: places at any time, and how long it takes."""
+    """A polyline timed within the limits: places at given times, and its duration."""
 
     points: F64  # (N, 3)
     speeds: F64  # (N,) at the points
@@ -175,7 +175,7 @@ class _Line:
         return float(self._legs[4][-1])
 
     def at(self, t: F64) -> F64:
-        """(M, 3) places; before the start and after the end it goes on as straight as it came."""
+        """(M, 3) places at times (M,); before the start and after the end it goes on straight."""
         units, lengths, up, cruise, ends = self._legs
         k = np.clip(np.searchsorted(ends, t, side="right"), 0, len(ends) - 1)
         local = t - np.concatenate([[0.0], ends[:-1]])[k]
@@ -208,7 +208,7 @@ def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool
         corner = KNOT * np.maximum(most / bends - 0.5 * push, 0.15 * most)  # one corner within a knot's blending
         curve = np.sqrt(push * around / bends)  # many: v^2 / r
     speeds[1:-1] = np.minimum(speeds[1:-1], np.minimum(corner, curve))
-    for k in range(len(legs)):  # what can be reached, forwards and backwards
+    for k in range(len(legs)):  # speeds that can be reached, forwards and backwards
         speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + 2 * push * lengths[k]))
     for k in range(len(legs) - 1, -1, -1):
         speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] ** 2 + 2 * push * lengths[k]))
@@ -306,7 +306,7 @@ def correlated(rng: np.random.Generator, count: int, width: int, step: float) ->
 
 
 def _blown(push: F64) -> F64:
-    """(N, 3) metres that pushes of (N, 3) m/s^2 move a vehicle that holds its place: a damped spring."""
+    """(N, 3) metres: displacement of a vehicle that holds its place against pushes (N, 3), m/s^2: a damped spring."""
     A = np.array([[0.0, 1.0, 0.0], [-(HOLD**2), -2.0 * DAMPING * HOLD, 1.0], [0.0, 0.0, 0.0]])
     step = expm(A * KNOT)  # exact for a push that is constant between knots
     top, bottom = ss2tf(step[:2, :2], step[:2, 2:], np.array([[1.0, 0.0]]), np.zeros((1, 1)))

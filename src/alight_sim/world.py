@@ -1,4 +1,4 @@
-"""The simulated world: heights, classes and looks made where they are asked for, and the light on them."""
+"""The simulated world: heights, classes and looks made on demand, and the light on them."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from alight_sim.truth import SceneTruth
 SHADOW_LIMIT = 0.5  # metres: a ray that clears by more is simply lit
 SHADOW_REACH = 60.0  # metres: longer shadows end here
 HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain a metre: hollows of two sizes are darker
-TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # what is kept of what was made
+TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # bytes of tiles and of patches that are kept
 MARGIN = 30.0  # metres beyond the extent that `low` and `high` hold for
 
 
 @dataclass(frozen=True, eq=False)
 class _TileSkin:
-    """What the shading looks up on a tile, of blocks of 2^level cells."""
+    """Layers of a tile for the shading, in blocks of 2^level cells."""
 
     skin: F32  # (S, S, SKIN)
     label: U8  # (S, S) Terrain codes
@@ -44,15 +44,15 @@ class _TileSkin:
 
     @property
     def nbytes(self) -> int:
-        """Memory."""
+        """Memory, bytes."""
         return self.skin.nbytes + self.label.nbytes + self.look.nbytes
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Ground to fly over. Within `extent` truth is kept; the ground goes on beyond, made where it is asked for.
+    """Ground to fly over. Within `extent` truth is kept; the ground goes on beyond, made on demand.
 
-    Everything is a pure function of the scene, the seed and the place: whatever was asked before, on any thread.
+    Everything is a pure function of the scene, the seed and the place, independent of earlier calls and of the thread.
     """
 
     name: str
@@ -63,14 +63,14 @@ class World:
     extent: Box
     light: Light = field(default_factory=Light)
     scene: Scene | None = None
-    warnings: tuple[str, ...] = ()  # what was assumed about it
-    bodies: list[Moving] = field(default_factory=list)  # what came on command: alight_sim.steered
+    warnings: tuple[str, ...] = ()  # assumptions about it
+    bodies: list[Moving] = field(default_factory=list)  # moving things on command: alight_sim.steered
     _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
     _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
 
     @property
     def movers(self) -> tuple[Moving, ...]:
-        """What moves about: in the pictures, not in the truth of the ground."""
+        """Moving things: in the pictures, not in the truth of the ground."""
         return (*self.traffic, *self.bodies)
 
     @cached_property
@@ -81,7 +81,7 @@ class World:
 
     @property
     def sun(self) -> Sun:
-        """Where the light comes from at the start."""
+        """The sun at the start."""
         return self.light.sun_at(0.0)
 
     @property
@@ -96,29 +96,29 @@ class World:
 
     @property
     def low(self) -> float:
-        """No height in the extent is lower, metres."""
+        """Lower bound of the heights in the extent, metres."""
         return self._bounds[0]
 
     @property
     def high(self) -> float:
-        """No height in the extent is higher, metres."""
+        """Upper bound of the heights in the extent, metres."""
         return self._bounds[1]
 
     def range(self, bounds: Box) -> tuple[float, float]:
-        """Heights between which everything in a box lies, on the safe side."""
+        """Lower and upper bound of all heights in a box, metres."""
         return self.source.range(bounds)
 
     def patch(self, bounds: Box, time: float = 0.0, level: int = 0) -> GroundPatch:
         """All layers over a box (west, south, east, north), which is grown to whole tiles; `time` moves the sun.
 
-        `level`: looks and light are of blocks of 2^level cells, for pictures whose pixels cover so much.
+        `level`: looks and light are of blocks of 2^level cells, for pictures with pixels of that size.
         """
         box, sun = self._tile_box(bounds), self.light.sun_at(time)
         make = partial(self._make_patch, box, sun, level)
         return _patch(self._patches.get((box, sun, level), make, lambda p: p.nbytes))
 
     def usual_height(self, bounds: Box) -> float:
-        """Median of a few heights in the tiles of a box: about what a camera is above."""
+        """Median of a few heights in the tiles of a box, metres: about the ground height below a camera."""
         box = self._tile_box(bounds)
         e, n = (np.linspace(a * SIDE, (b + 1) * SIDE, 7)[1:-1].astype(int) for a, b in (box[::2], box[1::2]))
         heights = self._patches.get(
@@ -211,7 +211,7 @@ class World:
         return GroundPatch(grid, height, layers["label"], layers["skin"], looks, tinted, level)
 
     def _make_skin(self, i: int, j: int, sun: Sun, level: int) -> _TileSkin:
-        """Light, class, look and tint of a tile's blocks of 2^level cells; the same whatever lies beside it."""
+        """Light, class, look and tint of a tile's blocks of 2^level cells; equal in every patch."""
         tile, side = self._tile(i, j), SIDE >> level
         codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
         sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
@@ -235,7 +235,7 @@ class World:
         return out
 
     def _make_shadow(self, i: int, j: int, sun: Sun) -> F32:
-        """March towards the sun as far as the highest thing can throw a shadow."""
+        """(SIDE, SIDE) shadow margins, metres: march towards the sun as far as the longest shadow."""
         direction, flat = sun.direction, math.hypot(*sun.direction[:2])
         out = np.full((SIDE, SIDE), SHADOW_LIMIT, np.float32)
         if flat < 1e-6:
@@ -261,7 +261,7 @@ def _patch(value: Any) -> GroundPatch:
 
 
 def _copy(out: dict[str, Any], name: str, layer: Any, to: Any, of: Any, shape: tuple[int, int]) -> None:
-    """One tile's part of one layer."""
+    """Copy one tile's part of one layer into `out`."""
     if name not in out:
         out[name] = np.empty((*shape, *layer.shape[2:]), layer.dtype)
     out[name][to] = layer[of]
@@ -300,7 +300,7 @@ def world_of(
     light: Light | None = None,
     seed: int = 0,
 ) -> World:
-    """A world out of arrays (R, C) on a grid; classes default to bare ground. Its edge goes on outside."""
+    """Make a world from arrays (R, C) on a grid; classes default to bare ground. Its edge goes on outside."""
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
     source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint)
     return World("arrays", "", seed, Origin().local, source, source.extent, light or Light())

@@ -19,7 +19,7 @@ LOCAL = LocalFrame(HOME.latitude, HOME.longitude, HOME.altitude_msl + HOME.separ
 
 
 class Rig:
-    """Both ends, stepped together; `link` is the keywords of both directions' `LossyChannel`."""
+    """Both ends, stepped together; `link` holds the keywords of both directions' `LossyChannel`."""
 
     def __init__(
         self, dialect: str = "ardupilot", seed: int = 0, link: dict[str, float] | None = None, step: float = 0.04,
@@ -73,7 +73,7 @@ class Rig:
         return [n for n in self.heard if n.kind is kind]
 
     def answered(self, ticket: int, seconds: float = 20.0, kind: NoticeKind = NoticeKind.COMMAND) -> Notice:
-        """What became of an order."""
+        """Wait for the answer to an order, and return it."""
         found = lambda: [n for n in self.of(kind) if n.ticket == ticket]  # noqa: E731
         assert found() or self.run(seconds, lambda: bool(found())), f"no answer; heard {self.heard}"
         return found()[0]

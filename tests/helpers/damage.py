@@ -1,4 +1,4 @@
-"""Tiny recordings, and the ways in which recordings are damaged."""
+"""Tiny recordings, and functions that damage recordings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOOK_DOWN = [0.0, -1.0, 0.0, 0.1, -1.0, 0.0, 0.0, 0.2, 0.0, 0.0, -1.0, -0.05, 0.
 
 
 def picture(seed: int = 0, size: tuple[int, int] = SIZE, grey: bool = False) -> Image.Image:
-    """Noise: nothing that JPEG could shorten to nothing."""
+    """A picture of noise, which JPEG cannot compress to a few bytes."""
     shape = size[::-1] if grey else (*size[::-1], 3)
     return Image.fromarray(np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8))
 
@@ -57,7 +57,7 @@ def write_rows(path: Path, rows: list[list[Any]]) -> None:
 
 
 def write_camera(folder: Path, n: int, grey: bool, shift: int = 0) -> None:
-    """One camera stream of n PNG images."""
+    """Write one camera stream of n PNG images."""
     write_yaml(folder / "sensor.yaml", camera_yaml(), head="%YAML:1.0\n")
     (folder / "data").mkdir()
     for k in range(n):
@@ -73,7 +73,7 @@ def nav_row(k: int) -> list[Any]:
 
 
 def write_flight(folder: Path, n: int = 6, cameras: int = 2) -> Path:
-    """A whole healthy flight log of n exposures, grey left and colour right."""
+    """Write a whole undamaged flight log of n exposures, grey left and colour right."""
     mav = folder / "mav0"
     for c in range(cameras):
         write_camera(mav / f"cam{c}", n, grey=c == 0)
@@ -104,13 +104,13 @@ def change_field(path: Path, number: int, column: int, text: str) -> None:
 
 
 def cut_off(path: Path, share: float = 0.5) -> None:
-    """Keep the first part of a file only, as an interrupted copy does."""
+    """Keep the first part of a file only, as after an interrupted copy."""
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
 
 
 def zero_tail(path: Path, share: float = 0.5) -> None:
-    """Keep the first part of a file and fill the rest with zeros, as some file systems do after a power loss."""
+    """Keep the first part of a file and fill the rest with zeros, as after a loss of power on some file systems."""
     data = path.read_bytes()
     kept = int(len(data) * share)
     path.write_bytes(data[:kept] + bytes(len(data) - kept))
@@ -124,7 +124,7 @@ DEWARP = "2022-03-02;60.0,60.0,2.0,-1.0,-0.1,0.01,0.001,0.0005,0.002"
 
 
 def dji_tags(**changes: str) -> dict[str, str]:
-    """What DJI writes, with changes; an empty value removes a tag."""
+    """Tags of DJI, with changes; an empty value removes a tag."""
     tags = {
         "AbsoluteAltitude": "+350.00",
         "RelativeAltitude": "+45.00",
@@ -180,7 +180,7 @@ def write_photo(
     gps: dict[int, Any] | None = None,
     image: Image.Image | None = None,
 ) -> Path:
-    """One JPEG with EXIF (extra `main`, `photo` and `gps` tags by number) and XMP; of noise, or an `image`.
+    """Write one JPEG with EXIF (extra `main`, `photo` and `gps` tags by number) and XMP; of noise, or an `image`.
 
     A `gps` tag of None is left out.
     """
@@ -205,7 +205,7 @@ def write_photo(
 
 
 def write_photos(folder: Path, n: int = 4) -> Path:
-    """A healthy folder of n photos, 3 s and about 3 m apart."""
+    """Write an undamaged folder of n photos, 3 s and about 3 m apart."""
     for k in range(n):
         write_photo(folder / f"DJI_{k:04d}.JPG", k, second=f"{10 + 3 * k}", place=(45.0 + 3e-5 * k, 7.6, 350.0))
     return folder
@@ -227,7 +227,7 @@ def campaign_line(landing: int) -> dict[str, Any]:
 
 
 def write_campaign(folder: Path, landings: int = 3) -> Path:
-    """The folder of a campaign of which all is flown."""
+    """Write the folder of a campaign whose landings are all flown."""
     head = {"alight": alight.__version__, "seed": 0, "scenes": ["lake"], "landings": landings}
     folder.mkdir(parents=True)
     tree = head | {"settings": Settings().model_dump(mode="json")}

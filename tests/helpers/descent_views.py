@@ -1,4 +1,4 @@
-"""Views of a smooth hilly ground whose paint has detail at every scale, from 100 m down to where a blade would show."""
+"""Views of smooth hilly ground with texture at every scale, from a height of 100 m down to that of a blade of grass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FINEST, OCTAVES = 0.02, 12  # metres of the finest blob, and how often it double
 
 
 def surface(east: F64, north: F64) -> F64:
-    """Metres: hills, and humps that only show from near."""
+    """Height in metres: hills, and humps that are only visible from near."""
     hills = 0.8 * np.sin(east / 17.0) * np.cos(north / 13.0)
     return np.asarray(hills + 0.12 * np.sin(east / 1.9 + 0.3) * np.sin(north / 1.5))
 
@@ -33,7 +33,7 @@ def _noise(octave: int) -> NDArray[np.float32]:
 
 
 def paint(east: F64, north: F64, pixel: float) -> F64:
-    """Grey level; what is finer than a pixel is left out."""
+    """Grey level of the texture; detail finer than `pixel` metres is left out."""
     out = np.full(east.shape, 128.0)
     for k in range(OCTAVES):
         size = FINEST * 2.0**k
@@ -44,7 +44,7 @@ def paint(east: F64, north: F64, pixel: float) -> F64:
 
 
 def look(place: Sequence[float], k: int, yaw: float = 0.0, sway: float = 0.02) -> View:
-    """What a camera sees from there, swaying a little."""
+    """View of a camera from a place, swaying a little."""
     tilt = sway * np.array([np.sin(1.3 * k), np.cos(2.1 * k), np.sin(0.7 * k)])
     pose = Pose(so3_exp(tilt) @ so3_exp([0.0, 0.0, yaw]) @ DOWN, np.asarray(place, dtype=np.float64))
     rays = _RAYS @ pose.rotation.T

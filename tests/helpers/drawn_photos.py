@@ -1,4 +1,4 @@
-"""A small survey as a drone writes it: photos of a textured relief, drawn by casting each pixel's ray."""
+"""A small survey in a drone's format: photos of a textured relief, drawn by casting each pixel's ray."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ SMALL = [
 
 
 def relief(x: F64, y: F64) -> F64:
-    """Of 2 m, flat enough to be landed on at the top."""
+    """Height in metres of a relief of 2 m, flat enough for a landing at the top."""
     return np.sin(x / 9.0) * np.cos(y / 7.0)
 
 
 def texture(seed: int) -> NDArray[np.uint8]:
-    """Blobs of several sizes over 120 m."""
+    """Grey texture of blobs of several sizes over 120 m."""
     rng = np.random.default_rng(seed)
     total = sum(cv2.GaussianBlur(rng.normal(size=(1200, 1200)), (0, 0), s) * s for s in (1.5, 3.0, 6.0))
     return np.asarray(np.clip(128 + 45 * total / np.std(total), 0, 255), dtype=np.uint8)
 
 
 def look(ground: NDArray[np.uint8], centre: F64, world_from_cam: F64, camera: Camera = CAMERA) -> NDArray[np.uint8]:
-    """The relief from a place, (H, W, 3)."""
+    """Picture of the relief from a place, (H, W, 3)."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(np.float64)
     ray = camera.rays(np.stack([u, v], axis=-1)) @ world_from_cam.T
     h = np.zeros(u.shape)
@@ -56,7 +56,7 @@ def look(ground: NDArray[np.uint8], centre: F64, world_from_cam: F64, camera: Ca
 
 
 def draw_photos(folder: Path, lines: int = 2, per_line: int = 4, zooms: tuple[float, ...] = (1.0,)) -> Path:
-    """Lines of photos 10 m apart, 14 m from line to line, with RTK, gimbal and lens; lines take turns in zoom."""
+    """Draw lines of photos 10 m apart, 14 m from line to line, with RTK, gimbal and lens; zooms change by line."""
     ground = texture(3)
     rng = np.random.default_rng(9)
     for k in range(lines * per_line):

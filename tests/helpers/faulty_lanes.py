@@ -15,7 +15,7 @@ from alight.runner.live.lanes import JudgingProcess, MappingProcess, NavigationP
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong: `raise`, `hang`, `die` or `slow` (for so many seconds), at exposures of these stamps."""
+    """A fault: `raise`, `hang`, `die` or `slow` (for `seconds`), at exposures of these stamps."""
 
     kind: str
     stamps: frozenset[int]
@@ -53,7 +53,7 @@ class FaultyMapping(MappingProcess):
 
 
 class FaultyJudging(JudgingProcess):
-    """Strikes at its second map, counted over its lives in a file: `stamps` has one number, of the map."""
+    """Fails at its second map, counted over its processes in a file: `stamps` has one number, of the map."""
 
     def __init__(self, fault: Fault, count: Path, *given: Any) -> None:
         super().__init__(*given)
@@ -70,12 +70,12 @@ class IdleOrBusy:
     """A lane that works or sleeps."""
 
     def work(self, seconds: float) -> float:
-        """Use so much processor time."""
+        """Use `seconds` of processor time."""
         begin = time.process_time()
         while time.process_time() - begin < seconds:
             pass
         return seconds
 
     def sleep(self, seconds: float) -> None:
-        """Use none."""
+        """Sleep for `seconds` without processor time."""
         time.sleep(seconds)

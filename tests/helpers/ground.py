@@ -14,7 +14,7 @@ GREY, GREEN, BROWN, POND = (128, 128, 128), (90, 130, 60), (150, 120, 90), (70, 
 def ground(
     height: ArrayLike, cell: float = 0.1, sigma: float = 0.0, rgb: tuple[int, int, int] | NDArray[np.uint8] = GREY
 ) -> ElevationMap:
-    """A map of these heights (NaN = unseen); its south-western cell is at (0, 0)."""
+    """Make a map of heights (NaN = unseen); its south-western cell is at (0, 0)."""
     h = np.asarray(height, dtype=np.float32)
     colour = np.broadcast_to(np.asarray(rgb, dtype=np.uint8), (*h.shape, 3)).copy()
     unseen = np.isnan(h)
@@ -32,12 +32,12 @@ def plane(rows: int, cols: int, east_slope: float, north_slope: float, cell: flo
 
 
 def covered(elevation: ElevationMap, landable: ArrayLike, label: Terrain = Terrain.SHORT_GRASS) -> TerrainMap:
-    """A cover with these probabilities."""
+    """Land cover of one class, with P(landable) of each cell."""
     p = np.broadcast_to(np.asarray(landable, dtype=np.float32), elevation.grid.shape).copy()
     return TerrainMap(elevation.grid, np.full(elevation.grid.shape, label, np.uint8), p)
 
 
 def textured(colour: tuple[int, int, int], shape: tuple[int, int], contrast: float, seed: int) -> NDArray[np.uint8]:
-    """That colour with a relative brightness noise of `contrast` from cell to cell."""
+    """A colour with a relative brightness noise of `contrast` from cell to cell."""
     noise = np.random.default_rng(seed).normal(1.0, contrast, shape)
     return np.clip(np.asarray(colour) * noise[..., None], 1, 255).astype(np.uint8)

@@ -50,7 +50,7 @@ def box(height: float, half: float = 2.0) -> Surface:
 
 
 def hit(surface: Surface, world_from_cam: Pose, rays_world: F64, top: float) -> F64:
-    """Where rays (..., 3) first meet the surface: a march from above in steps of 5 mm of height, then halving."""
+    """Points where rays (..., 3) first hit the surface: a march from above in steps of 5 mm of height, then halving."""
     centre = world_from_cam.translation
 
     def at(depth: F64) -> F64:
@@ -77,7 +77,7 @@ def hit(surface: Surface, world_from_cam: Pose, rays_world: F64, top: float) -> 
 
 @dataclass(frozen=True)
 class Scene:
-    """A surface and its paint, looked at by `count` views along a slightly curved line."""
+    """A surface and its paint, seen by `count` views along a slightly curved line."""
 
     surface: Surface = field(default_factory=plane)
     paint: Paint = field(default_factory=lambda: Texture(1))
@@ -88,13 +88,13 @@ class Scene:
     camera: Camera = LENS
 
     def pose(self, k: int, count: int) -> Pose:
-        """Where view k is: along the east axis, swaying a little, looking down a little askew."""
+        """Pose of view k: along the east axis, swaying a little, nearly straight down."""
         tilt = 0.02 * np.array([np.sin(1.3 * k), np.cos(2.1 * k), np.sin(0.7 * k)])
         x = (k - 0.5 * (count - 1)) * self.spacing
         return Pose(so3_exp(tilt) @ DOWN, np.array([x, 0.5 * np.sin(2.0 * k), UP + 0.1 * np.cos(k)]))
 
     def picture(self, pose: Pose, k: int, gain: float = 1.0, offset: float = 0.0) -> NDArray[np.uint8]:
-        """What a camera sees: the mean over 2 x 2 rays a pixel."""
+        """Picture of a camera: the mean over 2 x 2 rays a pixel."""
         c = self.camera
         u, v = np.meshgrid(np.arange(2 * c.width) / 2 - 0.25, np.arange(2 * c.height) / 2 - 0.25)
         rays = c.rays(np.stack([u, v], axis=-1)) @ pose.rotation.T
@@ -107,7 +107,7 @@ class Scene:
     def views(
         self, count: int = 6, gains: tuple[float, ...] = (1.0,), offsets: tuple[float, ...] = (0.0,)
     ) -> list[View]:
-        """All of them; gains and offsets are used in turn."""
+        """All views; gains and offsets are used in turn."""
         out = []
         for k in range(count):
             pose = self.pose(k, count)

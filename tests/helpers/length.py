@@ -1,4 +1,4 @@
-"""Which tests are left to `make test-long`: more cases of what a shorter test has already shown."""
+"""Mark of the tests for `make test-long`: further cases of a property that a shorter test covers already."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ long = pytest.mark.long
 
 
 def first(count: int, values: Iterable[Any]) -> Sequence[Any]:
-    """Parameters of a test, of which all but the first `count` are long."""
+    """Parameters of a test; all but the first `count` are marked long."""
     return [pytest.param(v, marks=() if k < count else long) for k, v in enumerate(values)]

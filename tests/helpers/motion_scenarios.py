@@ -1,4 +1,4 @@
-"""Flights damaged in named ways, and what the filter makes of them: for the tests and for bench/bench_motion.py."""
+"""Flights with named damage, and the results of the filter on them, for the tests and for bench/bench_motion.py."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Scenario:
     length: float = 14.0
 
     def fly(self, seed: int = 0) -> Outcome:
-        """Fly it, damaged and not."""
+        """Run the filter on a damaged flight; the undamaged one is `Outcome.whole`."""
         f = PointFlight(seed=seed, seconds=self.length, **self.flight)  # type: ignore[arg-type]
         left = [e for e in (self.how(e, seconds(e)) for e in f.events) if e is not None]
         estimator, motions = run(left)
@@ -39,7 +39,7 @@ class Scenario:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of it."""
+    """Motions of the filter on a damaged flight, with the truth."""
 
     scenario: Scenario
     flight: PointFlight
@@ -48,7 +48,7 @@ class Outcome:
 
     @cached_property
     def whole(self) -> list[Motion]:
-        """The same flight without damage."""
+        """Motions of the filter on the same flight without damage."""
         return run(self.flight.events)[1]
 
     def states(self, start: float, end: float) -> set[MotionState]:
@@ -65,7 +65,7 @@ class Outcome:
         return float(max(np.abs(e / np.sqrt(np.diag(c))).max() for e, c in found))
 
     def against_whole(self, after: float) -> tuple[float, float]:
-        """RMS difference to the undamaged run after a time: position in the world [m], attitude [rad], over error."""
+        """RMS after a time: position against the undamaged run [m], and attitude error [rad]."""
         a = {m.t_ns: m for m in self.whole}
         both = [(m, a[m.t_ns]) for m in self.motions if seconds(m) >= after and m.t_ns in a]
         place = [np.linalg.norm(best(m)[0] - best(n)[0]) for m, n in both]
@@ -114,7 +114,7 @@ def _dropped(e: Sample, t: float) -> Sample | None:
 
 
 def _covered(e: Sample, t: float) -> Sample | None:
-    """Features that were there before do not come back: the tracker has new ones after."""
+    """Cover the lens: no feature comes back, so that the tracker has new ones after."""
     if not isinstance(e, Tracks):
         return e
     if 6.0 <= t < 9.0:

@@ -1,4 +1,4 @@
-"""A map that knows nothing, and one of which a step refined some rectangles."""
+"""A map without heights, and one of which a step refined some rectangles."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from alight.records import ElevationMap, Heights
 
 
 def nothing_known(grid: Grid) -> ElevationMap:
-    """A map that never saw anything."""
+    """A map without any height."""
     return TiledElevation(grid.cell, 64).read(grid)
 
 
 def with_parts(known: ElevationMap, parts: Iterable[Heights]) -> ElevationMap:
-    """The map with the rectangles in their places."""
+    """The map with heights of some rectangles replaced."""
     fields: dict[str, Any] = {k: getattr(known, k).copy() for k in FIELDS}
     for part in parts:
         row, col = (round(float(v)) for v in known.grid.index(np.array(part.grid.east), np.array(part.grid.north)))

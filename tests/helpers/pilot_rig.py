@@ -29,7 +29,7 @@ See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the v
 
 
 def seldom(r: PilotRig, period: float) -> None:
-    """Let a position through every so many seconds."""
+    """Let a position through every `period` seconds."""
     hear, newest = r.vehicle._state.hear, [-np.inf]
 
     def seldom_hear(name: str, m: Any, now_ns: int) -> bool:
@@ -74,7 +74,7 @@ class PilotRig(Rig):
         self.ticks = True  # False: somebody else ticks the pilot
 
     def begin(self, hand: OrderTaker | None = None, flying: bool = False) -> None:
-        """The landing begins."""
+        """Begin the landing."""
         self.pilot = LandingPilot(self.settings, LOCAL, self.vehicle, hand or self.vehicle, self._judge, self)
         self._expose()
         self.run(1.0)
@@ -82,11 +82,11 @@ class PilotRig(Rig):
         self.pilot.begin(self.now_ns, flying)
 
     def fly(self, until: FlightState, seconds: float = 400.0) -> bool:
-        """Until the executive is in a state."""
+        """Run until the executive is in a state; False: it never was."""
         return self.run(seconds, lambda: self.pilot is not None and self.pilot.state is until)
 
     def moving_since(self, t: float) -> list[str]:
-        """What was sent since then that may move the vehicle."""
+        """Messages sent after `t` that may move the vehicle, by name and command."""
         out = []
         for then, m in self.wire:
             name = m.get_type()
@@ -123,7 +123,7 @@ class PilotRig(Rig):
             self.view = self.pilot.tick(self.now_ns + LATER)
 
     def _expose(self) -> None:
-        """An exposure now, with its motion a little later."""
+        """Make an exposure now, with its motion a little later."""
         assert self.pilot is not None
         if not self.pictures:
             return

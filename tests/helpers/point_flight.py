@@ -1,7 +1,7 @@
-"""Flights without images: a trajectory, its sensors, and points seen by the rig, everything known exactly.
+"""Flights without images: a trajectory, its sensors, and points seen by the rig, all with exact truth.
 
-Errors are drawn from the filter's own models (docs/method/motion.md), so that what it claims can be held against what
-it does; what departs from them is put in by hand.
+Errors are drawn from the filter's own models (docs/method/motion.md), so that its covariance can be compared with its
+errors; departures from these models are added by hand.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class PointFlight:
 
     @staticmethod
     def seconds_of(e: Event | Tracks) -> float:
-        """Since the first exposure."""
+        """Seconds since the first exposure."""
         return (e.t_ns - START) * 1e-9
 
     def _velocity(self, t: F64, h: float = 1e-3) -> F64:
@@ -97,7 +97,7 @@ class PointFlight:
         return np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1) / (2 * h)
 
     def imu_samples(self) -> list[ImuSample]:
-        """200 Hz, with biases that walk."""
+        """IMU samples at 200 Hz, with biases of random walk."""
         t, n, rng = np.arange(-0.5, self.seconds, 0.005), self.noise, self.rng(1)
         R = self.poses(t)[0]
         force = np.einsum("nji,nj->ni", R, (self._velocity(t + 1e-3) - self._velocity(t - 1e-3)) / 2e-3 + UP)
@@ -110,7 +110,7 @@ class PointFlight:
         return [ImuSample(_ns(a), w, f) for a, w, f in zip(t, gyro, force, strict=True)]
 
     def nav_samples(self) -> list[NavSample]:
-        """20 Hz, its errors drifting within the sigma that it claims."""
+        """GPS/INS samples at 20 Hz, with errors that drift within their sigma."""
         t, n, rng = np.arange(-0.487, self.seconds, 0.05), self.noise, self.rng(2)
         R, p = self.poses(t)
         sigma_p, sigma_a, sigma_v = np.array(self.sigma_position), np.array(self.sigma_attitude), self.sigma_velocity
@@ -152,7 +152,7 @@ class PointFlight:
         return np.column_stack([xy, z])[order], drift[order]
 
     def tracks(self) -> list[Tracks]:
-        """What the cameras see; now and then a point is not found again and comes back under another number."""
+        """Tracks of the points in view; now and then a point is not found again and comes back with another number."""
         t, rng = np.arange(0.0, self.seconds, 1.0 / self.rate_hz), self.rng(4)
         x, drift = self._points
         names = np.arange(len(x))
@@ -173,7 +173,7 @@ class PointFlight:
 
     @cached_property
     def events(self) -> list[Event | Tracks]:
-        """All of it in order of time."""
+        """All samples and tracks in order of time."""
         out: list[Event | Tracks] = [*self.nav_samples(), *self.tracks(), *(self.imu_samples() if self.imu else [])]
         return sorted(out, key=lambda e: (e.t_ns, isinstance(e, Tracks)))
 
@@ -208,25 +208,25 @@ Damage = Callable[[Event | Tracks], "Event | Tracks | None"]
 
 
 def damaged(events: Sequence[Event | Tracks], how: Damage) -> Iterator[Event | Tracks]:
-    """The events as `how` leaves them; None: lost."""
+    """The events after the damage `how`, which returns None for a lost one."""
     return (e for e in map(how, events) if e is not None)
 
 
 def seconds(e: Event | Tracks | Motion) -> float:
-    """Since the first exposure."""
+    """Seconds since the first exposure."""
     return (e.t_ns - START) * 1e-9
 
 
 def run(
     events: Iterator[Event | Tracks] | Sequence[Event | Tracks], settings: FilterSettings = NOISE, rig: Rig = RIG
 ) -> tuple[MotionFilter, list[Motion]]:
-    """Feed a filter; the motions that it gave out."""
+    """Feed a filter with events; return it, and the motions that it gave out."""
     f = MotionFilter(rig, settings)
     return f, [m for m in fed(f, events) if m is not None]
 
 
 def fed(f: MotionFilter | RollbackFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
-    """Feed events as they come; what the filter said of each exposure."""
+    """Feed events in their order; return the filter's motion of each exposure, None without one."""
     out = []
     for e in events:
         if isinstance(e, ImuSample):
@@ -261,5 +261,5 @@ def nees(m: Motion, truth: Pose) -> float:
 
 
 def blind(t: Tracks) -> Tracks:
-    """An exposure in which nothing was found."""
+    """The exposure without any feature."""
     return replace(t, ids=t.ids[:0], pixels=t.pixels[:0], normalised=t.normalised[:0])

@@ -1,4 +1,4 @@
-"""A small made-up run with everything in it, for the tests of what a run leaves behind."""
+"""A small made-up run with all parts of a result, for the tests of the output files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LOCAL = LocalFrame(48.1023, 15.4412, 301.0)
 
 
 def elevation() -> ElevationMap:
-    """A gentle slope with a box on it, a pond that moves and a corner that nobody saw."""
+    """A gentle slope with a box on it, a pond that moves and an unseen corner."""
     rng = np.random.default_rng(3)
     east, north = np.meshgrid(*GRID.xy())
     height = (2.0 + 0.02 * east - 0.01 * north + rng.normal(0, 0.01, GRID.shape)).astype(np.float32)
@@ -60,7 +60,7 @@ def terrain() -> TerrainMap:
 
 
 def hazards() -> HazardMap:
-    """Box, pond and unseen corner are refused, the rest is safe."""
+    """Hazard map: box, pond and unseen corner are refused, the rest is safe."""
     reasons = np.zeros(GRID.shape, np.uint16)
     reasons[80:110, 100:150] |= np.uint16(Hazard.TERRAIN | Hazard.UNKNOWN)
     reasons[18:42, 28:62] |= np.uint16(Hazard.STEP)

@@ -13,7 +13,7 @@ F64 = NDArray[np.float64]
 
 
 def sweep_cost(samples: F32, keep: float, truncation: float) -> tuple[F64, NDArray[np.int64]]:
-    """Eq. 6: mean of the smallest deviations from the median, scaled so that any number of views compares."""
+    """Eq. 6: mean of the smallest deviations from the median, scaled to be comparable for any number of views."""
     count = np.isfinite(samples).sum(axis=0)
     cost = np.full(count.shape, float(truncation))
     for r, c in zip(*np.nonzero(count >= 2), strict=True):
@@ -42,7 +42,7 @@ def catmull_rom(t: float) -> F64:
 
 
 def splat(found: F32, ratio: F32, ground: float, cell: float, place: F64, shape: tuple[int, int]) -> tuple[F64, F64]:
-    """Every height at the cells about its place on its ray, highest last."""
+    """Write every height into the cells about its place on its ray; the highest wins."""
     height, which = np.full(shape, np.nan), np.full(shape, np.nan)
     rows, cols = np.nonzero(np.isfinite(found))
     for k in np.argsort(found[rows, cols], kind="stable"):
@@ -98,14 +98,14 @@ def winner(total: F64, cost: F64, count: NDArray[np.int64]) -> tuple[F64, F64]:
 
 
 def normalised(grey: F32, reach: int, floor: float) -> F64:
-    """Eq. 5, the border going on beyond the picture."""
+    """Eq. 5, with the border repeated beyond the picture."""
     g = np.pad(grey.astype(np.float64), reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(g, (2 * reach + 1,) * 2)
     return (grey - windows.mean(axis=(2, 3))) / np.maximum(windows.std(axis=(2, 3)), floor)
 
 
 def template(samples: F32, tau: float) -> tuple[F64, F64, NDArray[np.int64]]:
-    """Eq. 8: biweights about the median, nothing from 4 tau on; the weighted mean; how many views it holds."""
+    """Eq. 8: biweights about the median, 0 from 4 tau on; the weighted mean; the number of views in it."""
     s = samples.astype(np.float64)
     seen = np.isfinite(s)
     with np.errstate(all="ignore"), warnings.catch_warnings():
@@ -184,7 +184,7 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
 
 
 def visibility(h: F32, centres: F64, xs: F64, ys: F64, cell: float, margin: float) -> NDArray[np.uint8]:
-    """Eq. 13: the ray is followed to the camera, a cell a step along its longer axis, all the way."""
+    """Eq. 13: follow the ray up to the camera, one cell a step along its longer axis."""
     rows, cols = h.shape
     visible = np.ones((len(centres), rows, cols), np.uint8)
     for i, r, c in np.ndindex(*visible.shape):

@@ -16,7 +16,7 @@ FAR = 1e4  # px, the residual of a point behind the camera
 
 
 def exposed(state: BundleState, lenses: PhotoLenses, velocity: F64, photo: int, row: float) -> tuple[F64, F64, float]:
-    """Rotation and centre when a row was exposed, and when, in readouts (eq. 10)."""
+    """Rotation and centre at the exposure of a row, and its time, in readouts (eq. 10)."""
     t = (row + 0.5) / lenses.of_photo(photo).height - 0.5
     turn = so3_exp(state.turns[photo, 0] * t + state.turns[photo, 1] * (t * t - 1 / 12))
     way = velocity[photo] * lenses.readout(np.array([photo]))[0] * t
@@ -79,7 +79,7 @@ def cauchy_weights(r: F64, sigma: F64, loss: float) -> F64:
 
 
 def meeting_points(starts: I64, ray: F64, origin: F64, focal: F64, rounds: int, scale: float) -> F64:
-    """(m, 3) points nearest to their rays, reweighted by the angle they miss by."""
+    """(m, 3) points nearest to their rays, reweighted by their angular residual."""
     weight, out = np.ones(len(ray)), np.empty((len(starts) - 1, 3))
     for _ in range(rounds):
         for k, (a, b) in enumerate(pairwise(starts)):

@@ -16,7 +16,7 @@ NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
 
 
 def texture(image: U8, pixels: F32, window: int) -> F64:
-    """The Shi-Tomasi response at pixels, out of that of the whole picture."""
+    """The Shi-Tomasi response at pixels, from that of the whole picture."""
     response = cv2.cornerMinEigenVal(image, window)
     x, y = np.clip(np.round(pixels).astype(int), 0, np.array(image.shape[::-1]) - 1).T
     return np.asarray(response[y, x], dtype=np.float64)
@@ -41,7 +41,7 @@ def _bilinear(image: F64, x: F64, y: F64) -> F64:
 
 
 def settled(patch: U8, place: F64, turn: F64, image: U8, half: int, start: F64, rounds: int = 30) -> tuple[F64, float]:
-    """Where a patch is in an image, and the correlation there: shift, gain and offset by least squares."""
+    """Position of a patch in an image, and the correlation there: shift, gain and offset by least squares."""
     v, u = np.mgrid[-half - 1 : half + 2, -half - 1 : half + 2].astype(float)
     x, y = place[0] + turn[0, 0] * u + turn[0, 1] * v, place[1] + turn[1, 0] * u + turn[1, 1] * v
     lay, inner, at = _bilinear(patch.astype(float), x, y), np.s_[1:-1, 1:-1], start.astype(float)
@@ -85,7 +85,7 @@ def linearise(
 
 
 def eliminate(observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
-    """The fields of `PoseConstraint` that do not depend on the root taken, and A of every feature in full (M21)."""
+    """The fields of `PoseConstraint` that do not depend on the choice of root, and A of every feature in full (M21)."""
     e, P, X = linearise(observations, poses, cams, x)
     n, k = observations.sigma.shape
     inverse = np.linalg.inv(np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3))
@@ -139,7 +139,7 @@ def nearest_to_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
 def schur(
     starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float, pose: I64, poses: int
 ) -> tuple[F64, F64, F64]:
-    """Reduced matrix, right side, and steps of the points when the poses stay: by the full dense system."""
+    """Reduced matrix, right side, and steps of the points with the poses fixed: by the full dense system."""
     m, n = len(residual), len(starts) - 1
     J = np.zeros((2 * m, 6 * poses + 3 * n))
     for k, point in enumerate(np.repeat(np.arange(n), np.diff(starts))):

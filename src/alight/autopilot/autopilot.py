@@ -18,12 +18,12 @@ _HEARTBEAT_NS = 1_000_000_000
 
 
 class TelemetryTaker(Protocol):
-    """Is fed with the messages of a vehicle: `TelemetryEvents`, or something of your own."""
+    """Receiver of a vehicle's messages: `TelemetryEvents`, or a class of your own."""
 
-    starts: int  # of the autopilot, that what was taken belongs to
+    starts: int  # number of the autopilot's start that the taken messages belong to
 
     def forget(self, starts: int) -> None:
-        """Begin anew after the autopilot has started anew, for the so-many-th time."""
+        """Begin anew after a restart of the autopilot; `starts` counts its starts."""
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
         """Take a message; return the samples that are complete now, in order."""
@@ -38,10 +38,10 @@ class Autopilot:
     The vehicle is the first autopilot that sends a heartbeat. Other senders are not listened to.
 
     Args:
-        rates: Hz of further streams, or other rates of those that are asked for anyway; 0: not asked for.
-        events: makes GPS/INS rows and IMU samples of the telemetry; None: nobody wants them.
+        rates: Hz of further streams, or other rates of the default streams; 0: not requested.
+        events: makes GPS/INS rows and IMU samples of the telemetry; None: they are not made.
         system: number of the vehicle on a link with several; None: the first.
-        component: what we are called on the link.
+        component: our component number on the link.
 
     Raises:
         MissingExtraError: pymavlink is not installed.
@@ -81,7 +81,7 @@ class Autopilot:
         return out
 
     def notices(self) -> list[Notice]:
-        """Deeds of the vehicle, and its answers to orders, since the last call; each is handed out once."""
+        """State changes of the vehicle, and its answers to orders, since the last call; each is handed out once."""
         out, self._notices = self._notices, []
         return out
 
@@ -107,20 +107,20 @@ class Autopilot:
             self.vehicle.tick(self._now_ns)
 
     def look(self, now_ns: int) -> bool:
-        """Look whether ticks still come, from a thread that gives orders while another one listens and ticks.
+        """Test whether ticks still come, from a thread that gives orders while another one listens and ticks.
 
         Args:
             now_ns: of the clock that ticks.
 
         Returns:
-            False: they have stopped for more than a second, and over several looks. The vehicle counts as lost, and no
-            order may be sent: what the vehicle does and who flies it is not heard.
+            False: they have stopped for more than a second, and over several calls. The vehicle counts as lost, and no
+            order may be sent: the state of the vehicle and its pilot are unknown.
         """
         self._now_ns = max(now_ns, self._now_ns)
         return self.vehicle is None or self.vehicle.look(self._now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Take bytes as they came, in pieces of any length; nothing in them can raise."""
+        """Take bytes as they came, in pieces of any length; no content can raise an exception."""
         self._now_ns = max(now_ns, self._now_ns)
         for heard in self._framing.decode(data, now_ns):
             if self.vehicle is None and heard.name == "HEARTBEAT":

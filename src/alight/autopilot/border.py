@@ -1,4 +1,4 @@
-"""The border: NED/FRD and sea level outside, ENU/FLU and the ellipsoid inside. Nothing else in the house knows both."""
+"""The border: NED/FRD and sea level outside, ENU/FLU and the ellipsoid inside; both meet here alone."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ def metres_between(a: Place, b: Place) -> float:
 
 @dataclass(frozen=True, eq=False)
 class EstimateTie:
-    """Our own position and the autopilot's of the same instant: what ties our world to its.
+    """Our position and the autopilot's of the same instant, which tie our world to the autopilot's.
 
-    What both get wrong (GPS) cancels: a target keeps its place relative to the vehicle.
+    The error that both share (GPS) cancels: a target keeps its place relative to the vehicle.
     """
 
     local: LocalFrame
@@ -84,7 +84,7 @@ class EstimateTie:
     place: Place  # the autopilot's
 
     def place_of(self, target_world: ArrayLike) -> Place:
-        """Return a position of our world as the autopilot must be told it.
+        """Return a position of our world in the autopilot's coordinates.
 
         Args:
             target_world: (3,) metres.

@@ -1,4 +1,4 @@
-"""The autopilot's clock: carried to ours by TIMESYNC, and used to pace what we wait for."""
+"""The autopilot's clock: converted to ours by TIMESYNC, and used for time-outs."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from alight.arrays import F64
 
 _WINDOW = 300  # exchanges: a minute
-_ASKED = 50  # questions that may still be answered
+_ASKED = 50  # requests that may still be answered
 _DRIFT = 50e-6  # 1-sigma of the rate of a crystal
 _FLOOR = 0.2e-3  # s, 1-sigma of an exchange without any waiting
-_JUMP = 0.02  # s, by which an answer may be off beyond its own round trip before the clock has jumped
+_JUMP = 0.02  # s, deviation of an answer beyond its round trip; a larger one means that the clock has jumped
 _SILENCE_NS = 1_500_000_000
 _BACK_NS = 1_000_000_000  # a clock that goes back by more was started again
 
@@ -28,8 +28,8 @@ class _Exchange:
 class VehicleClock:
     """Offset and drift of the autopilot's clock against ours, from the round trips of TIMESYNC.
 
-    An answer came somewhere between question and receipt: its offset is known to half the round trip. Those with the
-    shortest round trip decide; a line through them follows the drift.
+    An answer was sent between request and receipt: its offset is known to half the round trip. The answers with the
+    shortest round trips are used; a line through them follows the drift.
     """
 
     def __init__(self) -> None:
@@ -38,22 +38,22 @@ class VehicleClock:
         self._fit: F64 = np.zeros(2)  # s from the base, s/s
         self._base: _Exchange | None = None
         self._doubtful: _Exchange | None = None  # the last one did not fit the others
-        self.sigma = float("nan")  # s, of an instant carried over now
+        self.sigma = float("nan")  # s, of an instant converted now
 
     @property
     def known(self) -> bool:
-        """True once an answer has come: instants can be carried from one clock to the other."""
+        """True once an answer has come: instants can be converted from one clock to the other."""
         return self._base is not None
 
     def question(self, now_ns: int) -> int:
-        """The stamp to put into TIMESYNC; only its own answers are listened to."""
+        """Return the stamp for a TIMESYNC request; only answers with such a stamp are used."""
         self._asked.append(now_ns)
         return now_ns
 
     def answer(self, asked_ns: int, theirs_ns: int, now_ns: int) -> bool:
-        """Take an answer to TIMESYNC. After a jump of the autopilot's clock all begins anew.
+        """Take an answer to TIMESYNC. After a jump of the autopilot's clock the estimate begins anew.
 
-        A jump is believed when two answers in turn agree on it: a simulated autopilot that had to wait for its machine
+        A jump is accepted when two answers in turn agree on it: a simulated autopilot that had to wait for its machine
         is late once, and catches up.
 
         Args:
@@ -62,7 +62,7 @@ class VehicleClock:
             now_ns: our clock when the answer came.
 
         Returns:
-            False: no question of ours had this stamp, or it was answered before.
+            False: no request of ours had this stamp, or it was answered before.
         """
         if asked_ns not in self._asked or now_ns < asked_ns:
             return False
@@ -80,7 +80,7 @@ class VehicleClock:
         return True
 
     def forget(self) -> None:
-        """Forget all exchanges, as after a reboot: instants cannot be carried over until the next answer."""
+        """Forget all exchanges, as after a reboot: instants cannot be converted until the next answer."""
         self._exchanges.clear()
         self._asked.clear()
         self._base = self._doubtful = None
@@ -106,7 +106,7 @@ class VehicleClock:
         self.sigma = float(np.hypot(np.sqrt(np.linalg.inv(information)[0, 0]), trip.min() / 4))
 
     def ours_ns(self, theirs_ns: int) -> int:
-        """Carry an instant of the autopilot's clock to ours.
+        """Convert an instant of the autopilot's clock to ours.
 
         Raises:
             ValueError: no exchange yet.
@@ -117,7 +117,7 @@ class VehicleClock:
         return theirs_ns + self._base.offset_ns + round(float(self._fit[0] + self._fit[1] * dt) * 1e9)
 
     def theirs_ns(self, ours_ns: int) -> int:
-        """Carry an instant of our clock to the autopilot's.
+        """Convert an instant of our clock to the autopilot's.
 
         Raises:
             ValueError: no exchange yet.
@@ -125,16 +125,16 @@ class VehicleClock:
         if self._base is None:
             raise ValueError("the autopilot's clock is not known yet")
         guess = ours_ns - self._base.offset_ns
-        return guess - (self.ours_ns(guess) - ours_ns)  # the drift over what is left is nothing
+        return guess - (self.ours_ns(guess) - ours_ns)  # the drift over the remainder is negligible
 
 
 def _agree(a: _Exchange, b: _Exchange) -> bool:
-    """True of the same offset, to half of both round trips."""
+    """True if two exchanges have the same offset, within half of both round trips."""
     return abs(a.offset_ns - b.offset_ns) * 1e-9 <= _JUMP + (a.round_trip + b.round_trip) / 2
 
 
 class Pace:
-    """Time for time-outs: the autopilot's own, so that a slow one is waited for; ours while it is silent."""
+    """Clock of the time-outs: the autopilot's own, so that a slow simulation gets its time; ours while it is silent."""
 
     def __init__(self) -> None:
         self.t_ns = 0

@@ -79,7 +79,7 @@ class CommandQueue:
             wait_ns: until it is sent for the first time.
 
         Returns:
-            The ticket that its answer will bear.
+            The ticket that its answer will carry.
         """
         ticket = self.ticket()
         full = (*parameters, *(0.0,) * (_PARAMETERS - len(parameters)))
@@ -125,7 +125,7 @@ class CommandQueue:
         return self._finish(queue, result == 0, text, t_ns, refused=result not in (0, _NOT_NOW))
 
     def tick(self, t_ns: int) -> list[CommandAnswer]:
-        """Send again what was not answered in time; return the answers of commands that were tried often enough."""
+        """Send commands without an answer in time again; return the failure of those that were tried often enough."""
         out = []
         for queue in self._queues.values():
             if queue and t_ns >= queue[0].deadline_ns:

@@ -1,4 +1,4 @@
-"""Who flies: changes of mode that nobody of us asked for, and a pilot's sticks."""
+"""Detection of a takeover: changes of mode that we did not order, and a pilot's sticks."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from collections.abc import Set
 from alight.autopilot.firmware import Firmware
 from alight.records import FlightMode
 
-_REMEMBERED_NS = 6_000_000_000  # how long after our request a change of mode counts as its effect
-_UNDER_WAY_NS = 400_000_000  # after a request, a heartbeat may have left before it came, and copies may still be coming
+_REMEMBERED_NS = 6_000_000_000  # after our request, in which a change of mode counts as its effect
+_UNDER_WAY_NS = 400_000_000  # after a request, in which a heartbeat may have left before it, and copies may still come
 _ENDS = (FlightMode.LAND, FlightMode.RETURN)
-_MOVED = 150  # microseconds of a stick's 1000, from where it was when we took over
+_MOVED = 150  # microseconds of a stick's 1000, from its position when we took control
 
 
 class ControlWatch:
-    """Tells our own changes of mode from somebody else's. We are in control from our first order to a takeover."""
+    """Distinguishes our changes of mode from somebody else's. We are in control from our first order to a takeover."""
 
     def __init__(self, firmware: Firmware) -> None:
         self._firmware = firmware
         self._asked: dict[FlightMode, int] = {}
         self._mode: tuple[FlightMode, str] | None = None
         self._neutral: tuple[int, ...] | None = None
-        self._flown: FlightMode | None = None  # of the newest heartbeat that said armed, since our newest order
+        self._flown: FlightMode | None = None  # of the newest heartbeat with motors armed, since our newest order
         self.in_control = False
 
     @property
     def mode_name(self) -> str:
-        """The autopilot's word for its mode; empty: not heard yet."""
+        """The autopilot's name for its mode; empty: not heard yet."""
         return "" if self._mode is None else self._mode[1]
 
     def ordered(self, mode: FlightMode, t_ns: int) -> None:
-        """Take control and note that a mode was asked for: a change to it within six seconds is ours, once."""
+        """Take control and note that a mode was ordered: a change to it within six seconds is ours, once."""
         if not self.in_control:
             self._neutral = None
         self.in_control, self._flown = True, None
@@ -42,7 +42,7 @@ class ControlWatch:
             self._asked[mode] = t_ns
 
     def released(self) -> None:
-        """Give control away; modes that were asked for are forgotten."""
+        """Give control away; ordered modes are forgotten."""
         self.in_control = False
         self._asked.clear()
 
@@ -59,14 +59,14 @@ class ControlWatch:
 
         Args:
             mode: of the heartbeat.
-            name: the autopilot's word for it.
+            name: the autopilot's name for it.
             t_ns: now.
             unanswered: modes whose orders are still being sent; each try may bring the mode again.
             on_ground: the vehicle stands.
-            armed: the motors run. PX4 leaves the mode of a landing as it stops them, for one that may be armed in.
+            armed: the motors run. PX4 leaves the landing mode as it stops them, for a mode in which it can be armed.
 
         Returns:
-            How it shows that somebody else has taken over, in words; None: it does not.
+            The sign that somebody else has taken over, in words; None: there is none.
         """
         before, self._mode = self._mode, (mode, name)
         self._flown = mode if armed else self._flown
@@ -81,7 +81,7 @@ class ControlWatch:
         return f"the mode went from {before[1]} to {name}, which we did not ask for"
 
     def _is_ours(self, mode: FlightMode, t_ns: int) -> bool:
-        """True if we have asked for this mode; once it is seen, that and all that was asked before it is used up."""
+        """True if we have ordered this mode; once it is seen, this order and all earlier ones are used up."""
         asked_ns = self._asked.get(mode, -_REMEMBERED_NS)
         if t_ns - asked_ns >= _REMEMBERED_NS:
             return False

@@ -1,4 +1,4 @@
-"""ArduPilot and PX4 behind one interface: what each calls its modes, streams and commands."""
+"""ArduPilot and PX4 behind one interface: the modes, streams and commands of each."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class Firmware(Protocol):
     repeats_setpoints: bool  # whether a set-point must be sent again and again
     position_gain: float | None  # 1/s, speed per metre to a set-point; None: it takes speeds as commands
     natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
-    natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are somebody's switch
+    natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are a takeover
     home_items: int  # items of its missions that are not ours
     high_site: float  # metres above its home, from which its LAND comes down fast
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
-        """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own word for it."""
+        """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own name for it."""
 
     def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
         """Parameters of MAV_CMD_DO_SET_MODE."""
@@ -58,7 +58,7 @@ class Firmware(Protocol):
         """Parameters of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
 
     def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Return the items in the form in which this autopilot takes them."""
+        """Return the items in the form that this autopilot takes."""
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make a LANDING_TARGET.
@@ -83,7 +83,7 @@ class ArduPilotFirmware:
     natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
     natural_on_ground = natural
     home_items = 1
-    high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than it believes
+    high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
     _names = tuple(_COPTER.split())
     _meanings: Mapping[str, FlightMode] = {
         "AUTO": FlightMode.MISSION,
@@ -114,15 +114,15 @@ class ArduPilotFirmware:
         return (_CUSTOM_MODE, self._numbers[mode])
 
     def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """The altitude is above the home."""
+        """Parameters with the altitude above the home."""
         return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
 
     def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Item 0 is the home."""
+        """Return the home as item 0, and the items after it."""
         return (home_item(home or Place(0.0, 0.0, 0.0, 0.0)), *items)
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
-        """Angles and position in the body as it is, not levelled: it looks up its own attitude."""
+        """Make it with angles and position in body axes, not levelled: ArduPilot applies its own attitude."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
         distance = float(np.linalg.norm(target_world))
         return message(
@@ -183,13 +183,13 @@ class Px4Firmware:
         return (_CUSTOM_MODE, *self._numbers[mode])
 
     def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """The altitude is above sea level; where it stands is kept."""
+        """Parameters with the altitude above sea level; NaN keeps the place and the heading of the vehicle."""
         home = telemetry.home or telemetry.place
         sea = _NAN if home is None else home.altitude_msl + height
         return (0.0, 0.0, 0.0, _NAN, _NAN, _NAN, sea)
 
     def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Without CONDITION_YAW, which PX4 refuses (the way-points have the heading), and without speeds downwards.
+        """Leave out CONDITION_YAW, which PX4 refuses (the way-points have the heading), and speeds of descent.
 
         PX4 takes every DO_CHANGE_SPEED for the speed over the ground.
         """
@@ -205,7 +205,7 @@ def _is_descent_speed(item: MissionItem) -> bool:
 
 
 def firmware_of(autopilot: int) -> Firmware | None:
-    """The firmware by its number in the heartbeat; None: one that is not supported."""
+    """Return the firmware of a heartbeat's MAV_AUTOPILOT number; None: it is not supported."""
     if autopilot == ARDUPILOT:
         return ArduPilotFirmware()
     return Px4Firmware() if autopilot == PX4 else None

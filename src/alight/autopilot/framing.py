@@ -1,4 +1,4 @@
-"""Bytes to messages and back. What is damaged costs itself and nothing that follows it."""
+"""Bytes to messages and back. A damaged message is lost, but no message after it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class Heard:
-    """A message with its sender, and whether newer ones came before it."""
+    """A message with its sender, and two flags that mark one overtaken by newer messages."""
 
     message: Any
     name: str
@@ -45,14 +45,14 @@ class _Order:
         self._recent: deque[tuple[int, str, int]] = deque(maxlen=_COPIES)
 
     def is_copy(self, sequence: int, name: str, checksum: int) -> bool:
-        """Remember a message; True: its copy came a moment ago."""
+        """Remember a message; True: a copy of it is among the last `_COPIES` messages."""
         entry = (sequence, name, checksum)
         known = entry in self._recent
         self._recent.append(entry)
         return known
 
     def place(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
-        """Take a message into the order; return if it is late by its kind, and if any newer one overtook it."""
+        """Sort in a message; return whether a newer one of its kind, and whether any newer one, came before it."""
         if self._newest is None or now_ns - self._newest_ns > _REMEMBERED_NS:
             self._newest, self._newest_ns = sequence, now_ns
             self._of_kind = {name: sequence}
@@ -76,7 +76,7 @@ class Framing:
         self.counts = FrameCounts()
         self._mavlink = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
         self._buffer = bytearray()
-        self._unknown_left = 0  # bytes of a message that we do not know, and that may be none
+        self._unknown_left = 0  # bytes left of an unknown message, which may be no message at all
         self._orders: dict[tuple[int, int], _Order] = {}
 
     def speak_as(self, system: int, component: int) -> None:
@@ -90,7 +90,7 @@ class Framing:
         return data
 
     def decode(self, data: bytes, now_ns: int) -> list[Heard]:
-        """Take bytes as they come, in pieces of any length; give the whole messages, without copies."""
+        """Take bytes as they come, in pieces of any length; return the whole messages, without copies."""
         self._buffer += data
         out = []
         while (message := self._next()) is not None:
@@ -118,7 +118,7 @@ class Framing:
         self._drop(start)
 
     def _frame_length(self) -> int | None:
-        """Length of the frame that the buffer seems to start with; None: not enough of it yet."""
+        """Length in bytes of the frame that the buffer seems to start with; None: not enough of it yet."""
         if len(self._buffer) < 3:
             return None
         if self._buffer[0] == _V1:
@@ -127,7 +127,7 @@ class Framing:
         return 10 + self._buffer[1] + _CHECKSUM + signed
 
     def _parsed(self, length: int) -> Any | None:
-        """The message of the first `length` bytes, taken out of the buffer; if they are none, one byte is dropped."""
+        """Take the message of the buffer's first `length` bytes; if it is invalid, drop one byte and return None."""
         module = dialect()
         frame = self._buffer[:length]
         try:
@@ -139,7 +139,7 @@ class Framing:
             return None
         if message.get_type().startswith("UNKNOWN_"):  # its checksum cannot be tested
             following = self._buffer[length : length + 1]
-            if not following or following[0] in (_V1, _V2):  # it may still be chance, and hold good ones
+            if not following or following[0] in (_V1, _V2):  # it may be random bytes that contain good messages
                 self.counts.unknown += not self._unknown_left
                 self._unknown_left = max(self._unknown_left, length)
             self._drop(1)

@@ -1,15 +1,15 @@
-"""The watch over the link: the vehicle's heartbeat comes, and somebody listens for it."""
+"""The watch over the link: the vehicle's heartbeat comes, and a thread listens for it."""
 
 from __future__ import annotations
 
 _HEARTBEAT_NS = 3_500_000_000  # without a heartbeat
 _HEARTBEAT_PACE_NS = 1_900_000_000  # and of the autopilot's own time, in which a slow simulation sends one a second
 _DEAF_NS = 1_200_000_000  # without a tick: longer than a TCP link takes to be opened again
-_LOOKS = 5  # in that time: a program that stood still itself has looked once, and has not been deaf
+_LOOKS = 5  # in that time: a program that was itself suspended has looked once only, and is not deaf
 
 
 class LinkWatch:
-    """Watches the heartbeat by `tick`, and by `look` whether ticks come, which the listening thread makes."""
+    """Watch over the heartbeat (`tick`, of the listening thread) and over the ticks (`look`, of another thread)."""
 
     def __init__(self) -> None:
         self.alive = True
@@ -25,14 +25,14 @@ class LinkWatch:
         return back
 
     def tick(self, now_ns: int, pace_ns: int) -> str:
-        """Let time pass; return in words how the vehicle was lost just now, or an empty string."""
+        """Let time pass; return the reason if the vehicle was lost just now, else an empty string."""
         self._ticked_ns, self._looks = now_ns, 0
         late = self._heard_ns is not None and now_ns - self._heard_ns > _HEARTBEAT_NS
         silent = late and pace_ns - self._heard_pace_ns > _HEARTBEAT_PACE_NS
         return self._lose("no heartbeat of the vehicle any more") if silent else ""
 
     def look(self, now_ns: int) -> str:
-        """Look from another thread whether ticks come; return in words if the vehicle was lost by it just now."""
+        """Test from another thread whether ticks come; return the reason if the vehicle was lost just now."""
         self._looks += 1
         return self._lose("nobody listens to the link") if self.is_deaf(now_ns) else ""
 

@@ -1,4 +1,4 @@
-"""Links to an autopilot: UDP, TCP and serial by name. They never wait longer than told, and come back after a break."""
+"""Links to an autopilot: UDP, TCP and serial by name. They wait no longer than a time-out, and reopen after a break."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ NAMES = (
 
 
 class Link(ABC):
-    """Bytes in and out. A link that breaks is opened again by itself; `broken` says why it is not open now.
+    """Bytes in and out. A broken link is opened again by itself; `broken` holds the reason while it is not open.
 
-    One thread reads, and it alone opens again what broke: nobody closes a socket that it waits on, but `close` at the
-    end. Any thread may write.
+    One thread reads, and it alone reopens a broken link: no other thread closes a socket that it waits on, except by
+    `close` at the end. Any thread may write.
     """
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.broken = ""  # why nothing goes through now
+        self.broken = ""  # reason why the link is not open now; empty: it is open
         self._again, self._closed = 0.0, False
-        self._lock = threading.Lock()  # of what is open, against its being closed or exchanged; not held for reading
+        self._lock = threading.Lock()  # guards the socket or port against closing and exchange; not held for reading
 
     @abstractmethod
     def _open(self) -> None:
@@ -54,10 +54,10 @@ class Link(ABC):
 
     @abstractmethod
     def _shut(self) -> None:
-        """Let go of what is open, if anything is. The lock is held."""
+        """Close the socket or port, if it is open. The lock is held."""
 
     def open(self, patient: bool = False) -> None:
-        """Open it for the first time; raises OSError. Patient: what refuses is waited for, as if it had broken off."""
+        """Open it for the first time; raises OSError. Patient: a refused connection is tried again later."""
         try:
             self._open()
         except ConnectionRefusedError as e:
@@ -66,7 +66,7 @@ class Link(ABC):
             self._wait(e)
 
     def read(self, timeout: float = 0.0) -> list[bytes]:
-        """Give what has come, one entry a datagram or chunk; wait for it at most `timeout` seconds."""
+        """Return the received bytes, one entry a datagram or chunk; wait for them at most `timeout` seconds."""
         if self.broken and not self._reopened():
             time.sleep(min(timeout, _AGAIN))
             return []
@@ -79,7 +79,7 @@ class Link(ABC):
 
     def write(self, data: bytes) -> bool:
         """Send; False: the link is broken or full, and the bytes are lost (the protocol sends again)."""
-        if self.broken:  # not waited for: to open it again may take a second
+        if self.broken:  # do not wait: to open it again may take a second
             return False
         with self._lock:
             try:
@@ -106,7 +106,7 @@ class Link(ABC):
         self._wait(error)
 
     def _wait(self, error: Exception) -> None:
-        """Note why it is not open, and when to try again."""
+        """Note the reason why it is not open, and the time of the next attempt."""
         self.broken = str(error) or type(error).__name__
         self._again = time.monotonic() + _AGAIN
 
@@ -128,7 +128,7 @@ class Link(ABC):
 
 
 class UdpLink(Link):
-    """Datagrams. Listening, it answers whoever has spoken of late; sending, it speaks to one address."""
+    """Datagrams. A listening link answers every recent sender; a sending link writes to one address."""
 
     def __init__(self, name: str, host: str, port: int, listen: bool) -> None:
         super().__init__(name)
@@ -177,16 +177,16 @@ class UdpLink(Link):
 
 
 class _StreamLink(Link):
-    """Bytes in order. Half a message would spoil them: the rest of one goes first the next time, or nothing does."""
+    """Bytes in order. The rest of a message that was sent in part goes first; until then no other message is sent."""
 
     _unsent = b""
 
     @abstractmethod
     def _send(self, data: bytes) -> int:
-        """Send as much as fits now; return the number of bytes. Raises BlockingIOError where nothing fits."""
+        """Send as much as fits now; return the number of bytes. Raises BlockingIOError if none fits."""
 
     def _write(self, data: bytes) -> None:
-        """Raises BlockingIOError, and leaves the message out, while one before it is not through."""
+        """Send; raises BlockingIOError, and drops the message, while an earlier one is not sent completely."""
         if self._unsent:
             self._unsent = self._unsent[self._send(self._unsent) :]
         if self._unsent:
@@ -214,7 +214,7 @@ class TcpLink(_StreamLink):
         self._unsent = b""
 
     def _connected(self, timeout: float) -> socket.socket:
-        """The first address that answers, which is the only one from then on; all of them share the time-out."""
+        """Connect to the first address that answers, the only one from then on; all of them share the time-out."""
         error: OSError | None = None
         for address in self._resolved:
             try:
@@ -273,12 +273,12 @@ class SerialLink(_StreamLink):
         return [data]
 
     def _send(self, data: bytes) -> int:
-        """Not by pyserial, whose write without a time-out tries again until there is room."""
+        """Send by the system call: pyserial's write without a time-out tries again until there is room."""
         return os.write(self._port.fileno(), data)
 
     def _shut(self) -> None:
         with suppress(Exception):  # termios has an error of its own
-            self._port.reset_output_buffer()  # else to close it waits until all is sent
+            self._port.reset_output_buffer()  # else closing waits until all is sent
         self._port.close()
 
 
@@ -305,7 +305,7 @@ def open_link(name: str, patient: bool = False) -> Link:
 
     Args:
         name: `udp:0.0.0.0:14550`, `udpout:192.168.1.10:14555`, `tcp:127.0.0.1:5760` or `serial:/dev/ttyACM0:57600`.
-        patient: a TCP server that does not answer yet is waited for, as one that has broken off.
+        patient: try a TCP server that does not answer yet again and again, like a broken link.
 
     Raises:
         InputError: the name is malformed, or there is no such host or device.

@@ -49,7 +49,7 @@ class MissionItem:
 
 
 def waypoint(place: Place, heading: float = math.nan, hold: float = 0.0) -> MissionItem:
-    """Fly to a place and stay for `hold` seconds; heading in rad clockwise from north, NaN: as the autopilot likes."""
+    """Fly to a place and stay for `hold` seconds; heading in rad clockwise from north, NaN: the autopilot chooses."""
     return MissionItem(NAV_WAYPOINT, (hold, 0.0, 0.0, math.degrees(heading) % 360.0), place, ABOVE_HOME)
 
 
@@ -58,7 +58,7 @@ def land(place: Place, heading: float = math.nan) -> MissionItem:
 
     Args:
         place: on the ground.
-        heading: rad clockwise from north; NaN: as the autopilot likes.
+        heading: rad clockwise from north; NaN: the autopilot chooses.
     """
     return MissionItem(NAV_LAND, (0.0, 0.0, 0.0, math.degrees(heading) % 360.0), place, ABOVE_HOME)
 
@@ -106,8 +106,8 @@ def mission_of(
 def _leg(here: Waypoint, there: Waypoint) -> tuple[MissionItem, MissionItem]:
     """Speed and heading of a leg, in this order and both every time.
 
-    What precedes a way-point is done on the way to it. But ArduPilot does the first item before it starts the leg, and
-    that start resets the heading: the heading must be the second.
+    Items before a way-point are executed on the way to it. But ArduPilot executes the first one before it starts the
+    leg, and that start resets the heading: the heading must be the second.
     """
     return _speed(here, there), face(there.heading)
 

@@ -1,4 +1,4 @@
-"""Mission upload: the autopilot asks for each item; what is lost is sent again, what stalls is begun again."""
+"""Mission upload: the autopilot requests each item; lost messages are sent again, a stalled transfer begins again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _AGAIN_NS = 1_000_000_000  # without a request, until the last message is sent a
 _TRIES = 8  # of one message
 _STARTS = 10  # of the whole transfer, longer than ArduPilot waits for an item: until then it refuses a deletion
 _OUT_OF_TURN, _CANCELLED = 13, 15  # MAV_MISSION_RESULT
-_INTERRUPTED = {1, _CANCELLED}  # 1 is ERROR: what a copy of an item or a transfer that timed out brings
+_INTERRUPTED = {1, _CANCELLED}  # 1 is ERROR: the answer to a copy of an item, or to a transfer that timed out
 REFUSALS = {
     1: "it reports an error",
     2: "the frame of an item is not supported",
@@ -37,7 +37,7 @@ class TransferResult:
     ok: bool
     text: str
     items: int
-    late: bool = False  # nobody waits for it: the rest of an upload whose failure was told before
+    late: bool = False  # nobody waits for it: the rest of an upload whose failure was reported before
 
 
 class MissionTransfer:
@@ -51,11 +51,11 @@ class MissionTransfer:
         self._items: tuple[MissionItem, ...] = ()
         self.target = (0, 0)
         self.active = False
-        self.torn = False  # the newest upload failed: what the autopilot holds is no whole mission
+        self.torn = False  # the newest upload failed: the autopilot holds no whole mission
         self._removal = PartRemoval(self._clear)
         self._last: Callable[[], None] = self._announce
         self._asked: set[int] = set()  # since the newest announcement
-        self._begun, self._most = False, 0  # since `start`: it takes items, and has asked for so many
+        self._begun, self._most = False, 0  # since `start`: it takes items; most items requested
         self._interrupted: int | None = None  # a result after which the transfer may or may not go on
         self._deadline_ns = self._tries = self._starts = 0
 
@@ -78,7 +78,7 @@ class MissionTransfer:
             self._begin(t_ns)
 
     def request(self, sequence: int, t_ns: int) -> None:
-        """MISSION_REQUEST or MISSION_REQUEST_INT: send that item, however often it is asked for."""
+        """Answer MISSION_REQUEST or MISSION_REQUEST_INT: send that item, however often it is requested."""
         if not self.active or not 0 <= sequence < len(self._items):
             return
         if sequence not in self._asked:
@@ -96,7 +96,7 @@ class MissionTransfer:
             t_ns: now.
 
         Returns:
-            The end of the transfer; None: it goes on, and what was lost is sent again.
+            The end of the transfer; None: it goes on, and lost messages are sent again.
         """
         if not self.active:
             told = self._removal.acknowledge(result)
@@ -116,7 +116,7 @@ class MissionTransfer:
         return self._refused(result, t_ns)
 
     def tick(self, t_ns: int, flown: bool = False) -> TransferResult | None:
-        """Send again what was not answered in time; return the end of a transfer that nobody answers, else None.
+        """Send an unanswered message again; return the end of a transfer that nobody answers, else None.
 
         Args:
             t_ns: now.
@@ -143,7 +143,7 @@ class MissionTransfer:
         return self._fail(f"mission refused: {REFUSALS.get(result, f'result {result}')}{where}", t_ns)
 
     def _fail(self, text: str, t_ns: int) -> TransferResult | None:
-        """End it; where a part may be left, this one's or an older one's, the result waits for its deletion."""
+        """End the transfer; if a part of it or of an older one may be left, the result waits for the deletion."""
         self.active, self.torn = False, True
         if not (self._begun or self._removal.pending):
             return TransferResult(False, text, len(self._items))

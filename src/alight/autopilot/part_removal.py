@@ -1,18 +1,18 @@
-"""The rest of a failed upload: its deletion is asked for until the autopilot confirms it."""
+"""Deletion of the rest of a failed upload, ordered again until the autopilot confirms it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-_AGAIN_NS, _LATER_NS = 1_000_000_000, 5_000_000_000  # between two tries, and when the failure has been told
-_TRIES = 12  # until it is told; longer than ArduPilot waits for an item: until then it refuses a deletion
+_AGAIN_NS, _LATER_NS = 1_000_000_000, 5_000_000_000  # between two tries, before and after the failure is reported
+_TRIES = 12  # until it is reported; longer than ArduPilot waits for an item: until then it refuses a deletion
 ACCEPTED = 0  # MAV_MISSION_RESULT
 
 
 class PartRemoval:
-    """Deletes the part of a mission that an autopilot may hold which stores items as they come.
+    """Deletes the part of a mission that may be left on an autopilot, which stores items as they come.
 
-    It goes on for as long as nobody confirms it: the link may come back much later.
+    It goes on until the deletion is confirmed: the link may come back much later.
 
     Args:
         send: sends the order to delete the mission.
@@ -26,7 +26,7 @@ class PartRemoval:
         self._deadline_ns = self._tries = 0
 
     def begin(self, failure: str, t_ns: int) -> None:
-        """Begin, after an upload that has failed; in words why."""
+        """Begin after an upload has failed; `failure` is the reason in words."""
         self._failure, self._tries = failure, 0
         self.pending, self._told = True, False
         self._transmit(t_ns)
@@ -36,10 +36,10 @@ class PartRemoval:
         self.pending, self._told = False, True
 
     def acknowledge(self, result: int) -> tuple[bool, str] | None:
-        """Take a MISSION_ACK; a denial is no end.
+        """Take a MISSION_ACK; a denial does not end the removal.
 
         Returns:
-            Whether the failure was told before, and what is to be told now; None: nothing.
+            Whether the failure was reported before, and the text to report now; None: nothing to report.
         """
         if not self.pending or result != ACCEPTED:
             return None
@@ -49,14 +49,14 @@ class PartRemoval:
         return told, text if told else f"{self._failure}; the part that it held is deleted"
 
     def tick(self, t_ns: int, flown: bool) -> str:
-        """Send again what was not confirmed in time.
+        """Send the order again if it was not confirmed in time.
 
         Args:
             t_ns: now.
-            flown: a mission is flown. Once the failure was told that may be another one, and it is left alone.
+            flown: a mission is flown. Once the failure was reported, that may be another mission: it is not deleted.
 
         Returns:
-            In words what is to be told now; empty: nothing.
+            The text to report now; empty: nothing.
         """
         if not self.pending or t_ns < self._deadline_ns or (flown and self._told):
             return ""

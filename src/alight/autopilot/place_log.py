@@ -1,4 +1,4 @@
-"""The autopilot's positions of the last half minute: where it was at an instant, and how old they are."""
+"""The autopilot's positions of the last half minute: its position at an instant, and the age of its reports."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from alight.autopilot.place_watch import PlaceReport, PlaceWatch
 from alight.records import Place
 
 _REMEMBERED = 300  # positions
-_CARRIED_NS = 1_500_000_000  # by its velocity, of a report that is late or one of few
+_CARRIED_NS = 1_500_000_000  # extrapolation of a report by its velocity, where reports are late or few
 _BACK_NS = 400_000_000  # before a report
 _WINDOW_NS = 5_000_000_000  # in which the greatest age is looked for
 
 
 class PlaceLog:
-    """Believed reports in order of time."""
+    """Accepted reports in order of time."""
 
     def __init__(self) -> None:
         self._places: deque[PlaceReport] = deque(maxlen=_REMEMBERED)
@@ -26,11 +26,11 @@ class PlaceLog:
 
     @property
     def doubted(self) -> bool:
-        """True if the newest reports contradict what was known."""
+        """True if the newest reports contradict the accepted ones."""
         return self._watch.doubts
 
     def take(self, report: PlaceReport, now_ns: int) -> bool:
-        """Take a report that came at `now_ns` of our clock; False: it is not believed."""
+        """Take a report that came at `now_ns` of our clock; False: it is not accepted."""
         jumps = self._watch.jumps
         if not self._watch.believes(report):
             return False
@@ -52,7 +52,7 @@ class PlaceLog:
         return (boot_ns - self._places[-1].boot_ns) * 1e-9 if self._places else math.inf
 
     def oldest(self, now_ns: int, clock: VehicleClock) -> float:
-        """Seconds, the greatest age that the newest report has had in the last five; inf: there is none.
+        """Greatest age of the newest report during the last five seconds, in seconds; inf: there is none.
 
         Args:
             now_ns: our clock.

@@ -1,4 +1,4 @@
-"""The watch over reported positions: those on Earth that a vehicle can have flown to are believed."""
+"""The watch over reported positions: a position is accepted if it is on Earth and the vehicle can have reached it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from alight.autopilot.border import METRES_PER_DEGREE, metres_between, metres_pe
 from alight.records import Place
 from alight.records.telemetry import HIGHEST
 
-_MARGIN = 55.0  # m, error of a report and what an estimator may be moved by when it is corrected
+_MARGIN = 55.0  # m, error of a report plus the correction of an estimator
 _FASTEST = 30.0  # m/s, where the vehicle was slower when it was last heard
-_LONGEST = 60.0  # s, for which an old report says where the vehicle can be
-_AGREED_NS = 1_000_000_000  # of reports that agree with each other, until a jump is believed
+_LONGEST = 60.0  # s, for which an old report limits the places of the vehicle
+_AGREED_NS = 1_000_000_000  # of reports that agree with each other, until a jump is accepted
 _NO_SPEED = 32_767  # of an int16 that is not filled
 
 
@@ -28,7 +28,7 @@ class PlaceReport:
     velocity_ned: F64  # (3,) m/s
 
     def at(self, boot_ns: int) -> Place:
-        """The place, carried on by its velocity to another instant of the autopilot's clock."""
+        """Return the place extrapolated by its velocity to another instant of the autopilot's clock."""
         north, east, down = self.velocity_ned * ((boot_ns - self.boot_ns) * 1e-9)
         place = self.place
         return Place(
@@ -42,7 +42,7 @@ class PlaceReport:
 def place_of(latitude: int, longitude: int, altitude: int, above_home: int) -> Place | None:
     """Return a place of MAVLink's integers, 1e-7 degrees and mm; None: they are no place, or not filled.
 
-    Latitude and longitude of exactly 0 are what is sent while nothing is known.
+    A latitude and longitude of exactly 0 are sent while the position is unknown.
     """
     off_earth = abs(latitude) > 90e7 or abs(longitude) > 180e7 or max(abs(altitude), abs(above_home)) > HIGHEST * 1e3
     if off_earth or (latitude == 0 and longitude == 0):
@@ -51,7 +51,7 @@ def place_of(latitude: int, longitude: int, altitude: int, above_home: int) -> P
 
 
 def report_of(m: Any) -> PlaceReport | None:
-    """Return a GLOBAL_POSITION_INT as a report; None: its numbers cannot be true."""
+    """Return a GLOBAL_POSITION_INT as a report; None: its numbers are impossible or not filled."""
     place, speeds = place_of(m.lat, m.lon, m.alt, m.relative_alt), (m.vx, m.vy, m.vz)
     if place is None or max(map(abs, speeds)) >= _NO_SPEED:
         return None
@@ -59,24 +59,24 @@ def report_of(m: Any) -> PlaceReport | None:
 
 
 class PlaceWatch:
-    """Believes a report that the vehicle can have flown to, and a jump when reports have agreed on it for a second.
+    """Accepts a report that the vehicle can have flown to, and a jump once reports have agreed on it for a second.
 
-    An estimator may begin anew somewhere else: a jump must not be doubted for ever.
+    An estimator may begin anew somewhere else: a jump must not be rejected for ever.
     """
 
     def __init__(self) -> None:
         self._believed: PlaceReport | None = None
         self._doubted: PlaceReport | None = None  # the newest after a jump
         self._since_ns = 0  # the first one that it agrees with
-        self.jumps = 0  # that were believed: what was reported before does not fit what comes after
+        self.jumps = 0  # number of accepted jumps: reports before one do not fit those after it
 
     @property
     def doubts(self) -> bool:
-        """True if the newest reports contradict what was known."""
+        """True if the newest reports contradict the accepted ones."""
         return self._doubted is not None
 
     def believes(self, new: PlaceReport) -> bool:
-        """Take a report; False: it is not to be used."""
+        """Take a report; False: it must not be used."""
         if self._believed is None or _can_follow(self._believed, new):
             self._believed, self._doubted = new, None
             return True

@@ -1,4 +1,4 @@
-"""The doorway to pymavlink: its messages and its framing, imported when they are first needed."""
+"""The package's only import of pymavlink: its messages and its framing, imported when they are first needed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from alight.records import MissingExtraError
 
 @cache
 def dialect() -> Any:
-    """Give pymavlink's module of MAVLink 2 with ArduPilot's dialect, which contains the common messages.
+    """Return pymavlink's module of MAVLink 2 with ArduPilot's dialect, which contains the common messages.
 
     Raises:
         MissingExtraError: pymavlink is not installed.

@@ -1,4 +1,4 @@
-"""The vehicle at the other end: what it reports, and the orders to it."""
+"""The vehicle at the other end of the link: its reports, and the orders to it."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _TAKEOFF, _DO_SET_MODE, _MISSION_START, _ARM = 22, 176, 300, 400  # MAV_CMD
 _SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 200_000_000, 100_000_000
 _FIRST_TIMESYNCS = 10
-_BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 believes in them
+_BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 accepts guided mode
 _HELICOPTER = 4  # MAV_TYPE
-_FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer says nothing about a new start
+_FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a new start
 
 
 class RemoteVehicle:
     """One vehicle that was heard; `Autopilot` makes it.
 
-    Every order returns at once. What became of it comes as a notice with the ticket that the order has returned.
-    `set_mode`, `take_off` and `start_mission` take control. After a takeover nothing is sent that moves the vehicle,
+    Every order returns a ticket at once. Its outcome comes later as a notice with this ticket.
+    `set_mode`, `take_off` and `start_mission` take control. After a takeover, no message that moves the vehicle is sent
     until one of them is called again.
     """
 
@@ -79,7 +79,7 @@ class RemoteVehicle:
             "MISSION_ITEM_REACHED": self._reached,
         }
 
-    # what it reports
+    # reports
 
     @property
     def telemetry(self) -> Telemetry:
@@ -88,7 +88,7 @@ class RemoteVehicle:
 
     @property
     def alive(self) -> bool:
-        """Whether its heartbeat is heard, and somebody listens for it."""
+        """Whether its heartbeat is heard, and a thread listens for it."""
         return self._link.alive
 
     @property
@@ -98,7 +98,7 @@ class RemoteVehicle:
 
     @property
     def patience_ns(self) -> int:
-        """The time that time-outs are counted in, ns: the autopilot's own, or ours while it is silent."""
+        """Clock of the time-outs, ns: the autopilot's own, or ours while it is silent."""
         return self._pace.t_ns
 
     @property
@@ -107,7 +107,7 @@ class RemoteVehicle:
         return self._transfer.holds_part
 
     def place_at(self, t_ns: int) -> Place | None:
-        """Return where the autopilot believed to be.
+        """Return the autopilot's estimate of its position.
 
         Args:
             t_ns: instant of our clock.
@@ -119,17 +119,17 @@ class RemoteVehicle:
 
     @property
     def doubts_place(self) -> bool:
-        """Whether its newest positions contradict what was known: it has jumped."""
+        """Whether its newest positions contradict the accepted ones: it has jumped."""
         return self._state.places.doubted
 
     @property
     def place_age(self) -> float:
-        """Seconds since its newest position was true; inf: there is none."""
+        """Age of its newest position, seconds; inf: there is none."""
         return self._state.places.age(self.clock.theirs_ns(self._now_ns)) if self.clock.known else math.inf
 
     @property
     def oldest_place(self) -> float:
-        """Seconds, the greatest age of its newest position in the last five; inf: there is none."""
+        """Greatest age of its newest position during the last five seconds, in seconds; inf: there is none."""
         return self._state.places.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
@@ -148,7 +148,7 @@ class RemoteVehicle:
 
     @property
     def missing_streams(self) -> list[str]:
-        """Messages that were asked for and do not come."""
+        """Names of messages that were requested and do not come."""
         return self._streams.dry(self._pace.t_ns)
 
     # orders
@@ -183,13 +183,13 @@ class RemoteVehicle:
         return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
 
     def release(self) -> None:
-        """Give control away: nothing is sent any more that moves the vehicle, until control is taken again."""
+        """Give control away: no message that moves the vehicle is sent until control is taken again."""
         self._control.released()
         self._target = None
         self._commands.drop()
 
     def change_speed(self, speed: float) -> int:
-        """Fly a mission at so many m/s over the ground; guided flight takes its speed with the set-point."""
+        """Set the speed of a mission, m/s over the ground; guided flight takes its speed with the set-point."""
         parameters = (SpeedKind.GROUND.value, speed, -1.0)
         return self._commands.submit("speed of the mission", DO_CHANGE_SPEED, parameters, self._pace.t_ns)
 
@@ -211,7 +211,7 @@ class RemoteVehicle:
         return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Fly to a set-point (in guided mode). It is repeated where the autopilot wants that.
+        """Fly to a set-point (in guided mode). It is repeated if the autopilot needs that.
 
         Returns:
             False: not sent, somebody else flies.
@@ -256,7 +256,7 @@ class RemoteVehicle:
             self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
 
     def _next_ahead(self, target: Target) -> Target:
-        """The set-point of now; while the place is not known the last one again, as the whole way is flown too fast."""
+        """The set-point of now; the last one again while the place is unknown, as the whole way is flown too fast."""
         gain, here = self.firmware.position_gain, self.place_at(self._now_ns) or self._state.place
         if gain is None or target.place is None:
             return target
@@ -284,7 +284,7 @@ class RemoteVehicle:
 
     def look(self, now_ns: int) -> bool:
         """As `Autopilot.look`."""
-        self._now_ns = max(now_ns, self._now_ns)  # what was heard grows old
+        self._now_ns = max(now_ns, self._now_ns)  # so that the last messages grow old
         self._lost(self._link.look(now_ns))
         return not self._link.is_deaf(now_ns)
 
@@ -302,7 +302,7 @@ class RemoteVehicle:
     # hearing
 
     def hear(self, heard: Heard, now_ns: int) -> bool:
-        """Take a message of the vehicle; False: it is no telemetry, not believed, or overtaken by a newer one."""
+        """Take a message of the vehicle; False: it is no telemetry, not accepted, or overtaken by a newer one."""
         self._now_ns = max(now_ns, self._now_ns)
         m, name = heard.message, heard.name
         handshake = self._handshakes.get(name)
@@ -367,7 +367,7 @@ class RemoteVehicle:
     def _answered(self, answer: CommandAnswer) -> None:
         if answer.ok and answer.number in self._ordered:
             self._control.accepted(self._ordered[answer.number], self._pace.t_ns)
-        streams = self._streams.answered(answer.ticket, answer.refused)  # those that do not come are asked for again
+        streams = self._streams.answered(answer.ticket, answer.refused)  # missing streams are requested again
         if not (streams or self._speeds.is_quiet(answer.ticket, answer.ok)):
             self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 

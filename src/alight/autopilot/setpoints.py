@@ -1,4 +1,4 @@
-"""Guided set-points: where to fly, as the autopilot must be told it."""
+"""Guided set-points in the autopilot's coordinates."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION, _NO_YAW, _NO_YAW_RATE = 7, 56, 448
 
 @dataclass(frozen=True, eq=False)
 class Setpoint:
-    """A place or a motion that the vehicle is to take up, in our world; None: left to the autopilot."""
+    """A position or a velocity that the vehicle is to reach, in our world; None: left to the autopilot."""
 
     position_world: F64 | None = None  # (3,) metres
     velocity_world: F64 | None = None  # (3,) m/s; with a position: the speed there
-    heading: float | None = None  # rad, clockwise from north; None: ArduPilot turns the nose to where it flies
+    heading: float | None = None  # rad, clockwise from north; None: ArduPilot turns the nose towards its flight
     speed: float = math.inf  # m/s over the ground on the way to a position; inf: the autopilot's own
     sink: float = math.inf  # m/s downwards on the way to a position
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A set-point relative to the autopilot's own estimate: it can be sent again and means the same."""
+    """A set-point in the autopilot's own estimate of position: it can be sent again and means the same."""
 
     place: Place | None
     velocity_ned: F64 | None

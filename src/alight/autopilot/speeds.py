@@ -1,4 +1,4 @@
-"""Speeds of guided flight as commands: given again and again, as ArduPilot forgets them."""
+"""Speeds of guided flight as commands, sent again and again, as ArduPilot forgets them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class SpeedKeeper:
     """Keeps the speeds of the set-points in force.
 
     ArduPilot goes back to its own speeds whenever it starts its guided controller anew (a change of mode, the end of a
-    take-off, a position after a velocity), and does not say so.
+    take-off, a position after a velocity), and does not report it.
     """
 
     def __init__(self, commands: CommandQueue) -> None:
@@ -25,11 +25,11 @@ class SpeedKeeper:
         self._refused = False
 
     def forget(self) -> None:
-        """The controller was started anew: give the speeds with the next set-point."""
+        """Send the speeds again with the next set-point, as the controller was started anew."""
         self._given_ns = -_AGAIN_NS
 
     def keep(self, speed: float, sink: float, t_ns: int) -> None:
-        """Give the speeds of a set-point that was just sent, where they are new or were given a while ago.
+        """Send the speeds of a set-point that was just sent, if they are new or were sent a while ago.
 
         Args:
             speed: m/s over the ground; inf: the autopilot's own.
@@ -46,7 +46,7 @@ class SpeedKeeper:
                 self._tickets.add(self._commands.submit("speed", DO_CHANGE_SPEED, parameters, t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:
-        """Take an answer; True: it is one of ours, and not the first refusal, so that nobody needs to hear of it."""
+        """Take an answer; True: it is one of ours and not the first refusal, so that it need not be reported."""
         if ticket not in self._tickets:
             return False
         self._tickets.discard(ticket)

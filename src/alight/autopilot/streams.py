@@ -1,4 +1,4 @@
-"""Streams: asked for message by message, and again whenever one dries up."""
+"""Streams: requested message by message, and again whenever one stops."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from alight.autopilot.commands import CommandQueue
 from alight.autopilot.pymavlink_dialect import message_id
 
 SET_MESSAGE_INTERVAL = 511  # MAV_CMD
-_PATIENCE_NS = 2_000_000_000  # a stream has dried up after this and three of its periods
+_PATIENCE_NS = 2_000_000_000  # a stream counts as stopped after this and three of its periods
 _SUBSTITUTES = {"HIGHRES_IMU": "RAW_IMU"}  # of ArduPilot's small boards and older versions
 _FIRST_NS, _LONGEST_NS = 3_000_000_000, 60_000_000_000  # between two requests for a stream that does not come
 
@@ -23,7 +23,7 @@ class _Stream:
 
 
 class StreamKeeper:
-    """Keeps the streams of a vehicle flowing (it sends nothing unasked, and nothing again after a reboot)."""
+    """Keeps the streams of a vehicle flowing (it sends only requested messages, and forgets requests at a reboot)."""
 
     def __init__(self, rates: Mapping[str, float], commands: CommandQueue) -> None:
         self._streams = {name: _Stream(rate) for name, rate in rates.items()}
@@ -31,7 +31,7 @@ class StreamKeeper:
         self._tickets: dict[int, str] = {}
 
     def rebooted(self) -> None:
-        """Forget what was asked for and heard, so that every stream is asked for again."""
+        """Forget all requests and received messages, so that every stream is requested again."""
         self._streams = {name: _Stream(s.rate) for name, s in self._streams.items()}
         self._tickets.clear()
 
@@ -44,7 +44,7 @@ class StreamKeeper:
     def answered(self, ticket: int, refused: bool) -> bool:
         """Take an answer; False: it belongs to no request for a stream.
 
-        A message that the autopilot does not have is replaced by the one that says the same, where there is one.
+        A message that the autopilot does not have is replaced by one of the same content, if there is one.
         """
         name = self._tickets.pop(ticket, None)
         other = _SUBSTITUTES.get(name or "")
@@ -53,13 +53,13 @@ class StreamKeeper:
         return name is not None
 
     def tick(self, t_ns: int) -> None:
-        """Ask for each stream that has not come or has dried up, at growing intervals."""
+        """Request each stream that has not come or has stopped, at growing intervals."""
         for name, stream in list(self._streams.items()):
             if self._missing(stream, t_ns):
                 self._ask(name, stream, t_ns)
 
     def dry(self, t_ns: int) -> list[str]:
-        """Return the names of the messages that were asked for and have not come, or come no more."""
+        """Return the names of the messages that were requested and have not come, or come no more."""
         return [n for n, s in self._streams.items() if s.heard_ns < 0 or self._late(s, t_ns)]
 
     def _late(self, stream: _Stream, t_ns: int) -> bool:

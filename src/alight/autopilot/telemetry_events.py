@@ -41,12 +41,12 @@ class TelemetryEvents:
 
     A row is made for each GLOBAL_POSITION_INT with the attitude of the same instant, interpolated. It leaves as soon as
     an attitude of a later instant has come. HIGHRES_IMU, RAW_IMU (as ArduPilot scales it) or SCALED_IMU become IMU
-    samples: the first of these that comes, as the others repeat it with less. Nothing is given out before TIMESYNC has
-    tied the clocks.
+    samples: the first of these that comes, as the others repeat it with less. No sample is given out before TIMESYNC
+    has tied the clocks.
 
     Args:
         local: the world; None: made at the first good position.
-        separation: metres, ellipsoid minus sea level; None: as the receiver reports it (`alt_ellipsoid`). MAVLink's
+        separation: metres, ellipsoid minus sea level; None: the receiver's (`alt_ellipsoid`). MAVLink's
             altitudes are above sea level, and without either no position is given out.
     """
 
@@ -58,11 +58,11 @@ class TelemetryEvents:
         self._attitudes: deque[_Attitude] = deque(maxlen=10)
         self._waiting: deque[_Fix] = deque()
         self._imu_rank = len(_IMU)  # of the best kind that has come
-        self.starts = 1  # of the autopilot, that these events belong to
+        self.starts = 1  # number of the autopilot's start that these events belong to
 
     @property
     def missing(self) -> str:
-        """Why no position is given out; empty: nothing is missing."""
+        """Reason why no position is given out; empty: nothing is missing."""
         if self._gps is None or self._gps.fix < FIX_3D:
             return "the autopilot's GPS has no 3D fix"
         if self._flags is not None and not is_absolute(self._flags):
@@ -79,10 +79,10 @@ class TelemetryEvents:
         return found if np.isfinite(found) else None
 
     def forget(self, starts: int) -> None:
-        """Start anew after the autopilot has; the world stays.
+        """Begin anew after a restart of the autopilot; the world stays.
 
         Args:
-            starts: how often the autopilot has started so far.
+            starts: number of the autopilot's starts so far.
         """
         self.starts = starts
         self._gps = self._flags = None
@@ -91,7 +91,7 @@ class TelemetryEvents:
         self._waiting.clear()
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> list[NavSample | ImuSample]:
-        """Take a message of the vehicle; give the samples that are complete now, in order."""
+        """Take a message of the vehicle; return the samples that are complete now, in order."""
         if name in _IMU:
             rank = _IMU.index(name)
             if rank > self._imu_rank:
@@ -192,6 +192,6 @@ class TelemetryEvents:
 
 
 def _sigmas(horizontal: float, vertical: float) -> F64 | None:
-    """East, north, up; None: not reported."""
+    """Sigmas (3,) of east, north, up, in the unit given; None: not reported."""
     known = np.isfinite([horizontal, vertical]).all()
     return np.array([horizontal, horizontal, vertical]) if known else None

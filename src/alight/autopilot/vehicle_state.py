@@ -1,4 +1,4 @@
-"""Messages in, a snapshot of the vehicle out."""
+"""State of the vehicle: messages in, a snapshot out."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from alight.autopilot.place_watch import place_of, report_of
 from alight.records import PRE_ARM, Battery, FlightMode, GpsQuality, Landed, Place, Telemetry
 
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
-_LANDED_NS = 2_000_000_000  # for which a report that it has landed holds
+_LANDED_NS = 2_000_000_000  # for which a report of having landed is valid
 _NAN = float("nan")
 
 
 def boot_time_ns(message: Any) -> int | None:
-    """The autopilot's clock in a message; None: it has no stamp of that clock."""
+    """Stamp of a message on the autopilot's clock, ns; None: the message has none."""
     stamp = getattr(message, "time_boot_ms", None)
     return None if stamp is None else int(stamp) * 1_000_000
 
@@ -31,7 +31,7 @@ def _measured(value: float, scale: float, unknown: float) -> float:
 
 
 def gps_quality(m: Any) -> GpsQuality:
-    """GPS_RAW_INT; the accuracies are extensions of MAVLink 2, and 0 where they are not filled."""
+    """Quality from GPS_RAW_INT; the accuracies are extensions of MAVLink 2, and 0 where they are not filled."""
     return GpsQuality(
         int(m.fix_type),
         0 if m.satellites_visible == 255 else int(m.satellites_visible),
@@ -43,7 +43,7 @@ def gps_quality(m: Any) -> GpsQuality:
 
 
 class VehicleState:
-    """The newest of everything that was heard from the vehicle."""
+    """The newest values of everything that was heard from the vehicle."""
 
     def __init__(self, firmware: Firmware) -> None:
         self.firmware = firmware
@@ -58,12 +58,12 @@ class VehicleState:
 
     @property
     def mode(self) -> FlightMode:
-        """Of the newest heartbeat."""
+        """Mode of the newest heartbeat."""
         return self._now.mode
 
     @property
     def place(self) -> Place | None:
-        """The newest, of whatever age; None: none yet, or it has jumped and is not known."""
+        """Newest place, of any age; None: none yet, or unknown after a jump."""
         return self._now.place
 
     def heard_ns(self, name: str) -> int | None:
@@ -71,7 +71,7 @@ class VehicleState:
         return self._heard.get(name)
 
     def is_on_ground(self, now_ns: int) -> bool:
-        """Whether it stands: disarmed, or by its own word of late."""
+        """Whether it stands on the ground: disarmed, or landed by its own recent report."""
         said_ns = self._heard.get("EXTENDED_SYS_STATE")
         says_so = self._now.landed is Landed.GROUND and said_ns is not None and now_ns - said_ns < _LANDED_NS
         return says_so or not self._now.armed
@@ -83,7 +83,7 @@ class VehicleState:
         self.sticks = None
 
     def hear(self, name: str, m: Any, now_ns: int) -> bool:
-        """Take a message of the vehicle that came at `now_ns` of our clock; False: it is not believed."""
+        """Take a message of the vehicle that came at `now_ns` of our clock; False: it is not accepted."""
         self._heard[name] = now_ns
         boot_ns = boot_time_ns(m)
         if boot_ns is not None:
@@ -92,9 +92,9 @@ class VehicleState:
         return take is None or take(m) is not False
 
     def place_at(self, boot_ns: int) -> Place | None:
-        """Return where the autopilot believed to be, carried on from the nearest report by its velocity.
+        """Return the autopilot's estimate of its position, extrapolated from the nearest report by its velocity.
 
-        A report may be a second and a half old: it is late, or one of few.
+        A report may be a second and a half old, where reports are late or few.
 
         Args:
             boot_ns: instant of the autopilot's clock.
@@ -114,7 +114,7 @@ class VehicleState:
         self._now = replace(self._now, landed=Landed(m.landed_state) if known else Landed.UNKNOWN)
 
     def _global_position_int(self, m: Any) -> bool:
-        """A report that cannot be true is passed over; after a jump nothing is known until reports agree."""
+        """Take a position; an impossible one is ignored, and after a jump the place is unknown until reports agree."""
         report = report_of(m)
         if report is None:
             return False
@@ -154,7 +154,7 @@ class VehicleState:
         self._now = self._now if home is None else replace(self._now, home=home)
 
     def _wind(self, m: Any) -> None:
-        """ArduPilot's: where the wind comes from, in degrees."""
+        """Take ArduPilot's WIND: the direction from which the wind comes, in degrees, and speeds in m/s."""
         towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else _NAN
         self._blow(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 

@@ -1,4 +1,4 @@
-"""What is wrong with a rig, from some seconds of recording: each finding with its evidence and its mend."""
+"""Faults of a rig, found from some seconds of recording: each with its evidence and a remedy."""
 
 from alight.checks.checking import check_source
 from alight.checks.result import CheckResult, Judged

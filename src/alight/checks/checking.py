@@ -1,4 +1,4 @@
-"""All checks of one recording, in the order in which they rest on each other."""
+"""All checks of one recording, in the order in which they depend on each other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from alight.checks.stereo import check_stereo
 from alight.records import InputError
 from alight.sources import Source
 
-UNUSED = ("accelerometer unit",)  # by what compares the pictures with GPS/INS and IMU
+UNUSED = ("accelerometer unit",)  # by the checks that compare the pictures with GPS/INS and IMU
 
 
 def check_source(
@@ -25,11 +25,12 @@ def check_source(
     """Check the rig of a flight log or a recording.
 
     Args:
-        seconds: how much of it is read, from `start`; both count from the first exposure.
+        seconds: length of the part that is read.
+        start: begin of that part, s from the first exposure.
         progress: called with the share that is done.
 
     Raises:
-        InputError: photos, or nothing in that part of the recording.
+        InputError: photos, or no exposure in that part of the recording.
     """
     if source.kind == "photos":
         raise InputError("check: photos have no stream to check; give a flight log or a recording (.mcap)")
@@ -39,12 +40,12 @@ def check_source(
 
 
 def _promised(source: Source) -> tuple[str, ...]:
-    """Streams that the source says it has."""
+    """Names of the streams that the source's notes list."""
     return tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
 
 
 def check_evidence(evidence: RigEvidence) -> list[CheckResult]:
-    """Run every check on what was read."""
+    """Run every check on the evidence."""
     pictures = [check_exposure(evidence), check_sharpness(evidence), check_lens(evidence), check_intrinsics(evidence)]
     navigation = check_navigation(evidence)
     wrong = next((r.name for r in navigation if r.verdict is Judged.BAD and r.name not in UNUSED), "")

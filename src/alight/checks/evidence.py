@@ -50,7 +50,7 @@ class NavTable:
         )  # fmt: skip
 
     def known(self, *names: str) -> NavTable:
-        """The rows that have all of these columns."""
+        """Return the rows in which all of these columns are measured."""
         keep = np.ones(len(self.t_ns), bool)
         for name in names:
             values = getattr(self, name)
@@ -58,7 +58,7 @@ class NavTable:
         return self.where(keep)
 
     def where(self, keep: Mask) -> NavTable:
-        """Some of the rows."""
+        """Return the rows that `keep` (N,) marks."""
         return NavTable(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
@@ -96,7 +96,7 @@ class RigMatches:
 
 @dataclass(eq=False)
 class CameraEvidence:
-    """What the pictures of one camera gave."""
+    """Measurements from the pictures of one camera."""
 
     lens: Camera
     seconds: list[float] = field(default_factory=list)  # of each brightness, from the first exposure
@@ -127,7 +127,7 @@ class CameraEvidence:
 
 @dataclass(frozen=True, eq=False)
 class RigEvidence:
-    """All that the checks look at."""
+    """Input of all checks."""
 
     rig: Rig
     frames_ns: I64  # (N,) stamps of the exposures, as they came
@@ -137,7 +137,7 @@ class RigEvidence:
     cameras: tuple[CameraEvidence, ...]
     matches: tuple[RigMatches, ...]
     warnings: tuple[str, ...] = ()  # of the source
-    promised: tuple[str, ...] = ()  # streams that the source says it has
+    promised: tuple[str, ...] = ()  # streams that the source's notes list
 
 
 def gather_evidence(

@@ -13,15 +13,15 @@ from alight.geometry import Camera
 LONG_SIDE = 640  # px, of the pictures in which features are followed
 FEATURES = 300
 LEAST_FEATURES = 25
-ROUND_TRIP = 0.7  # px by which a feature followed there and back may miss itself
-RANSAC = 2.5  # px of the full picture a pixel of the small one
+ROUND_TRIP = 0.7  # px, largest distance of a feature followed there and back from its start
+RANSAC = 2.5  # px of the small picture
 REACH = 1.0  # of the grid: largest x/z and y/z, so that a fisheye's border does not decide
 _SPOTS = (0.15, 0.5, 0.85)  # of the picture's width and height
 
 
 @dataclass(frozen=True, eq=False)
 class PictureFlow:
-    """How one camera's picture moved from one exposure to a later one."""
+    """Motion of one camera's picture from one exposure to a later one."""
 
     begin_ns: int
     end_ns: int
@@ -31,7 +31,7 @@ class PictureFlow:
 
 
 def downscaled(image: U8) -> tuple[U8, int]:
-    """Return a grey version whose longer side is at most `LONG_SIDE`, and by how much it is smaller."""
+    """Return a grey version whose longer side is at most `LONG_SIDE`, and the factor by which it is smaller."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     k = -(-max(grey.shape) // LONG_SIDE)
     if k > 1:
@@ -63,7 +63,7 @@ def picture_flow(then: U8, now: U8, factor: int, lens: Camera, begin_ns: int, en
     """Fit the homography of two small pictures of a camera; None where too few features agree.
 
     Args:
-        factor: by how much the pictures are smaller than those of `lens`.
+        factor: by which the pictures are smaller than those of `lens`.
     """
     a, b = followed(then, now)
     if len(a) < LEAST_FEATURES:

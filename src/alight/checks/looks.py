@@ -1,4 +1,4 @@
-"""What the pictures of one camera look like: brightness, sharpness, and what stands still while the ground moves."""
+"""Measures of one camera's pictures: brightness, sharpness, and parts that stand still while the ground moves."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def edge_widths(image: U8) -> F64:
     """Return the (2,) widths of the sharpest edges across x and across y, px; NaN where there is none.
 
     The width of an edge is its height over its steepest slope: 1 for an ideal step, 2.5 sigma for one that a Gaussian
-    blurs. Of the edges with most contrast the sharpest tenth shows what the lens can do; the rest is what the ground is
-    (docs/lab/check.md).
+    blurs. Of the edges with most contrast, the sharpest tenth shows the sharpness of the lens; the others depend on the
+    ground (docs/lab/check.md).
     """
     grey = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image).astype(np.float32)
     grey = cv2.GaussianBlur(grey, (0, 0), 0.6)
@@ -70,7 +70,7 @@ class Spot:
     what: str
 
     def words(self, width: int, height: int) -> str:
-        """Where it is, in pixels of a picture of that size."""
+        """Return its position in words, in pixels of a picture of that size."""
         u, v = (f"{a * n:.0f} to {b * n:.0f}" for a, b, n in (
             (self.left, self.right, width), (self.top, self.bottom, height)
         ))  # fmt: skip
@@ -81,7 +81,7 @@ class Spot:
 class StaticMap:
     """Compares pictures between which the ground has moved: once at the same pixels, once at the same ground.
 
-    What is on the lens, or hangs before it, agrees at the same pixels and not at the same ground. A drop of water that
+    An object on the lens, or in front of it, agrees at the same pixels and not at the same ground. A drop of water that
     only blurs shows less contrast than the same ground shows elsewhere in the picture.
     """
 
@@ -92,7 +92,7 @@ class StaticMap:
     _sums: list[F64] = field(default_factory=list)  # at the pixel, at the ground, contrast here, elsewhere, weight
 
     def take(self, small: U8, shift: F64) -> None:
-        """Take the next picture, grey, and (2,) by how much the ground moved in it, in shares of the longer side."""
+        """Take the next grey picture, and the motion (2,) of the ground in it, as shares of the longer side."""
         self._way = self._way + shift
         k = -(-max(small.shape) // SMALL)
         now = cv2.resize(small, (small.shape[1] // k, small.shape[0] // k), interpolation=cv2.INTER_AREA)
@@ -125,7 +125,7 @@ class StaticMap:
         self.pairs += 1
 
     def spots(self) -> list[Spot]:
-        """What stands still, or is blurred at one place."""
+        """Return the parts of the picture that stand still, are blurred or are covered."""
         if not self.pairs:
             return []
         side = max(2, max(self._shape) // BLOCK)
@@ -142,7 +142,7 @@ class StaticMap:
 
 
 def _fine(image: U8) -> F32:
-    """The picture without its slow changes of brightness: vignetting stands still, too, and is no dirt."""
+    """Remove the slow changes of brightness: vignetting stands still as well, and is no dirt."""
     x = image.astype(np.float32)
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), max(image.shape) / 40.0), dtype=np.float32)
 

@@ -1,4 +1,4 @@
-"""Matches between two cameras of a rig, made without the calibration of how they stand to each other."""
+"""Matches between two cameras of a rig, made without their calibrated relative pose."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _described(sift: cv2.SIFT, image: U8) -> tuple[F64, F64]:
 
 
 def _nearest(a: F64, b: F64) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """For each row of `a` its nearest row of `b`, -1 where the second nearest is nearly as near."""
+    """Index of the nearest row of `b` for each row of `a`; -1 where the second nearest is nearly as near."""
     likeness = a @ b.T  # unit length: the nearer, the larger
     best = np.argmax(likeness, axis=1)
     rows = np.arange(len(a))

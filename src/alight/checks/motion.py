@@ -1,4 +1,4 @@
-"""What the pictures show of the motion against GPS/INS and gyroscope: mounting, time offset, focal length."""
+"""Motion in the pictures against GPS/INS and gyroscope: checks of mounting, time offset and focal length."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from alight.geometry import Pose
 FINE = np.arange(-0.5, 0.501, 0.05)  # s, time offsets that are tried
 COARSE = np.arange(-0.5, 0.501, 0.1)
 LEAST_FLOW = 2.0  # px, median between two pictures
-UNEXPLAINED = 0.35  # of the flow: with more left, nothing is said
+UNEXPLAINED = 0.35  # of the flow: with more left, the checks cannot tell
 LOOKS_DOWN = 0.17  # cosine; a camera nearer to the horizon sees little ground
 TILTED = np.radians(5.0)  # by which a mounting may be off: the attitude of GPS/INS is no better
 OFFSET_LIMIT, OFFSET_SIGMA = 0.02, 0.01  # s
@@ -36,7 +36,7 @@ NAMES = ("mounting", "time offset", "focal length")
 
 @dataclass(frozen=True, eq=False)
 class CameraMotion:
-    """What the flow of one camera gave."""
+    """Flow of one camera with its fit."""
 
     name: str
     predicted: PredictedFlow
@@ -47,7 +47,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
     """Compare the flow of all cameras with GPS/INS and gyroscope.
 
     Args:
-        blocked: name of a check of GPS/INS or IMU that failed; nothing is told from a stream that is wrong.
+        blocked: name of a check of GPS/INS or IMU that failed, as a wrong stream allows no verdict; empty: none.
 
     Returns:
         the results, and the fit of camera 0 where its mounting is right.
@@ -82,7 +82,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
 
 
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
-    """A quarter or a half turn off: which of the 24 turns explains the flow."""
+    """Check the mountings for a quarter or a half turn: test which of the 24 turns explains the flow."""
     if motion.velocity_world is None:
         return unknown(NAMES[0], "needs velocity and attitude of GPS/INS")
     words, doubt, turned = list[str](), list[str](), list[str]()
@@ -114,7 +114,7 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
 
 
 def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> tuple[str, str] | None:
-    """Another reading of the attitude under which the flow of every camera is right, and the mend."""
+    """Convention of the attitude that explains the flow of every camera, with the remedy; None: no other one does."""
     nav = evidence.nav.known("world_from_body")
     cameras = {c.name: (e, c.body_from_cam) for c, e in zip(evidence.rig.cameras, evidence.cameras, strict=True)}
     for what, (attitudes, mend) in attitude_readings(nav.world_from_body).items():
@@ -128,7 +128,7 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
 
 
 def _tilt(mounting: CheckResult, fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
-    """A mounting that is off by degrees."""
+    """Check the mountings for errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
     words, tilted, vague = list[str](), False, False
@@ -153,7 +153,7 @@ def _tilt(mounting: CheckResult, fits: list[CameraMotion], motion: BodyMotion) -
 
 
 def _weighted(fits: list[CameraMotion], index: int) -> tuple[float, float]:
-    """Mean over the cameras; they share most of their errors, so more cameras are not surer."""
+    """Mean over the cameras, and its sigma: they share most of their errors, so more cameras do not reduce it."""
     values, sigma = (np.array([getattr(f.fit, k)[index] for f in fits]) for k in ("parameters", "sigma"))
     w = 1.0 / sigma**2
     return float((w * values).sum() / w.sum()), float(max(sigma.min(), np.ptp(values) / 2))

@@ -37,7 +37,7 @@ def quarter_turns() -> list[F64]:
 
 
 def named_axes(turn: F64) -> str:
-    """How the axes of a quarter turn lie: x forward y right z down."""
+    """Directions of the axes of a quarter turn, in words: x forward, y right, z down."""
     words = (("forward", "back"), ("left", "right"), ("up", "down"))
     parts = []
     for k, axis in enumerate("xyz"):
@@ -48,14 +48,14 @@ def named_axes(turn: F64) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TurnWindows:
-    """How far the body turned in each window, by the IMU and by the attitude of GPS/INS."""
+    """Turns of the body in each window, by the IMU and by the attitude of GPS/INS."""
 
     imu: F64  # (K, 3) rad
     nav: F64  # (K, 3) rad
     summed: F64  # (K, 3) rad: the rates of the IMU added up axis by axis, which no wrong unit can wrap
 
     def left(self, body_from_imu: F64) -> float:
-        """Share of the turns that is left under an assumption on the axes of the IMU: the worst axis that turned."""
+        """Unexplained share of the turns under an assumption on the axes of the IMU, for the worst axis that turned."""
         off = self.imu @ np.asarray(body_from_imu).T - self.nav
         off, turned = (_sizes(x - np.median(x, axis=0)) for x in (off, self.nav))  # less the bias of the gyroscope
         used = turned > min(TURNED, 0.99 * float(turned.max()))
@@ -63,7 +63,7 @@ class TurnWindows:
 
     @property
     def difference(self) -> float:
-        """Share of all turns that is left as they are, all axes together."""
+        """Unexplained share of the turns with the axes as they are, all axes together."""
         off = self.imu - self.nav
         return _size(off - np.median(off, axis=0)) / max(_size(self.nav - np.median(self.nav, axis=0)), 1e-9)
 
@@ -74,18 +74,18 @@ class TurnWindows:
 
 
 def _size(vectors: F64) -> float:
-    """Root of the trimmed mean square: one wild row decides nothing."""
+    """Root of the mean square without the largest twentieth: outliers have no effect."""
     squares = np.sort((vectors**2).sum(axis=1))
     return float(np.sqrt(squares[: max(1, int(0.95 * len(squares)))].mean()))
 
 
 def _sizes(vectors: F64) -> F64:
-    """(3,) the same of each axis."""
+    """(3,) `_size` of each axis."""
     return np.array([_size(column[:, None]) for column in vectors.T])
 
 
 class ImuPath:
-    """The orientations and angles that the gyroscope adds up to, as functions of time."""
+    """Orientation and angles integrated from the gyroscope, as functions of time."""
 
     def __init__(self, imu: ImuTable) -> None:
         at = increasing(imu.t_ns)
@@ -96,11 +96,11 @@ class ImuPath:
         self._angles = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
     def turns(self, nav: NavTable, attitudes: F64, lag: float = 0.0) -> TurnWindows:
-        """TurnWindows in windows that both streams cover.
+        """Return the turns in the windows that both streams cover.
 
         Args:
             attitudes: (N, 3, 3) of the rows of `nav`.
-            lag: s that is taken off the stamps of GPS/INS.
+            lag: s that is subtracted from the stamps of GPS/INS.
         """
         t = (nav.t_ns - self.origin_ns) * 1e-9 - lag
         ends = np.searchsorted(t, t + WINDOW - 1e-6)
@@ -120,7 +120,7 @@ class ImuPath:
 
 
 def least_left(path: ImuPath, nav: NavTable, attitudes: F64, turns: Sequence[F64]) -> F64:
-    """For each assumption on the axes of the IMU the share of the turns that is left, whatever the clocks say."""
+    """Unexplained share of the turns at the best lag of the clocks, for each assumption on the axes of the IMU."""
     tables = [t for lag in LAGS if (t := path.turns(nav, attitudes, lag)).enough]
     return np.array([min((t.left(m) for t in tables), default=0.0) for m in turns])
 
@@ -138,7 +138,7 @@ def reordered(world_from_body: F64) -> F64:
 
 
 def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
-    """Other readings of the (N, 3, 3) attitudes: what was written instead, with the mend."""
+    """The (N, 3, 3) attitudes read by other conventions, by the name of the convention, with the remedy."""
     R = np.asarray(world_from_body)
     convert = "convert the attitude as in docs/your-camera.md (enu_from_flu)"
     return {
@@ -187,7 +187,7 @@ def check_gyroscope_unit(turns: TurnWindows | None) -> CheckResult:
 
 
 def check_accelerometer_unit(imu: ImuTable) -> CheckResult:
-    """Unit of the accelerometer: it feels 9.8 m/s^2 in the mean, also in flight."""
+    """Unit of the accelerometer: its mean specific force is 9.8 m/s^2, also in flight."""
     name = "accelerometer unit"
     if len(imu.t_ns) < 20:
         return unknown(name, "no IMU")
@@ -269,7 +269,7 @@ def _with_imu(nav: NavTable, imu: ImuTable, path: ImuPath, upright: float) -> li
 
 
 def _usual(mountings: list[F64]) -> F64:
-    """Of several that fit, the one that is met most often: forward right down."""
+    """Return the most common one of several mountings that fit: forward right down."""
     return next((m for m in mountings if np.allclose(m, FRD)), mountings[0])
 
 
@@ -328,7 +328,7 @@ def _scaled(name: str, scale: float, travel: float) -> CheckResult:
 
 
 def _explained(s: F64, v: F64, begins: F64, ends: F64, steps: F64) -> tuple[float, float]:
-    """Share of the steps that the integral of a velocity leaves, after the best scale; and that scale."""
+    """Share of the steps that the integral of a velocity does not explain after the best scale, and that scale."""
     way = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(s)[:, None], axis=0)])
     said = way[ends] - way[begins]
     square = (said * steps).sum(axis=1)
@@ -366,7 +366,7 @@ def check_nav_clock(nav: NavTable, path: ImuPath | None) -> CheckResult:
 
 
 def check_navigation(evidence: RigEvidence) -> list[CheckResult]:
-    """All checks of GPS/INS and IMU; those that rest on a stream that is wrong say so."""
+    """Run all checks of GPS/INS and IMU; a check that needs a wrong stream names the fault to mend first."""
     nav, imu = with_attitude(evidence.nav), evidence.imu
     both = len(nav.t_ns) >= 10 and len(imu.t_ns) >= 20
     path = ImuPath(imu) if both else None

@@ -1,4 +1,4 @@
-"""What is wrong with the pictures themselves: exposure, focus, blur, dirt; and with the numbers of the lens."""
+"""Faults of the pictures (exposure, focus, blur, dirt) and of the intrinsics."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ FLAT = 15.0  # grey values between the 5th and the 95th percentile
 FLICKER = 0.12  # change of the log of the mean grey from one picture to the next, less that of its neighbours
 UNLIKE = 0.4  # log of the ratio of the mean grey of two cameras
 SOFT = 4.5  # px, width of the sharpest edges: a blur with a sigma of 1.8 px; good pictures have 1.8 to 2.8
-SMEAR, SMEAR_RATIO = 2.0, 1.8  # px by which edges along the motion are wider, and how many times
+SMEAR, SMEAR_RATIO = 2.0, 1.8  # px by which edges along the motion are wider, and ratio of the widths
 STATIC_PAIRS = 3
 OFF_CENTRE = 0.15  # of the picture's size
 SKEWED = 0.05  # share by which fu and fv may differ
 
 
 def check_exposure(evidence: RigEvidence) -> CheckResult:
-    """Saturated, black, flat, flickering, or unlike in the cameras."""
+    """Check for pictures that are saturated, black, flat, flickering, or unlike between the cameras."""
     name = "exposure"
     words, faults = list[str](), list[str]()
     for cam, seen in zip(evidence.rig.cameras, evidence.cameras, strict=True):
@@ -93,7 +93,7 @@ def check_sharpness(evidence: RigEvidence) -> CheckResult:
 
 
 def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
-    """Widths along and across the motion of the picture, where that is along an axis of it; else the same twice."""
+    """Edge widths along and across the motion of the picture, if it is along an axis; else the same width twice."""
     if len(seen.flows) < 5:
         return x, x
     share = np.median(np.abs([f.shift for f in seen.flows]), axis=0)
@@ -103,7 +103,7 @@ def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
 
 
 def check_lens(evidence: RigEvidence) -> CheckResult:
-    """Dirt on the lens and parts of the aircraft in view: what stands still while the ground moves."""
+    """Check for dirt on the lens and parts of the aircraft in view, which stand still while the ground moves."""
     name = "lens and view"
     words, found, blind = list[str](), False, False
     for cam, seen in zip(evidence.rig.cameras, evidence.cameras, strict=True):
@@ -122,7 +122,7 @@ def check_lens(evidence: RigEvidence) -> CheckResult:
 
 
 def check_intrinsics(evidence: RigEvidence) -> CheckResult:
-    """Numbers of the lens that no camera has."""
+    """Check for intrinsics that no camera has."""
     name = "intrinsics"
     words, faults = list[str](), list[str]()
     for cam in evidence.rig.cameras:

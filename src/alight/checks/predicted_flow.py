@@ -1,12 +1,12 @@
-"""Flow of the picture as gyroscope and GPS/INS let expect it, compared with the flow that the pictures show.
+"""Flow of the picture predicted from gyroscope and GPS/INS, compared with the observed flow.
 
 A point of the picture with the inverse depth rho moves between two exposures by
 
     x1 ~ R (x0 - rho w(x0) t),     w(x0) = (n . x0) / (n . z)
 
-with the rotation R of the camera (gyroscope), its way t (velocity of GPS/INS) and the normal n of the ground. rho is
-free for each pair of exposures and not negative. What remains of the flow tells whether the time offset, the mounting
-and the focal length are right: all three act on many pairs in the same manner, rho only on one.
+with the rotation R of the camera (gyroscope), its translation t (velocity of GPS/INS) and the normal n of the ground.
+rho is free for each pair of exposures and not negative. The residual flow depends on errors of the time offset, the
+mounting and the focal length: all three act on many pairs in the same manner, rho only on one.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ SLOPE = 0.12  # 1-sigma of the slope of the ground: a slope looks like a mountin
 _PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, *[FREE_BIAS] * 3, SLOPE, SLOPE])  # sigma: s, rad, 1, rad/s, 1
 _STEPS = np.array([2e-3, *[1e-3] * 9])
 OFFSET, MOUNTING, FOCAL, BIAS, GROUND = 0, slice(1, 4), 4, slice(5, 8), slice(8, 10)
-BLOCKS = 10  # of the recording; the spread of what they say gives the sigma
+BLOCKS = 10  # of the recording; the spread of their results gives the sigma
 NOISE_PX = 0.15  # of the flow, at least
 
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """How the body moves, as functions of the time of the GPS/INS and IMU clock (s)."""
+    """Motion of the body, as functions of the time of the GPS/INS and IMU clock (s)."""
 
     turning: Slerp  # orientation; only differences count
-    turned_by: str  # what measured it
+    turned_by: str  # name of its sensor
     attitude: Slerp | None  # world_from_body
     seconds: F64  # (N,) of the velocity
     velocity_world: F64 | None  # (N, 3) m/s
@@ -48,12 +48,12 @@ class BodyMotion:
     bias_sigma: float  # rad/s
 
     def inside(self, seconds: F64) -> F64:
-        """The times, moved into what is known."""
+        """Clip times (s) to `span`."""
         return np.clip(seconds, *self.span)
 
 
 def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | None:
-    """Gather gyroscope and GPS/INS; None where nothing tells how the body turns."""
+    """Gather gyroscope and GPS/INS; None if there is neither a gyroscope nor an attitude."""
     known = nav.known("world_from_body")
     known = known.where(increasing(known.t_ns))
     t = seconds_since(known.t_ns, origin_ns)
@@ -89,7 +89,7 @@ def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
 
 
 def seconds_since(t_ns: I64, origin_ns: int) -> F64:
-    """(N,) s."""
+    """Return times (N,) in seconds from an origin."""
     return np.asarray((t_ns - origin_ns).astype(np.float64) * 1e-9)
 
 
@@ -100,7 +100,7 @@ def increasing(t_ns: I64) -> Mask:
 
 
 def integrated(seconds: F64, rates: F64) -> Rotation:
-    """Return the (N,) orientations that a gyroscope's (N, 3) rates add up to."""
+    """Integrate a gyroscope's rates (N, 3) to (N,) orientations."""
     turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
     path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
     reach = 1
@@ -112,13 +112,13 @@ def integrated(seconds: F64, rates: F64) -> Rotation:
 
 @dataclass(frozen=True, eq=False)
 class FlowFit:
-    """What the flow of one camera says of its mounting, clock and lens."""
+    """Mounting, clock and lens of one camera, estimated from its flow."""
 
     parameters: F64  # (10,) time offset s, mounting rad (3), log of the focal length, bias rad/s (3), slope (2)
     sigma: F64  # (10,)
     residual: float  # px, median over the pairs
     flow: float  # px, median over the pairs
-    unexplained: float  # of the flow that is left by the calibration with these parameters
+    unexplained: float  # share of the flow that is left with these parameters
     depth_seconds: F64  # (K,)
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
     normals: F64  # (K, 3) of the ground in the camera; NaN: unknown
@@ -131,10 +131,10 @@ class FlowFit:
 
 
 class PredictedFlow:
-    """The flow of one camera and what is expected of it.
+    """Observed and predicted flow of one camera.
 
     Args:
-        camera: what its pictures gave.
+        camera: measurements from its pictures.
         body_from_cam: its mounting.
     """
 
@@ -153,13 +153,13 @@ class PredictedFlow:
         self.flow = self.focal * np.linalg.norm(self._seen - self._spots, axis=-1).mean(axis=-1)  # (K,) px
 
     def turned(self, mounting: Pose) -> PredictedFlow:
-        """The same flow under another mounting."""
+        """Return a copy with another mounting."""
         out = object.__new__(PredictedFlow)
         out.__dict__ |= self.__dict__ | {"_mounting": mounting}
         return out
 
     def looks_down(self) -> float | None:
-        """How far the optical axis points down: 1 straight down, 0 to the horizon; None without attitude."""
+        """Downward part of the optical axis, median: 1 straight down, 0 to the horizon; None without attitude."""
         if self._motion.attitude is None or not self.pairs:
             return None
         down = -self._motion.attitude(self._motion.inside(self._begin)).as_matrix()[:, 2, :]
@@ -178,13 +178,13 @@ class PredictedFlow:
         x1 = np.concatenate([self._seen / focal, np.ones_like(self._seen[..., :1])], axis=-1)
         y = x1 @ np.swapaxes(cam_from_later, 1, 2)
         y = y[..., :2] / np.maximum(y[..., 2:], 1e-3)
-        off = y - x0[None, :, :2]  # (K, 9, 2): what rotation does not explain
+        off = y - x0[None, :, :2]  # (K, 9, 2): flow that rotation does not explain
         arms = self._arms(y, x0, t0, t1, body_from_cam, parameters[GROUND])
         left, depth = _least_squares(off, arms)
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
     def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
-        """(K, 9, 2, P) flow for each unit of what is free: the inverse depth, or the three parts of the way over it."""
+        """(K, 9, 2, P) flow a unit of each free parameter: inverse depth, or translation (3,) times inverse depth."""
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
             free = np.zeros((len(y), x0.shape[0], 2, 3))
@@ -279,7 +279,7 @@ def _length(residuals: F64) -> F64:
 
 
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
-    """Fit what is free of each pair; one inverse depth is not negative. Residual (K, 9, 2) and first parameter (K,)."""
+    """Fit the free parameters of each pair: residual (K, 9, 2), and inverse depth (K,), not negative; NaN if P = 3."""
     if arms.shape[-1] == 1:
         a = arms[..., 0]
         depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)

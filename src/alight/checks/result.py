@@ -1,4 +1,4 @@
-"""What one check says: a verdict, the numbers that it stands on, and the mend."""
+"""Result of one check: a verdict, the numbers behind it, and the remedy."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class CheckResult:
 
     name: str
     verdict: Judged
-    evidence: str  # numbers with units, or why nothing can be said
-    mend: str = ""  # one sentence that says what to do; empty unless bad
+    evidence: str  # numbers with units, or the reason why the check cannot tell
+    mend: str = ""  # remedy in one sentence; empty where none is needed
 
     @property
     def line(self) -> str:
@@ -32,20 +32,20 @@ class CheckResult:
 
 
 def good(name: str, evidence: str) -> CheckResult:
-    """A check that found nothing wrong."""
+    """Result of a check that found no fault."""
     return CheckResult(name, Judged.GOOD, evidence)
 
 
 def bad(name: str, evidence: str, mend: str) -> CheckResult:
-    """A check that found a fault."""
+    """Result of a check that found a fault."""
     return CheckResult(name, Judged.BAD, evidence, mend)
 
 
 def warning(name: str, evidence: str, mend: str) -> CheckResult:
-    """A check that found something that is not as it should be, and holds nothing up."""
+    """Result of a check that found a defect with which a run is still possible."""
     return CheckResult(name, Judged.WARNING, evidence, mend)
 
 
 def unknown(name: str, why: str) -> CheckResult:
-    """A check that the recording does not allow."""
+    """Result of a check that the recording does not allow."""
     return CheckResult(name, Judged.UNKNOWN, why)

@@ -1,4 +1,4 @@
-"""Rates and stamps: gaps, missing partners, repeated times, sigmas, and clocks that do not meet."""
+"""Rates and stamps: gaps, missing partners, repeated times, sigmas, and clocks that do not overlap."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def check_frames(evidence: RigEvidence) -> CheckResult:
 
 
 def _apart(evidence: RigEvidence) -> float:
-    """Ms between paired pictures, as the source says."""
+    """Milliseconds between paired pictures, from the source's warnings; 0: no such warning."""
     for warning in evidence.warnings:
         if "do not expose together" in warning and (found := re.search(r"([\d.]+) ms", warning)):
             return float(found.group(1))

@@ -24,8 +24,8 @@ from alight.tracks import inverse_depth
 
 RESIDUAL = 1.0  # px, RMS from the epipolar line that a rig may have
 PATTERN = 0.6  # px likewise, where a turn of the second camera explains most of it
-DISPARITY = 2.5  # px, below which the sign of the depth says nothing
-PRIOR = 1.5  # px for each rad: holds what the residuals do not see
+DISPARITY = 2.5  # px, below which the sign of the depth is not significant
+PRIOR = 1.5  # px for each rad: constrains turns on which the residuals do not depend
 OFF, SHARE = 1.0, 0.25  # px and share by which the disparity may differ from that of the flow: ground has relief
 
 EXCHANGE = "exchange the folders cam0 and cam1 (or the cables); the calibrations stay"
@@ -65,7 +65,7 @@ def relation(first: Pose, other: Pose) -> Pose:
 
 
 def seen_by(first: Camera, other: Camera, a: F64, b: F64) -> CameraPair:
-    """Matches (px) as two cameras see them."""
+    """Matches (px) of two cameras, as normalised coordinates."""
     return CameraPair(first.rays(a)[:, :2], other.rays(b)[:, :2], first.fu)
 
 
@@ -86,10 +86,10 @@ class StereoCase:
 
 
 def check_stereo(rig: Rig, found: RigMatches, flow: FlowFit | None) -> CheckResult:
-    """One pair of cameras: calibration, order and baseline.
+    """Check one pair of cameras: calibration, order and baseline.
 
     Args:
-        flow: what GPS/INS and the flow of camera 0 say of the depth; None: unknown.
+        flow: fit of the flow of camera 0 with GPS/INS, for the depth; None: unknown.
     """
     first, other = rig.cameras[0], rig.cameras[found.camera]
     name = f"stereo {first.name} {other.name}"
@@ -138,7 +138,7 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
 
 
 def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
-    """Most depths are negative: cameras exchanged, or the sign of the baseline."""
+    """Result where most depths are negative: the cameras are exchanged, or the sign of the baseline is wrong."""
     sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
     if swapped < 0.7 * own and own > 0.25:
         return bad(name, f"{evidence}: the cameras are exchanged", EXCHANGE)
@@ -162,7 +162,7 @@ def _quarter_turn(case: StereoCase) -> str:
 
 
 def turn_words(camera: str, turn: F64) -> str:
-    """How a camera is turned from its calibration: `calibrated_from_true` as a quarter or a half turn."""
+    """Turn of a camera from its calibration, in words: `calibrated_from_true` is a quarter or a half turn."""
     vector = Rotation.from_matrix(turn).as_rotvec()
     angle = float(np.degrees(np.linalg.norm(vector)))
     axis = vector / max(float(np.linalg.norm(vector)), 1e-9)
@@ -174,15 +174,15 @@ def turn_words(camera: str, turn: F64) -> str:
 
 
 def fitted_turn(pair: CameraPair, as_is: Pose, lens: bool) -> tuple[F64, float]:
-    """Fit what the other camera's calibration leaves: (4,) turn about its own axes [rad], log of its focal length.
+    """Fit corrections (4,) of the other camera: turn about its own axes [rad], log of its focal length.
 
-    A turn that moves the points along their epipolar lines is hardly seen; a weak prior holds it.
+    A turn that moves the points along their epipolar lines is hardly observable; a weak prior constrains it.
 
     Args:
         lens: whether the focal length is free.
 
     Returns:
-        what the true camera is turned and longer than the calibrated one, and the residual that this leaves, px.
+        the corrections from the calibrated camera to the true one, and the residual after them, px.
     """
 
     def residuals(p: F64) -> F64:
@@ -215,7 +215,7 @@ def _stale(case: StereoCase, evidence: str, own: float) -> CheckResult:
 
 
 def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
-    """The epipolar lines are right: are the depths? GPS/INS and the flow give depths of their own."""
+    """Check the depths against those of GPS/INS and the flow, after the epipolar lines were found right."""
     rho, disparity = case.pair.depths(case.as_is)
     seconds = (case.found.t_ns - flow.origin_ns) * 1e-9
     times, at = np.unique(seconds, return_inverse=True)

@@ -1,4 +1,4 @@
-"""The command line: the one place that catches, prints and exits. One file a group of commands."""
+"""The command line: the only place that catches, prints and exits. One file a group of commands."""
 
 import os
 

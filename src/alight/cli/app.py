@@ -1,4 +1,4 @@
-"""The application, the options that commands share, and what turns an error into one line and an exit code."""
+"""The application, the options that commands share, and the conversion of an error into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from alight.documents import DocumentError, read_text
 from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
 
-SPEED_OVER = 300.0  # s, from whose progress the time left is estimated: a tile may take a minute
+SPEED_OVER = 300.0  # s of progress from which the time left is estimated: a tile may take a minute
 MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
-# typer's errors descend from the click it brings along or, older, from click itself; it shows this one leaf of both
+# typer's errors descend from its own copy of click or, in older versions, from click; this leaf class exists in both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
 stderr = Console(stderr=True)
-_ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # asked for politely; Windows has no SIGHUP
-_unsaid: list[str] = []  # why stdout did not take the answer: told when the work is done
-_signals: list[int] = []  # that asked this process to end
+_ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
+_unsaid: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
+_signals: list[int] = []  # received requests to end
 
 
 def _speak_up(verbose: bool) -> None:
@@ -75,7 +75,7 @@ VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", callback=_speak_
 
 
 def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
-    """Settings of a file and `--set` options.
+    """Read settings from a file and `--set` options.
 
     Raises:
         SettingsError: the file cannot be read, a key is unknown, a value is out of range.
@@ -93,7 +93,7 @@ def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
 
 
 def _fails(text: str) -> bool:
-    """Whether the text of a file is at fault by itself."""
+    """Whether the text of a file alone is invalid."""
     try:
         load_settings(text)
     except ValueError:
@@ -103,7 +103,7 @@ def _fails(text: str) -> bool:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar a stage on stderr, gone when done; nothing where stderr is no terminal."""
+    """Show a bar a stage on stderr, removed at the end; none where stderr is no terminal."""
     columns = (
         TextColumn("{task.description:<8}"),
         BarColumn(),
@@ -126,30 +126,30 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 
 def complain(line: str, style: str) -> None:
-    """One line on stderr, however long: a terminal wraps it by itself, and a log wants it whole."""
+    """Print one line on stderr, however long: a terminal wraps it by itself, and a log needs it whole."""
     from alight.report.words import printable
 
     stderr.print(printable(" ".join(line.split())), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def say(line: str) -> None:
-    """One line on stdout. That nobody reads it (`| head`) is no error; that it cannot be written ends no work."""
+    """Print one line on stdout. A closed pipe (`| head`) is no error; another failure to write ends no work."""
     from alight.report.words import printable
 
     try:
         typer.echo(printable(line))
     except OSError as e:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter fails on it at its end
         if not isinstance(e, BrokenPipeError):
             _unsaid.append(f"standard output: cannot be written ({e.strerror}); mend that or leave it open")
 
 
 def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str = "") -> None:
-    """The answer on stdout: the best site, or why there is none and the first candidate; one line each.
+    """Print the answer on stdout: the best site, or the reason for none and the first candidate; one line each.
 
     Args:
-        place: words for a position, (3,) metres.
-        more: what else to say of what was found.
+        place: returns words for a position, (3,) metres.
+        more: text after the numbers of sites and candidates.
     """
     from alight.report import words
 
@@ -190,7 +190,7 @@ def _top(
 
 
 def _log_to_stderr() -> None:
-    """Warnings and worse, above the bar on a terminal, else one plain line each."""
+    """Log warnings and errors above the bar on a terminal, else as one plain line each."""
     plain = logging.StreamHandler()
     plain.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     rich = RichHandler(console=stderr, show_path=False, show_time=False)
@@ -206,7 +206,7 @@ def _usage(error: Any) -> str:
 
 
 def _exit_code(arguments: Sequence[str] | None) -> int:
-    """Of a command that ended without an error; typer turns Ctrl-C into a code of its own or into Abort."""
+    """Exit code of a command that ended without an error; typer turns Ctrl-C into a code of its own or into Abort."""
     try:
         return int(app(arguments, prog_name="alight", standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):
@@ -214,7 +214,7 @@ def _exit_code(arguments: Sequence[str] | None) -> int:
 
 
 def _smaller(arguments: Sequence[str] | None) -> str:
-    """What makes a command need less memory: first what the user set himself."""
+    """Advice for less memory: first about the user's own settings."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     given = [w for option, w in pairwise(words) if option == "--set"]
     given += [w.removeprefix("--set=") for w in words if w.startswith("--set=")]
@@ -224,7 +224,7 @@ def _smaller(arguments: Sequence[str] | None) -> str:
 
 
 def _usual(words: Sequence[str]) -> str:
-    """What makes a command without settings need less memory."""
+    """Advice for less memory, for a command without settings."""
     command = next((w for w in words if not w.startswith("-")), "")
     advice = {
         "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
@@ -238,7 +238,7 @@ def _usual(words: Sequence[str]) -> str:
 
 
 def call(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 2 and one line on stderr for what a user can mend, 130 for Ctrl-C."""
+    """Run one command and return its exit code: 2 and a line on stderr for a user's mistake, 130 for Ctrl-C."""
     _log_to_stderr()
     try:
         code = _exit_code(arguments)
@@ -262,7 +262,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
 
 
 def _end(number: int, frame: object) -> None:
-    """A signal to end is as good as Ctrl-C; objects that it leaves half made have nothing to say that helps a user."""
+    """Treat a signal to end like Ctrl-C; errors of objects that it leaves incomplete are silenced."""
     if number != signal.SIGINT:
         _signals.append(number)
     sys.unraisablehook = lambda _: None
@@ -270,9 +270,9 @@ def _end(number: int, frame: object) -> None:
 
 
 def _mend_streams() -> None:
-    """Closed standard streams lead to nothing, or the next file would take their place; any name can be printed.
+    """Open closed standard streams on the null device, or the next file would take their number; print any name.
 
-    A terminal that says it has no columns is taken for one that says nothing.
+    A terminal width of 0 columns is ignored.
     """
     if not os.environ.get("COLUMNS", "80").strip("0"):
         del os.environ["COLUMNS"]

@@ -51,7 +51,7 @@ def campaign(
     assign: SetOption = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Fly many simulated landings in closed loop and report how they ended; an interrupted campaign goes on."""
+    """Fly many simulated landings in closed loop and report their outcomes; an interrupted campaign is continued."""
     assign = [*(assign or []), *([] if look_again is None else [f"executive.look_again={str(look_again).lower()}"])]
     chosen = read_settings(settings, assign)
     from alight.runner import campaign as runner
@@ -91,7 +91,7 @@ def _again(planned: Campaign, out: Path, only: int) -> None:
 
 
 def _tell(ended: Ended) -> None:
-    """A line on stderr for each landing."""
+    """Print a line on stderr for a landing that has ended."""
     r = ended.record
     told = [
         f"#{r.number} {r.conditions.scene}: {r.outcome}",

@@ -1,4 +1,4 @@
-"""Command that looks for what is wrong with a rig: check."""
+"""Command that looks for faults of a rig: check."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 from alight.cli.app import SetOption, SettingsOption, VerboseOption, app, complain, progress_bar, read_settings, say
 from alight.records import PhotoRow
 
-WRONG = 3  # exit code: something is bad
+WRONG = 3  # exit code: a check is bad
 
 
 @app.command()
@@ -27,9 +27,9 @@ def check(
     assign: SetOption = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Say what is wrong with a rig: cameras, mounting, clocks, units, lenses; 3 is returned if something is bad.
+    """Find faults of a rig: cameras, mounting, clocks, units, lenses; the exit code is 3 if a check is bad.
 
-    Of photos: what their tags say, one line a photo.
+    Of photos: the facts in their tags, one line a photo.
     """
     chosen = read_settings(settings, assign)
     from alight.checks import Judged, check_source
@@ -50,7 +50,7 @@ def check(
 
 
 def _tell_photos(rows: list[PhotoRow], warnings: list[str], as_json: bool) -> None:
-    """What was understood of each photo on stdout, the warnings on stderr."""
+    """Print the facts about each photo on stdout, the warnings on stderr."""
     for w in warnings:
         complain(f"warning: {w}", "yellow")
     if as_json:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begins
 NOT_DOWN = "it has not touched the ground"
 PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
-BEHIND = 1.0  # s, from which a rehearsal says that the machine is too slow
+BEHIND = 1.0  # s, from which a rehearsal reports that the machine is too slow
 ANSWERS = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
 
 
@@ -137,7 +137,7 @@ def rehearse(
     seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0,
     verbose: VerboseOption = False,
 ) -> None:
-    """Simulate an autopilot and its cameras by the clock, for alight fly to be tried on; Ctrl-C ends it."""
+    """Simulate an autopilot and its cameras in real time, to try alight fly; Ctrl-C ends it."""
     if follow is not None:
         others = autopilot is not Dialects.ARDUPILOT
         given = {"--port": port != PORT, "--height": height != HEIGHT, "--wind": wind > 0.0, "--autopilot": others}
@@ -202,13 +202,13 @@ def _answer(outcome: FlightOutcome) -> None:
 
 
 class _PlainPage:
-    """Lines for a log: what happened, the phase, and how it is every ten seconds."""
+    """Lines for a log: messages, the phase, and the status every ten seconds."""
 
     def __init__(self) -> None:
         self._phase, self._at = "", -math.inf
 
     def tell(self, status: FlightStatus) -> None:
-        """Say how it is, seldom."""
+        """Print the status, every ten seconds, and a new phase."""
         if status.phase != self._phase:
             self._phase = status.phase
             self.say(status.phase)
@@ -217,7 +217,7 @@ class _PlainPage:
             self.say("; ".join(f"{name} {value}" for name, value in facts(status)))
 
     def say(self, line: str) -> None:
-        """One line."""
+        """Print one line on stderr."""
         stderr.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -234,7 +234,7 @@ def _unwell(checks: Sequence[CheckResult]) -> list[str]:
 
 
 def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
-    """Name and value of everything that a person wants to see."""
+    """Name and value of each fact of the status for a person."""
     view, heard = status.view, status.telemetry
     yield "state", status.phase if view is None else view.state.value
     if view is not None:

@@ -1,4 +1,4 @@
-"""Judging heights that somebody else made: hazards."""
+"""Command that judges heights from another source: hazards."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def judge_raster(
     force: ForceOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Judge any height raster: where this lander may touch down, how surely, and why not elsewhere."""
+    """Judge any height raster: P(safe) and reasons of each cell, and the landing sites of this lander."""
     from alight.outputs.folder import prepare_folder
     from alight.runner import judge
     from alight.sources.raster import read_ground

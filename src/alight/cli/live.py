@@ -1,4 +1,4 @@
-"""Commands of a flight as it comes: live."""
+"""Command of a live run: live."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def live(
     force: ForceOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Find a landing site while the flight goes on; Ctrl-C ends it, and what was seen is judged."""
+    """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
     chosen = read_settings(settings, assign)
     from alight.runner.home import flown_home, wanted_home, with_home
     from alight.runner.live.health import FlightHealth

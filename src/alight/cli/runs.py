@@ -1,4 +1,4 @@
-"""Commands that run the whole way: run, evaluate, demo, settings, warmup."""
+"""Commands of a recorded flight and of the program: run, evaluate, demo, settings, warmup."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Quality = Literal["fast", "normal", "fine"]
 
 
 def _place(result: RunResult, position: Sequence[float]) -> str:
-    """Where that is: degrees, or metres from the origin where the place on Earth is unknown."""
+    """Position in degrees, or in metres from the origin where the place on Earth is unknown."""
     if not result.georeferenced:
         return f"east {position[0]:.2f} m north {position[1]:.2f} m"
     latitude, longitude, _ = result.local.to_geodetic(position)
@@ -40,7 +40,7 @@ def _place(result: RunResult, position: Sequence[float]) -> str:
 
 
 def tell_result(result: RunResult) -> None:
-    """The answer on stdout, the warnings on stderr."""
+    """Print the answer on stdout, the warnings on stderr."""
     from alight.report import warnings
 
     for w in warnings(result):
@@ -51,7 +51,7 @@ def tell_result(result: RunResult) -> None:
 
 
 def leave_result(result: RunResult, out: Path, force: bool) -> None:
-    """The answer first, so that it is not lost when it cannot be written; then the folder, and where its report is."""
+    """Print the answer first, in case the folder cannot be written; then write it and print its report's path."""
     from alight.runner import replay
 
     tell_result(result)

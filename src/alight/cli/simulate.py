@@ -1,4 +1,4 @@
-"""Simulated flights: simulate."""
+"""Command that makes simulated flights: simulate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alight.cli.app import SeedOption, VerboseOption, app, progress_bar, say
 from alight.documents import parse_yaml, read_text
 from alight.records import InputError, SettingsError
 
-if TYPE_CHECKING:  # the simulator is slow to import, and most commands do without
+if TYPE_CHECKING:  # the simulator is slow to import, and most commands do not need it
     from alight_sim.scene import Scene
 
 PICTURE = 32, 12  # characters, columns and rows: two pixels a character, one above the other
@@ -69,9 +69,9 @@ def _make(scene: Scene, seed: int, out: Path, force: bool) -> None:
 
 
 def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
-    """A built-in scene by its name or a scene file, with `key=value` assignments that win over it.
+    """Read a built-in scene by its name or a scene file, with `key=value` assignments that win over it.
 
-    `seed`: of what the scene file leaves to be drawn.
+    `seed`: of the values that the scene file leaves to chance.
 
     Raises:
         InputError: there is no such scene, or it cannot be read.

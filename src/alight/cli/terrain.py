@@ -1,4 +1,4 @@
-"""Models of what ground looks like: terrain train, terrain test."""
+"""Commands for models of the appearance of ground: terrain train, terrain test."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def tell_how_well(
     sampling: SamplingOption = 0.05,
     verbose: VerboseOption = False,
 ) -> None:
-    """Print what a model takes for what, by site. Without FOLDER: what the model knows of itself."""
+    """Print the confusion matrix of a model, by site. Without FOLDER: the provenance of the model."""
     from alight.sources.library import read_model
     from alight.training.confusion import lines_of
 

@@ -40,7 +40,7 @@ class _Findings:
     edge: Mask
     unknown: Mask
     rise: F32 | None  # metres, of the ground under the belly above the worst contact plane
-    rotor: F32 | None  # sigmas, the least margin of what lies beside the footprint below the rotors
+    rotor: F32 | None  # sigmas, the least margin of the ground beside the footprint below the rotors
     blocked: Mask  # the ground reaches into the belly's or the rotor's clearance
     vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
@@ -50,12 +50,12 @@ class _Findings:
 
     @property
     def shape(self) -> FootprintShape:
-        """What the evidence needs of it."""
+        """Shape of the footprints, for the evidence."""
         smooth, trend = self.roughness_smooth, self.roughness_trend
         return FootprintShape(self.footprint, smooth, trend, self.measured_roughness, self.unmeasured)
 
     def margins(self, sigma: F32, elevation: ElevationMap, settings: HazardsSettings) -> TouchdownGeometry:
-        """What the margins to the limits are computed from; `sigma` (R, C) metres, of the footprint."""
+        """Geometry of the touchdowns, for the margins to the limits; `sigma` (R, C) metres, of the footprint."""
         tilt = common_tilt(elevation, settings)
         return TouchdownGeometry(self.footprint, self.slope, self.rise, self.rotor, sigma, tilt)
 
@@ -125,7 +125,7 @@ def _spare(sigma: F32) -> float:
 
 
 def common_tilt(elevation: ElevationMap, settings: HazardsSettings) -> float:
-    """1-sigma of the tilt that all cells share, rad: from the poses of the map, and what the user says besides."""
+    """1-sigma of the tilt that all cells share, rad: from the poses of the map, and the user's setting besides."""
     poses = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
     return float(np.hypot(poses, settings.tilt_sigma))
 
@@ -140,7 +140,7 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
     rough = f.footprint.roughness > lander.max_roughness + np.float32(single) * sigma
     rough |= f.roughness_smooth > lander.max_roughness + np.float32(averaged) * sigma
     rough |= f.roughness_trend > lander.max_roughness
-    if lander.has_gear and lander.belly_clearance is not None:  # the belly's own limit says more
+    if lander.has_gear and lander.belly_clearance is not None:  # the limit of the belly replaces it
         rough = np.zeros_like(rough)
     high_step = f.step > (np.inf if lander.max_step is None else lander.max_step)
     broken = {
@@ -159,7 +159,7 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
 
 
 def _appearance(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """The darkest patch of a footprint against what lies about it, and its patchiness: from 0, plain ground, to 2."""
+    """The darkest patch of a footprint against its surroundings, and its patchiness: from 0, plain ground, to 2."""
     cell, seen = elevation.grid.cell, elevation.rgb.any(axis=2)
     light = np.where(seen, log_brightness(elevation.rgb), np.float32(np.nan))
     below = disc_mean(light, settings.dark_radius, cell) - light
@@ -208,7 +208,7 @@ def _measure(
 def evidence(
     elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings
 ) -> tuple[Evidence, U16]:
-    """What P(safe) rests on, and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
+    """Evidence of P(safe), and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
     margins = margins_over_sigma(found.margins(sigma, elevation, settings), lander, settings, elevation.grid.cell)
     return evidence_of(elevation, terrain, margins.tilt, found.shape, lander), reasons
@@ -226,16 +226,16 @@ def assess(
     """Judge each cell as the centre of a touchdown, at the worst heading.
 
     The footprint is every cell whose centre lies within the lander's radius. Gear and rotors may reach beyond it, and
-    what lies there counts as well (G6, G6a). Unknown ground is never safe.
+    the ground there counts as well (G6, G6a). Unknown ground is never safe.
 
     Args:
         elevation: heights; cells that a flag refuses count as unknown.
         terrain: classes, which may refuse and never permit; None for none.
         lander: its shape and its limits.
-        settings: how strict.
-        missing: what could have refused ground, and was not there.
-        passed: (R, C), where something moved across a moment ago; None: nothing did.
-        came: (R, C), where somebody came to stand a moment ago; None: nobody did.
+        settings: limits of the judgement.
+        missing: vetoes that could have refused ground and were missing.
+        passed: (R, C), cells that something moved across a moment ago; None: nothing did.
+        came: (R, C), cells on which somebody came to stand a moment ago; None: nobody did.
 
     Raises:
         ValueError: the two maps do not share a grid.

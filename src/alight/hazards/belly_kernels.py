@@ -1,4 +1,4 @@
-"""Compiled loops that seek what a lander's belly meets: the ground that rises highest above a plane it rests on."""
+"""Compiled loops that seek the contact of a lander's belly: the highest ground above the plane it rests on."""
 
 import math
 
@@ -65,10 +65,10 @@ def _rise(
 
 @kernel
 def may_rise(own: F64, level: F64, across: F64, along: F64, reach: float, least: F32, out: F64) -> None:
-    """Fill `out` with how far the ground may at most rise above a contact plane, less `least`, cell by cell.
+    """Fill `out` with an upper bound of the ground's rise above a contact plane, less `least`, cell by cell.
 
-    It lies no higher than `own[3]` above the footprint's own plane (level, x, y); the two planes part by no more than
-    their difference at the centre plus that of their gradients times the reach.
+    The ground lies no higher than `own[3]` above the footprint's own plane (level, x, y). The two planes differ by no
+    more than their difference at the centre plus that of their gradients times the reach.
     """
     for c in range(out.size):
         gx, gy = own[1, c] - across[c], own[2, c] - along[c]
@@ -89,7 +89,7 @@ def search(
     along: F64,
     rise: F32,
 ) -> None:
-    """Raise `rise` (C,) to that above one contact plane where it may be higher, cell by cell of row `r`."""
+    """Raise `rise` (C,) to the rise above one contact plane where that may be higher, cell by cell of row `r`."""
     pad = spans.size // 2 + BLOCK
     for c in range(rise.size):
         if may[c] > 0.0 and rise[c] <= most:
@@ -99,7 +99,7 @@ def search(
 
 @kernel
 def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
-    """Fill out (4, C) with the footprints of row `r`; what is not judged has nothing that could rise."""
+    """Fill out (4, C) with the footprints of row `r`; cells that are not judged have no ground that could rise."""
     for i in range(4):
         out[i] = own[i, r]
     for c in range(out.shape[1]):
@@ -108,7 +108,7 @@ def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
 
 @kernel
 def keep(skip: Mask, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
-    """Tangents of squared tangents, and NaN where nothing was wanted or something is unknown."""
+    """Take tangents from squared tangents; NaN where the cell is skipped or a contact is unknown."""
     for c in range(tilt.size):
         tilt[c] = math.sqrt(steep[c])
         if skip[c] or known[c] == np.inf:

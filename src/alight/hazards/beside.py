@@ -1,4 +1,4 @@
-"""What lies beside the footprint: ground that gear beyond it may touch, and the circle of the rotors (G6, G6a)."""
+"""Ground beside the footprint: ground that gear beyond it may touch, and the circle of the rotors (G6, G6a)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from alight.settings import HazardsSettings, Lander
 
 STANDING = (Terrain.TREE, Terrain.STRUCTURE)  # classes that rise into the circle of the rotors
 SUPPORT = 0.15  # metres: a doubtful height counts where all within a square of this side are as high
-MOST_SIGMA = 0.5  # of the rise under the rotors: a larger sigma of a doubtful height tells nothing of what is there
+MOST_SIGMA = 0.5  # of the rise under the rotors: largest sigma that a doubtful height counts with
 ROUNDING = 1e-4  # of a share
 
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """What refuses a touchdown beside its footprint, (R, C) each."""
+    """Reasons beside the footprint to refuse a touchdown, (R, C) each."""
 
-    edge: Mask  # it leaves the map
+    edge: Mask  # gear or rotors leave the map
     unknown: Mask  # too much was not seen, or has no height
     standing: Mask  # land cover rises into the rotors
     rotor: F32 | None  # sigmas, the least margin of heights below the rotors; None: they are within the footprint
@@ -48,7 +48,7 @@ def beside_of(
     lander: Lander,
     settings: HazardsSettings,
 ) -> Beside:
-    """Judge what lies beside every footprint; nothing does where neither gear nor rotors reach beyond the radius.
+    """Judge the ground beside every footprint; none counts where neither gear nor rotors reach beyond the radius.
 
     Args:
         height: (R, C) metres, usable heights, NaN elsewhere.
@@ -56,8 +56,8 @@ def beside_of(
         elevation: all heights, doubtful ones as well, about any level.
         terrain: classes; None for none.
         footprint: its planes.
-        lander: how far its gear and its rotors reach.
-        settings: how strict.
+        lander: reach of its gear and its rotors.
+        settings: limits of the judgement.
     """
     cell = elevation.grid.cell
     edge, unknown, standing = (np.zeros(height.shape, np.bool_) for _ in range(3))
@@ -79,7 +79,7 @@ def beside_of(
 
 
 def _supported(elevation: ElevationMap, height: F32) -> F32:
-    """Measured heights (R, C), lowered to what a square about each has in common; metres in the level of `height`.
+    """Measured heights (R, C), opened by a square (erosion, then dilation); metres on the level of `height`.
 
     A single doubtful height is a wrong match. Several as high side by side are an object. NaN where not all are known.
     """

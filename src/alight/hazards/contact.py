@@ -17,7 +17,7 @@ from alight.hazards.footprint import block_starts, feet_of, padded_spans, skids_
 from alight.raster import disc_mask, disc_spans
 from alight.settings import Lander
 
-STRIP = 512  # rows of which running sums are held at once
+STRIP = 512  # rows whose running sums are held at once
 CERTAIN = np.float32(40.0)  # sigmas; a limit is kept, or broken, for sure
 NO_NOISE = 1e-9  # metres; a smaller sigma is none
 
@@ -89,7 +89,7 @@ def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, 
     Args:
         height: (R, C) metres, NaN = unknown.
         sigma: (R, C) metres, of each height.
-        footprint: its planes, above which the rotor may meet nothing higher than `rotor_rise`.
+        footprint: its planes; the ground under the rotor may rise above them by at most `rotor_rise`.
         lander: its rotor.
         cell: metres.
     """
@@ -137,10 +137,10 @@ def gear_contact(
     Args:
         height: (R, C) metres, NaN = unknown.
         footprint: its planes.
-        skip: (R, C) cells whose answer is not wanted.
+        skip: (R, C) cells that are not judged.
         lander: its gear.
         cell: metres.
-        spare: metres about the belly clearance within which the rise is wanted in numbers.
+        spare: metres about the belly clearance within which the rise is computed exactly.
 
     Returns:
         The worst tilt (R, C) rad, and the worst rise of the ground above the contact plane under the body, metres

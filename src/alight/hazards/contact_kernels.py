@@ -48,7 +48,7 @@ def _planes_of(first: F64, second: F64, third: F64, solve: F64, level: F64, acro
 
 @kernel
 def _raise_above(over: F64, touch: F64, level: F64, across: F64, along: F64, x: float, y: float) -> None:
-    """Keep the larger of `over` and what a foot's ground rises above the plane, cell by cell."""
+    """Keep the larger of `over` and the rise of a foot's ground above the plane, cell by cell."""
     for c in range(over.size):
         e = touch[c] - (level[c] + x * across[c] + y * along[c])
         t = over[c]
@@ -66,7 +66,7 @@ def _steepen(steep: F64, over: F64, across: F64, along: F64) -> None:
 
 @kernel
 def _unless(may: F64, over: F64) -> None:
-    """Nothing is sought above planes that a foot's ground rises above."""
+    """Seek no rise above planes that a foot's ground rises above."""
     for c in range(may.size):
         may[c] = may[c] if over[c] <= HAIR else -np.inf
 
@@ -97,7 +97,7 @@ def feet_contact(
 
     Args:
         ground: (R, C) heights, +inf where unknown.
-        body: (R + 2 pad, C + 2 pad) the same, -inf where unknown and off the map.
+        body: (R + 2 pad, C + 2 pad) heights, -inf where unknown and off the map.
         tops: like `body`, highest of the BLOCK x BLOCK cells that start there.
         skip: (R, C) bool, cells not judged.
         own: (4, R, C) the footprint's plane (level, per column, per row) and the highest ground above it.
@@ -192,9 +192,9 @@ def _narrow(low: F32, high: F32, behind: F32, ahead: F32, rest: F32, lever: F32)
 def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, low: F32, high: F32) -> None:
     """Rest both rails on their profiles at a common pitch (G5), cell by cell.
 
-    The height over the middle is the highest of `joint(t) - pitch t`, where `joint(t)` is the highest sum of two places
-    of the left and the right rail whose positions add up to `t`. Its least value is where the upper hull of `joint`
-    passes t = 0. Where a point at 0 is a corner of that hull the bottom is level: the lander rocks there.
+    `joint(t)` is the highest sum of two places, one of each rail, whose positions add up to `t`. Twice the height over
+    the middle is the highest of `joint(t) - pitch t`. Its least value is where the upper hull of `joint` passes t = 0.
+    Where a point at 0 is a corner of that hull, the lander rocks: a range of pitches has this least value.
 
     Args:
         left, right: (n, C) ground heights at n (odd) evenly spread places of the rails, +inf where unknown.
@@ -218,14 +218,14 @@ def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, 
     high[:] = np.float32(np.inf)
     for i in range(1, n):
         _narrow(low, high, joint[n - 1 - i], joint[n - 1 + i], rest, np.float32(1.0 / (i * apart)))
-    for c in range(rest.size):  # what is one pitch may differ in its last digit
+    for c in range(rest.size):  # equal pitches may differ in the last digit
         a, b = low[c], high[c]
         high[c] = b if b > a else a
 
 
 @kernel
 def _raise_to_sloped(top: F32, line: F32, pitch: F32, s: F32) -> None:
-    """Keep the larger of `top` and what a place of a rail lies above the rail's middle at a pitch, cell by cell."""
+    """Keep the larger of `top` and `line - s pitch`, cell by cell: the rail's middle if that place carries it."""
     for c in range(top.size):
         e, t = line[c] - s * pitch[c], top[c]
         top[c] = e if e > t else t

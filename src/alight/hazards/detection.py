@@ -1,7 +1,7 @@
-"""What would have been found: the chance that heights or pixels show an obstacle of a size (G7d).
+"""Probability that heights or pixels show an obstacle of a size (G7d).
 
-The curves are measured (`learned/detection.md`): the share of obstacles found by their width over what a sample of the
-match, or a pixel of the picture, covers of the ground.
+The curves are measured (`learned/detection.md`): the share of obstacles found, by their width over the width of
+a sample of the match, or of a pixel of the picture, on the ground.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Detection:
     pixels: F64  # (N,) 0 to 1
 
     def missed(self, width: F64, sampling: F64, pixel: F64) -> F64:
-        """Share of the obstacles of a width (metres) that neither shows; all arguments of shapes that broadcast."""
+        """Share of the obstacles of a width that neither shows; arguments in metres, of shapes that broadcast."""
         seen = [
             np.interp(np.log(width / at), np.log(self.sizes), curve)
             for at, curve in ((sampling, self.heights), (pixel, self.pixels))
@@ -39,13 +39,13 @@ class Detection:
         return np.asarray((1 - seen[0]) * (1 - seen[1]))
 
     def unseen_share(self, limit: float, sampling: F32, pixel: F32) -> F32:
-        """Share that stays unseen of the obstacles that are higher than `limit` metres, of the shape of `sampling`."""
+        """Unseen share of the obstacles higher than `limit`, of the shape of `sampling`; all arguments in metres."""
         at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
         return _bilinear(self._unseen, at[0], at[1])
 
     @cached_property
     def _unseen(self) -> F64:
-        """The share at `RATIOS` of the sampling (rows) and of the pixel (columns): lengths over the limit."""
+        """Unseen share at the `RATIOS` of the sampling (rows) and of the pixel (columns): lengths over the limit."""
         width = WIDE * np.geomspace(1, LARGEST, STEPS)
         missed = self.missed(width[None, None], RATIOS[:, None, None], RATIOS[None, :, None])
         return np.asarray(np.average(missed, axis=-1, weights=width ** (1 - STEEP)))
@@ -62,7 +62,7 @@ class Detection:
 
 
 def _position(ratio: F32) -> F64:
-    """Where ratios lie between the `RATIOS`, 0 to their number less 1; unknown ones at the end."""
+    """Index of ratios among the `RATIOS`, 0 to their number less 1, with fractions; unknown ones at the end."""
     known = np.where(np.isfinite(ratio), ratio, RATIOS[-1]).clip(RATIOS[0], RATIOS[-1])
     return np.asarray(np.log(known / RATIOS[0]) / np.log(RATIOS[1] / RATIOS[0]))
 
@@ -77,7 +77,7 @@ def _bilinear(table: F64, row: F64, col: F64) -> F32:
 
 @cache
 def read_detection() -> Detection:
-    """The curves of the package.
+    """Read the measured curves of the package.
 
     Raises:
         ValueError: the file holds curves that fall, or shares beyond 0 to 1.

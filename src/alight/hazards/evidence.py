@@ -1,7 +1,7 @@
 """Evidence against a footprint: terms that are larger where it is less likely safe (docs/method/p-safe.md, G7b).
 
-Lengths are in units of the height that the lander just stands. So what is learned with one lander, one camera and one
-height above ground is said of what can be seen, not of metres.
+Lengths are in units of the height that the lander just stands. So a fit with one lander, one camera and one height
+above ground is valid for others: it depends on visibility, not on metres.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are mor
 AROUND = 4.0  # metres, 1-sigma of the surroundings: ground with obstacles has more of them
 NARROW, WIDE = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
 PATCH = 1.5  # heights of the obstacle, 1-sigma over which relief and spots are gathered
-UNMEASURED = 60.0  # limits of roughness, that a footprint without heights counts as
-NEAR_SAMPLING, FAR_SAMPLING = 0.5, 0.9  # limits, that a sample covers: all is seen from near by, nothing is
-NEAR_PIXEL, FAR_PIXEL = 0.3, 0.5  # limits, that a pixel covers: the same
-UNMATCHED = 10.0  # cells that a sample covers where there is none
+UNMEASURED = 60.0  # limits of roughness: roughness of a footprint without heights
+NEAR_SAMPLING, FAR_SAMPLING = 0.5, 0.9  # limits, ground that a sample covers: fully near by, not near by at all
+NEAR_PIXEL, FAR_PIXEL = 0.3, 0.5  # limits, ground that a pixel covers: likewise
+UNMATCHED = 10.0  # cells: width of a sample where nothing was matched
 COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
 MIN_PROBABILITY = 1e-4  # keeps log odds finite
 CERTAIN = np.float32(9.2)  # log odds of landable ground where no land cover was given
@@ -51,7 +51,7 @@ class FootprintShape:
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
     measured_roughness: F32  # metres, of all heights that were measured well, doubtful ones as well
-    unmeasured: F32  # share of the footprint where none was
+    unmeasured: F32  # share of the footprint without any such height
 
 
 class Discs:
@@ -87,7 +87,7 @@ class Discs:
         return gaussian_mean(coarse, AROUND / self._cell)
 
     def fine(self, coarse: F32) -> F32:
-        """Back on the cells of the map, (R, C)."""
+        """Resample coarse cells to the cells of the map, (R, C)."""
         rows, cols = self._shape
         size = (coarse.shape[1] * COARSER, coarse.shape[0] * COARSER)
         return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)[:rows, :cols], np.float32)
@@ -101,13 +101,13 @@ def relief_power(elevation: ElevationMap, limit: float) -> F32:
 
 
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
-    """The same of any surface, (R, C) metres, all known."""
+    """Mean square relief of any surface, (R, C) metres, all known, as wide as an obstacle of `limit` metres."""
     bumps = difference_of_gaussians(height / np.float32(limit), NARROW * limit / cell, WIDE * limit / cell)
     return patch_mean(bumps * bumps, cell, limit)
 
 
 def patch_mean(power: F32, cell: float, limit: float) -> F32:
-    """Mean over what an obstacle of height `limit` (metres) covers, (R, C)."""
+    """Mean over the area that an obstacle of height `limit` (metres) covers, (R, C)."""
     return gaussian_mean(power, PATCH * limit / cell)
 
 
@@ -118,7 +118,7 @@ def _log_rms(power: F32, floor: float) -> F32:
 def obstacle_terms(
     elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs, sampling: F32, pixel: F32
 ) -> dict[str, F32]:
-    """Evidence against an even footprint, and that obstacles are about, on the cells of `discs`.
+    """Evidence against an even footprint, and of obstacles nearby, on the cells of `discs`.
 
     `sampling` and `pixel`: metres, means over the footprint.
     """
@@ -170,13 +170,13 @@ def near_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, d
 
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
-    """How far a footprint counts as seen from near by, 0 to 1: by its samples and its pixels, both over the limit."""
+    """Degree to which a footprint was seen from near by, 0 to 1: by its samples and its pixels, both over the limit."""
     pictures = np.log(FAR_PIXEL * limit / pixel) / np.log(FAR_PIXEL / NEAR_PIXEL)
     return np.asarray(np.minimum(sampled_finely(sampling, limit), pictures.clip(0, 1)), np.float32)
 
 
 def sampled_finely(sampling: F32, limit: float) -> F32:
-    """How far heights show what is as high as the limit, 0 to 1, whatever the pictures show."""
+    """Degree to which heights show an obstacle as high as the limit (metres), 0 to 1, whatever the pictures show."""
     share = np.log(FAR_SAMPLING * limit / sampling) / np.log(FAR_SAMPLING / NEAR_SAMPLING)
     return np.asarray(share.clip(0, 1), np.float32)
 

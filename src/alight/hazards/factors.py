@@ -1,4 +1,4 @@
-"""P(safe) as a product of three chances, each with evidence of its own (docs/method/p-safe.md, G7, G7b to G7e)."""
+"""P(safe) as a product of three factors, each with evidence of its own (docs/method/p-safe.md, G7, G7b to G7e)."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from alight.raster import log_at_least
 from alight.records import ElevationMap, MissingVeto, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
-FOUND = 0.95  # the chance with which `resolved` would have been found
-SETTLED = 0.3  # of the doubt that the least P leaves, that unseen obstacles may take up
-NEARER = 0.5  # of the present pixel, that a closer look takes where the doubt is not one of the pixel's size
+FOUND = 0.95  # probability with which an obstacle of `resolved` height would have been found
+SETTLED = 0.3  # share of the doubt allowed by the least P(safe) that unseen obstacles may take
+NEARER = 0.5  # of the present pixel: that of a closer look where the size of the pixel is not the doubt
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
 LEAST_RATE = 1e-9  # keeps the logarithm of a rate finite
-DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # of all measured heights, over the limit
-EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # hazards that these alone let expect (docs/lab/looks.md)
+DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # largest deviations of all measured heights, over the limit
+EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # expected hazards from these alone (docs/lab/looks.md)
 RIDGES = 0.9, 1.0, 1.1  # broad deviations over the limit
-RIDGES_EXPECTED = 0.0, 0.39, 0.78  # hazards that these alone let expect: they are as high as measured
+RIDGES_EXPECTED = 0.0, 0.39, 0.78  # expected hazards from these alone: they are as high as measured
 SOFT = 0.0, 1.1, 1.39  # log odds against ground that bears: probabilities of 0.5, 0.25 and 0.2
-SOFT_EXPECTED = 0.0, 0.2, 0.7  # hazards that these alone let expect, near by
+SOFT_EXPECTED = 0.0, 0.2, 0.7  # expected hazards from these alone, near by
 BROAD_TO_NARROW = 0.5, 1.0  # log of the deviation over that of smoothed heights
-PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
+PIXELS_A_SAMPLE = 2.0  # pixels that a sample of the match covers: cells are 1.8 pixels wide
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What P(safe) rests on where image matching may have smoothed obstacles away."""
+    """Evidence of P(safe) where image matching may have smoothed obstacles away."""
 
     tilt: F32  # (R, C) margin of the tilt to its limit, sigmas
     discs: Discs  # the cells of the terms
@@ -55,13 +55,13 @@ class Evidence:
     unseen: F32  # share of them that neither heights nor pictures would show
     ground: dict[str, F32]  # terms of `ground_rate`
     near: dict[str, F32]  # terms of `near_obstacle_rate` and `near_ground_rate`
-    nearness: F32  # 0 to 1: how far these two count
-    sampled: F32  # 0 to 1: the same of the heights alone
+    nearness: F32  # 0 to 1: weight of these two
+    sampled: F32  # 0 to 1: nearness by the heights alone
 
 
 @dataclass(frozen=True, eq=False)
 class SafetyFactors:
-    """Factors of P(safe), and how far the pictures go, (R, C) each."""
+    """Factors of P(safe), and the resolution behind them, (R, C) each."""
 
     relief: F32
     obstacle: F32
@@ -95,7 +95,7 @@ def factors_of(
     settings: HazardsSettings,
     missing: MissingVeto,
 ) -> SafetyFactors:
-    """From the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
+    """Factors from the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
     cell = elevation.grid.cell
     found = margins_over_sigma(margins, lander, settings, cell)
     tilt, vehicle = found.tilt, found.of_the_vehicle
@@ -121,7 +121,7 @@ def _chances(
     settings: HazardsSettings,
     missing: MissingVeto,
 ) -> tuple[F32, F32]:
-    """(R, C) chances that no unseen obstacle lies in the footprint, and that the ground bears and is dry."""
+    """(R, C) probabilities that no unseen obstacle lies in the footprint, and that the ground bears and is dry."""
     found = evidence_of(elevation, terrain, tilt, shape, lander)
     area = np.float32(math.pi * lander.ground_reach**2)
     usual = area * _density(terrain, elevation.grid.shape, found.discs, settings)
@@ -138,19 +138,19 @@ def _chances(
 
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
-    """Hazards expected by a rate from afar and by one from near by, the logarithms weighed by the nearness (G7f)."""
+    """Expected hazards from a rate from afar and one from near by, the logarithms weighted by the nearness (G7f)."""
     near = read_rate(name).log_rate(found.near)
     log = (1 - found.nearness) * log_at_least(afar, LEAST_RATE) + found.nearness * near
     return np.asarray(np.exp(log), np.float32)
 
 
 def deviation_hazards(near: Mapping[str, F32]) -> F32:
-    """Hazards expected by the largest deviation of all measured heights alone, from the terms of a near look (G7g).
+    """Expected hazards from the largest deviation of all measured heights alone, by the terms of a near look (G7g).
 
     A narrow one may be a stone that matching has flattened, and counts from half of the limit. A broad ridge or rim is
     as high as measured, and counts at the limit.
 
-    The fit also sees the shadow that an obstacle throws. Where the sky is grey, or the sun high, there is none.
+    The fit also uses the shadow of an obstacle. Where the sky is grey, or the sun high, there is none.
     """
     stone = np.interp(near[NearTerm.RISE], np.log(DEVIATIONS), EXPECTED)
     ridge = np.interp(near[NearTerm.RISE], np.log(RIDGES), RIDGES_EXPECTED)
@@ -159,9 +159,9 @@ def deviation_hazards(near: Mapping[str, F32]) -> F32:
 
 
 def soft_ground_hazards(ground: Mapping[str, F32]) -> F32:
-    """Hazards expected by the least likely bearing 0.2 m of a footprint alone, from its terms (G7h).
+    """Expected hazards from the 0.2 m of a footprint that bear least probably, alone, by its terms (G7h).
 
-    Near by, the fit leans on heights: where they are even, ground mostly bears. Tops of tall plants are even too.
+    Near by, the fit relies on heights: where they are even, ground mostly bears. Tops of tall plants are even too.
     """
     return np.asarray(np.interp(ground[GroundTerm.WORST_SMOOTH], SOFT, SOFT_EXPECTED), np.float32)
 
@@ -174,7 +174,7 @@ def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: Hazar
 
 
 def _density(terrain: TerrainMap | None, shape: tuple[int, int], discs: Discs, settings: HazardsSettings) -> F32:
-    """Obstacles a square metre that are to be expected on the kind of ground, before anything was seen of them."""
+    """Prior density of obstacles on the kind of ground, 1/m^2, before anything was seen of them."""
     usual = {
         Terrain.BARE: settings.unseen_bare, Terrain.SHORT_GRASS: settings.unseen_grass,
         Terrain.PAVED: settings.unseen_paved,
@@ -187,7 +187,7 @@ def _density(terrain: TerrainMap | None, shape: tuple[int, int], discs: Discs, s
 
 
 def _unlike_dry_ground(terrain: TerrainMap | None, discs: Discs, settings: HazardsSettings) -> F32:
-    """What the shape of a level surface below its banks, and ground unlike all that is known, add to the hazards."""
+    """Expected hazards from level surfaces below their banks, and from ground unlike all known ground."""
     if terrain is None or terrain.enclosed is None or terrain.novelty is None:
         return np.zeros(discs.grid.shape, np.float32)
     shut = discs.worst(discs.largest(terrain.enclosed))
@@ -197,7 +197,7 @@ def _unlike_dry_ground(terrain: TerrainMap | None, discs: Discs, settings: Hazar
 
 
 def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSettings) -> float:
-    """The largest pixel, metres, with which bare ground that shows nothing is as sure as a site must be."""
+    """The largest pixel, metres, with which bare ground that shows no obstacle is sure enough for a site."""
     pixels = np.geomspace(FINEST, 2.0, 60) * lander.tallest_obstacle
     at = [np.asarray(k * pixels, np.float32) for k in (PIXELS_A_SAMPLE, 1.0)]
     unseen = curves.unseen_share(lander.tallest_obstacle, *at)
@@ -209,7 +209,7 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
 def _settles_at(
     factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: float, lander: Lander, settings: HazardsSettings
 ) -> F32:
-    """The pixel by which the smallest factor would be settled, metres; NaN where a closer look would not tell more.
+    """Pixel that would settle the doubt of the smallest factor, metres; NaN where a closer look would not help.
 
     An obstacle: the pixel that `shows` it, or half of the present one where that is fine enough already. Relief, by its
     `least` margin, sigmas: sigma shrinks with the pixel. Ground: half of the present one.

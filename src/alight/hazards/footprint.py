@@ -23,7 +23,7 @@ def padded_spans(spans: I64, reach: int) -> I64:
 
 
 def directions(headings: int) -> F64:
-    """Unit (column, row) of the forward direction of evenly spread headings from north, clockwise; (headings, 2)."""
+    """Unit vectors (column, row) forward, of evenly spread headings from north, clockwise; (headings, 2)."""
     angle = 2 * math.pi * np.arange(headings) / headings
     return np.stack([np.sin(angle), -np.cos(angle)], axis=1)
 
@@ -54,12 +54,12 @@ def block_starts(spans: I64, side: int) -> I64:
 class Feet:
     """The cells under each foot at each heading."""
 
-    xy: F64  # (headings, feet, 2) where a foot counts: (column, row) offset in cells, the centroid of those under it
+    xy: F64  # (headings, feet, 2) contact of a foot: (column, row) offset in cells, the centroid of those under it
     offsets: I64  # (n, 2) (row, column) of all those cells
-    starts: I64  # (headings, feet + 1) where each foot's cells begin
+    starts: I64  # (headings, feet + 1) index at which each foot's cells begin
     triples: I64  # (t, 3) feet that can carry the lander together
     solve: F64  # (headings, t, 3, 3) from the heights of those three to their plane (level, per column, per row)
-    coarse: bool  # at some heading the cells do not tell three of them apart
+    coarse: bool  # at some heading the cells do not separate three of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def _solves(xy: F64, triples: I64) -> F64:
 
 
 def is_coarse(lander: Lander, cell: float) -> bool:
-    """Whether cells of this size (metres) are too coarse to tell the contacts of the gear apart (G5a)."""
+    """Whether cells of this size (metres) are too coarse to separate the contacts of the gear (G5a)."""
     if lander.skids is not None:
         return min(lander.skids) < COARSE * cell
     return lander.feet is not None and feet_of(lander, cell).coarse
@@ -118,7 +118,7 @@ def is_coarse(lander: Lander, cell: float) -> bool:
 def feet_of(lander: Lander, cell: float) -> Feet:
     """Lay the lander's feet on the grid, every heading.
 
-    Where the cells under three feet lie nearly in a line, all feet count where they are: so there is a plane.
+    Where the cells under three feet lie nearly in a line, all feet count at their exact place: so there is a plane.
     """
     assert lander.feet is not None
     body = np.array(lander.feet) / cell  # forward, left

@@ -1,7 +1,7 @@
 """Compiled loops that judge the ground under a lander (docs/method/hazards.md).
 
 Loops run over whole rows of cells, offset by offset, so that they vectorise; an unknown height is NaN and loses every
-`>` comparison, which is what leaves it out of a maximum.
+`>` comparison, so no maximum contains it.
 """
 
 import math
@@ -129,7 +129,7 @@ def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> Non
 
 @kernel
 def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: float, y: float) -> None:
-    """As `_widen`, of two lines: reading and writing is most of it."""
+    """As `_widen`, for two lines at once: reading and writing take most of the time."""
     for c in range(top.size):
         level, slope, t, b = base[c], grad[c], top[c], low[c]
         d, e = line[c] - level - x * slope, after[c] - level - y * slope

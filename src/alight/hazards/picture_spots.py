@@ -11,7 +11,7 @@ from alight.raster import block_green, block_light, block_max, block_mean, diffe
 from alight.records import ElevationMap
 
 NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
-GREY = 0.02  # excess green of the greenest spot of a grey picture, which shows none: as ground with a few plants
+GREY = 0.02  # excess green that the greenest spot of a grey picture counts as: ground with a few plants
 WHOLE = 0.999  # share of a block from which it was seen whole
 
 
@@ -29,10 +29,10 @@ def spots_of(light: F32, height: float) -> F32:
 
 
 def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
-    """Measure the finest picture.
+    """Contrast of the spots of the finest picture.
 
     Args:
-        elevation: its finest picture is used; what was not seen counts as even.
+        elevation: its finest picture is used; unseen ground counts as even.
         height: metres, of the obstacle that is looked for.
     """
     rgb, factor = elevation.finest
@@ -47,7 +47,7 @@ def green_spots(elevation: ElevationMap, height: float) -> F32:
     A tuft on bare ground is a plant, however flat matching makes it.
 
     Args:
-        elevation: its finest picture is used; what was not seen counts as even.
+        elevation: its finest picture is used; unseen ground counts as even.
         height: metres, of the obstacle that is looked for.
     """
     rgb, factor = elevation.finest
@@ -64,14 +64,14 @@ def _light_and_seen(rgb: U8, inner: int) -> tuple[F32, Mask]:
 
 
 def _seen_spots(measure: F32, seen: Mask, height: float) -> F32:
-    """The spots of a measure, of an obstacle of a height in pixels; what was not seen is even. It is worn out by it."""
+    """Spots of a measure as wide as an obstacle of a height in pixels; unseen pixels are 0. Overwrites `measure`."""
     if not seen.all():
         _fill_evenly(measure, seen, WIDE * height)
     return spots_of(measure, height) * seen
 
 
 def _fill_evenly(light: F32, seen: Mask, sigma: float) -> None:
-    """Give what was not seen the mean about it, `sigma` pixels wide; in place: pictures have tens of megapixels."""
+    """Fill unseen pixels with the mean about them, `sigma` pixels wide; in place: pictures have tens of megapixels."""
     light *= seen
     share = gaussian_mean(seen.astype(np.float32), sigma)
     np.maximum(share, np.float32(1e-3), out=share)

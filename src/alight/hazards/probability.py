@@ -66,7 +66,7 @@ class TouchdownGeometry:
     footprint: Footprint
     slope: F32  # rad, of the footprint or the worst tilt of feet or skids
     rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
-    rotor: F32 | None  # sigmas, least margin of what lies beside the footprint below the rotors; None: nothing may
+    rotor: F32 | None  # sigmas, least margin of the ground beside the footprint below the rotors; None: not judged
     sigma: F32  # metres, root mean square height sigma in the footprint
     common_tilt: float  # rad, 1-sigma of the tilt that the whole map shares
 
@@ -76,12 +76,12 @@ class Margins(NamedTuple):
 
     tilt: F32
     belly: F32 | None  # None: not judged
-    deviation: F32 | None  # of the ground from the plane; None: the belly's says more
+    deviation: F32 | None  # of the ground from the plane; None: the margin of the belly replaces it
     rotor: F32 | None  # None: the rotors lie within the footprint
 
     @property
     def of_the_vehicle(self) -> list[F32]:
-        """Those of its attitude and of its parts: all but the deviation."""
+        """Margins of the vehicle's attitude and parts: all but the deviation."""
         return [m for m in (self.tilt, self.belly, self.rotor) if m is not None]
 
 

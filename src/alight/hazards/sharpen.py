@@ -1,6 +1,6 @@
-"""Heights on an image's finer pixels: the height field that both the coarse heights and the shading agree with.
+"""Heights on an image's finer pixels: the height field that agrees with the coarse heights and with the shading.
 
-Rocks below the cell size betray themselves by their lit and their shadowed side (docs/method/hazards.md).
+Rocks below the cell size show by their lit and their shadowed side (docs/method/hazards.md).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from alight.settings.tuning.hazards import SharpenTuning
 log = logging.getLogger(__name__)
 
 
-HEIGHT_FLOOR = 0.001  # metres; no cell is trusted further
+HEIGHT_FLOOR = 0.001  # metres; least sigma of a cell
 ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
-UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes what alternates pixel by pixel
+UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes alternation from pixel to pixel
 _LAPLACE = np.array([[0, 1, 0], [1, -4, 1], [0, 1, 0]], np.float32)
 
 Operator = Callable[[F32], F32]
@@ -44,7 +44,7 @@ def _spans(factor: int) -> tuple[int, int]:
 
 
 def coarsen(fine: F32, factor: int) -> F32:
-    """Heights of the cells (S2) from those of the pixels; the rim continues as it ends."""
+    """Heights of the cells (S2) from those of the pixels; beyond the rim its heights are repeated."""
     weights, before = cell_weights(factor), _spans(factor)[0]
     padded = cv2.copyMakeBorder(fine, before, factor, before, factor, cv2.BORDER_REPLICATE)
     rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
@@ -54,7 +54,7 @@ def coarsen(fine: F32, factor: int) -> F32:
 
 
 def _spread(cells: F32, factor: int) -> F32:
-    """Transpose of `coarsen`, but for the rim, where it leaves out what was continued."""
+    """Transpose of `coarsen`, except at the rim, where it leaves out the repeated pixels."""
     weights, before = cell_weights(factor), _spans(factor)[0]
     rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
     wide = np.zeros((cells.shape[0], cols + before + factor), np.float32)
@@ -93,7 +93,7 @@ class _Scene:
 
 
 def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) -> F32:
-    """One Gauss-Newton step of S3: cells, shading of the lit pixels, and how sharply ground bends."""
+    """One Gauss-Newton step of S3: cells, shading of the lit pixels, and curvature of the ground."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
     noise = np.float32(max(light.spread, scene.tuning.shade_floor * float(np.linalg.norm(light.sun))))
@@ -152,7 +152,7 @@ def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
 
 
 def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
-    """1-sigma of the fine heights (S4): the cell's own, and in shadow a share of the detail that is not seen there."""
+    """1-sigma of the fine heights (S4): the cell's own, and a share of the detail, larger in shadow."""
     detail = z - cv2.GaussianBlur(z, (0, 0), 0.5 * factor)
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
     unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near
@@ -165,7 +165,7 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
     """Refine heights to the pixels of an image of the same ground, lit by the sun and seen from above.
 
     Args:
-        elevation: heights and sigma of the cells; what is not trusted stays unknown.
+        elevation: heights and sigma of the cells; cells that are not trusted stay unknown.
         image: (f R, f C) or (f R, f C, 3), f = 2, 4, ... pixels a cell, the same north and extent.
 
     Returns:

@@ -18,7 +18,7 @@ LONGEST = 400  # cells that a shadow is followed
 
 
 def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
-    """Sobel gradients along columns and rows, metres a metre: what a renderer and a camera's blur both come near to."""
+    """Sobel gradients along columns and rows, metres a metre: similar to those of a renderer and of a camera's blur."""
     scale = np.float32(1 / (8 * pixel))
     along = cv2.sepFilter2D(height, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING)
     across = cv2.sepFilter2D(height, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale)
@@ -37,7 +37,7 @@ class Sunlight:
 
     sun: F64  # (3,) grey levels along columns, rows and up
     ambient: float  # grey levels
-    spread: float  # grey levels, 1-sigma of what it leaves unexplained
+    spread: float  # grey levels, 1-sigma of the residual
     explained: float  # share of the image's variance that it explains
 
     @property
@@ -62,7 +62,7 @@ def _solve(terms: F32, image: F32) -> F64:
 
 
 def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
-    """Fit the light to an image of known ground, by least squares without what does not follow it (S1).
+    """Fit the light to an image of ground with known heights, by least squares without outliers (S1).
 
     Args:
         height: (R, C) metres.
@@ -89,7 +89,7 @@ def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
 
 
 def in_shadow(height: F32, light: Sunlight, pixel: float) -> Mask:
-    """Pixels that the sun does not reach: turned away from it, or behind something that stands towards it."""
+    """Pixels that the sun does not reach: turned away from it, or behind an object in its direction."""
     level = math.hypot(light.sun[0], light.sun[1])
     if level < 1e-6:
         return np.zeros(height.shape, dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Select the heights that count as known, bridging small gaps of doubtful ones (G0)."""
+"""Select the usable heights, bridging small gaps of doubtful ones (G0)."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def _with_gaps(known: Mask, reach_cells: float) -> Mask:
 
 
 def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """Heights that count as known, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
+    """Usable heights, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
 
     These are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
-    trusted ones beside them to half the roughness limit: a match that is ambiguous and yet lands on the ground around
-    it. On the rendered sample flight 0.15 m finds a quarter more of the safe ground at
-    the same false-safe rate; 0.25 m quadruples that rate (a tree crown matched at ground level slips in).
+    trusted ones beside them to half the roughness limit: an ambiguous match that lies on the ground around it.
+    On the rendered sample flight 0.15 m finds a quarter more of the safe ground at
+    the same false-safe rate; 0.25 m quadruples that rate (a tree crown matched at ground level is let in).
     """
     known = elevation.trusted
     if not known.any():
@@ -52,7 +52,7 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
 
 
 def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """Heights (R, C) that tell of an obstacle, doubtful ones as well, metres (G7f).
+    """Measured heights (R, C), doubtful ones as well, as evidence of obstacles, metres (G7f).
 
     A vague one counts in full where it stands out by several of its sigmas from the trusted ground about it; else it
     counts as one sigma nearer to that ground, and as not measured, NaN, within one sigma.

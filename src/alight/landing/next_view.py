@@ -1,4 +1,4 @@
-"""The next view: from where the doubt about a candidate would be settled (G19)."""
+"""The next view: a view that would settle the doubt about a candidate (G19)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from alight.arrays import F64
 from alight.records import NextView
 from alight.settings import SitesSettings
 
-_OVERHEAD = 1e-3  # metres: nearer than this the direction to the vehicle means nothing
+_OVERHEAD = 1e-3  # metres: nearer than this the direction to the vehicle is undefined
 
 
 @dataclass(frozen=True, eq=False)

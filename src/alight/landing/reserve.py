@@ -11,7 +11,7 @@ from alight.arrays import F64
 from alight.landing.reasons import REASON_WORDS
 from alight.records import Hazard, HazardMap, Site, Sites
 
-SIGMAS_OF_TIE = 2.0  # that the clearance of a site must cover, to be a site in another frame
+SIGMAS_OF_TIE = 2.0  # sigmas that the clearance of a site must cover, to be a site in another frame
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Reserve:
 
 
 def _refusal(hazards: HazardMap, site: Site) -> str | None:
-    """The reasons against the place of a site in words; None where there is none, or the map does not see it."""
+    """The reasons against the place of a site in words; None if there are none, or the map does not show the place."""
     row, col = (int(np.rint(v)) for v in hazards.grid.index(np.array(site.east), np.array(site.north)))
     if not (0 <= row < hazards.grid.rows and 0 <= col < hazards.grid.cols):
         return None

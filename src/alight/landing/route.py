@@ -1,4 +1,4 @@
-"""From a site to way-points: over the site, clear of everything mapped, then straight down."""
+"""Route: from a site to way-points over the site, clear of everything mapped, then straight down."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from alight.raster import block_quantile, upsample
 from alight.records import ElevationMap, Route, Site, Waypoint, is_measured
 from alight.settings import RouteSettings
 
-BLOCK = 0.5  # metres: doubtful heights are believed by blocks of this size
+BLOCK = 0.5  # metres: doubtful heights count by blocks of this size
 UNMAPPED = 0.05  # share of the ground beside the way that may be unmapped, as `executive.unmapped`
 ABOUT = 2.0  # metres: side of the blocks whose lowest heights, with those of their neighbours, are the ground
 
@@ -26,15 +26,15 @@ ABOUT = 2.0  # metres: side of the blocks whose lowest heights, with those of th
 class _Corridor:
     """Obstacles on the way: the mapped cells within `clearance` of the ground track."""
 
-    share: F64  # (n,) how far along the way each cell is, 0 to 1
-    top: F64  # (n,) metres, its height and two sigma
-    unknown: bool  # part of the way is not mapped, or of what lies beside it
+    share: F64  # (n,) place of each cell along the way, 0 to 1
+    top: F64  # (n,) metres, height of each cell plus two sigma
+    unknown: bool  # True: a part of the way is not mapped, or of the ground beside it
     beside: float  # metres, the highest top within `clearance` of the site
-    ceiling: float  # metres, the highest thing on the whole map: unknown ground may be as high
+    ceiling: float  # metres, the highest top on the whole map: unknown ground may be as high
 
 
 def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
-    """How far along a way each cell is, 0 to 1, and which lie within `width` metres of it, (R, C) each."""
+    """Place of each cell along a way, 0 to 1, and True for cells within `width` metres of it, (R, C) each."""
     east, north = grid.xy()
     x, y = np.meshgrid(east - start[0], north - start[1])
     ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
@@ -57,17 +57,17 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Obstructions:
-    """What may stand in the way."""
+    """Obstacles that may stand in the way."""
 
-    top: F64  # (R, C) metres, world up; NaN where no camera measured any
-    rise: F64  # (R, C) metres of what is in doubt above the ground about it; NaN where nothing is
+    top: F64  # (R, C) metres, world up; NaN where no height was measured
+    rise: F64  # (R, C) metres, of doubtful heights above the ground about them; NaN where none is in doubt
 
     @classmethod
     def of(cls, elevation: ElevationMap) -> Obstructions:
-        """Trusted heights with two sigma, and by blocks what is in doubt.
+        """Trusted heights plus two sigma, and doubtful heights by blocks.
 
-        Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of those
-        within a block, because single ones are wrong, and how far they rise is kept.
+        Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of a block,
+        because single ones are wrong, and their rise is kept.
         """
         height = np.where(is_measured(elevation.flags), elevation.height, np.float32(np.nan))
         size, shape = max(1, round(BLOCK / elevation.grid.cell)), height.shape
@@ -89,14 +89,14 @@ def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask)
 
 
 def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float) -> bool:
-    """True if more than `UNMAPPED` of a stretch of the way is not mapped, twice as long as `width` and as wide.
+    """True if more than `UNMAPPED` of some stretch of the way, `width` to either side and twice as long, is not mapped.
 
     Ground beyond both ends does not count: the way does not pass it.
 
     Args:
         start, to: (2,) metres or more, the ends of the way.
         grid: of the map.
-        mapped: (R, C), cells that say what stands on them, be it in doubt; off the map there are none.
+        mapped: (R, C), True for cells with a height, even a doubtful one; off the map there are none.
         width: metres on either side.
     """
     rows, cols = grid.index(*np.array([start[:2], to[:2]]).T)
@@ -117,12 +117,12 @@ def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float
 def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wind: F64 | None) -> tuple[float, float]:
     """Heights (metres, world up) at which the transit begins and ends (G17).
 
-    A straight line down to the approach point if it is clear all the way; else level flight, high enough. Level too
-    with the wind from behind: a rotor that sinks along with the air meets its own wash.
+    A straight line down to the approach point if it is clear all the way; else level flight, high enough. Level flight
+    too with the wind from behind: a rotor that sinks along with the air meets its own wash.
     """
     end = site.up + settings.approach_height
     begin = max(float(start[2]), end)
-    if way.unknown:  # what is not mapped may be as high as the highest thing that is
+    if way.unknown:  # unmapped ground may be as high as the highest mapped top
         level = max(way.ceiling + settings.clearance, begin)
         return level, level
     line = begin + way.share * (end - begin)
@@ -136,25 +136,25 @@ def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wi
 
 
 class WayBelow(NamedTuple):
-    """What lies below a level way."""
+    """Ground below a level way."""
 
-    clear: float  # metres up: the height at which it is clear of everything mapped, minus infinity where nothing is
+    clear: float  # metres up: the height at which it is clear of everything mapped, minus infinity if nothing is mapped
     unmapped: float  # share of the ground within the clearance
-    doubtful: float  # m^2 of it where something stands whose height is in doubt
+    doubtful: float  # m^2 of it with obstacles of doubtful height
 
 
 def way_below(
     start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float, beside: float, rise: float
 ) -> WayBelow:  # fmt: skip
-    """How high a level way has to be flown, and how much of the ground below it tells nothing of that.
+    """Least height of a level way, and the unmapped and the doubtful part of the ground below it.
 
     Args:
         start, to: (3,) metres; the way leads from above the one to above the other, and may leave the map.
         grid: of the map.
-        obstructions: what may stand on it.
-        clearance: metres above what stands below it.
-        beside: metres on either side within which that is below it.
-        rise: metres above the ground about it, from which the height of what is in doubt is not known.
+        obstructions: obstacles on the map.
+        clearance: metres above the obstacles below it.
+        beside: metres on either side that count as below it.
+        rise: metres above the ground about it, from which a doubtful height counts as an obstacle of unknown height.
     """
     _, near = along_way(start, to, grid, beside)
     here, cell = obstructions.top[near], grid.cell * grid.cell
@@ -172,7 +172,7 @@ def _bearing(a: F64, b: F64, otherwise: float) -> float:
 def _stops(
     start: F64, site: Site, heights: tuple[float, float], settings: RouteSettings
 ) -> list[tuple[str, F64, bool]]:
-    """Name, position and whether to look, of every way-point after the start."""
+    """Name, position and look (True: look from here) of every way-point after the start."""
     begin, end = heights
     over = [site.east, site.north]
     approach = site.up + settings.approach_height
@@ -185,7 +185,7 @@ def _stops(
     ]
     out: list[tuple[str, F64, bool]] = []
     for stop, following in zip(stops, [*stops[1:], None], strict=True):
-        merged = following is not None and np.linalg.norm(following[1] - stop[1]) < 0.05  # the later name says more
+        merged = following is not None and np.linalg.norm(following[1] - stop[1]) < 0.05  # the later name is kept
         if not merged and np.linalg.norm(stop[1] - (out[-1][1] if out else start)) > 0.05:
             out.append(stop)
     return out
@@ -220,8 +220,8 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
 
     Returns:
         The way-points from the vehicle's position to the touchdown, with the speed towards each and the time at it.
-        Warnings say where the line climbs, crosses or passes ground that is not mapped, or comes down beside what is
-        taller than `clearance`, nearer than that.
+        Warnings name where the line climbs, crosses or passes ground that is not mapped, or comes down nearer than
+        `clearance` beside an obstacle taller than that.
     """
     start = np.asarray(vehicle_position, dtype=np.float64)
     way = _corridor(start, site, elevation, settings.clearance)

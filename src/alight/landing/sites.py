@@ -1,4 +1,4 @@
-"""Landing sites and candidates: the best places to touch down, ranked, or why there is none (eq. 5, G11, G11a)."""
+"""Landing sites and candidates: the best places to touch down, ranked, or the reason for none (eq. 5, G11, G11a)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from alight.settings import Lander, SitesSettings
 
 Term = tuple[float, F32]  # of Q: weight, and (R, C) values
 Cell = tuple[int, int]  # row, column
-RADII_APART = 4.0  # footprint radii between two listed places, at least: one hazard must not spoil two of them
+RADII_APART = 4.0  # footprint radii between two listed places, at least: one hazard must not make both useless
 
 
 def separation(settings: SitesSettings, lander: Lander) -> float:
@@ -144,7 +144,7 @@ def _doubt(site: Site) -> Doubt:
 
 
 def _candidate(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
-    """The place at a peak with what is doubtful about it, and the view that would settle it."""
+    """The place at a peak, with its doubt and the view that would settle it."""
     site = _site(c, rank, at, clearance)
     place, settles_at = np.array([site.east, site.north, site.up]), float(c.hazards.settles_at[at])
     look = None if c.observer is None else next_view(place, settles_at, c.observer, c.settings)
@@ -160,7 +160,7 @@ def choose_sites(
     observer: Observer | None = None,
     extra: Sequence[Term] = (),
 ) -> Sites:
-    """Rank the places where a touchdown is safe, then those that nothing refuses and that are not sure enough.
+    """Rank the places where a touchdown is safe, then those that nothing refuses and whose P(safe) is below the limit.
 
     The first site is the choice, the others are kept in reserve. A candidate is a place to look at again.
 
@@ -168,7 +168,7 @@ def choose_sites(
         hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
         land_cover: classes, named at each place; None for not known.
         elevation: heights; their cells may be finer than those of the hazards.
-        settings: how many, how far apart, and what counts.
+        settings: number and least distance of places, and weights of the score.
         lander: its footprint.
         observer: the vehicle, for the heading of the approach and for the views of candidates; None if not known.
         extra: further terms of Q (eq. 5), a weight and (R, C) values each, larger is worse: energy, wind, people. NaN
@@ -180,7 +180,7 @@ def choose_sites(
     c = _Choice(hazards, land_cover, elevation, settings, lander, observer, extra)
     apart, grid = separation(settings, lander), hazards.grid
     safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart)
-    # the room of a candidate: to what is refused, not to what is undecided as well
+    # the room of a candidate: to refused cells, not to undecided ones as well
     room = clearance_of((hazards.reasons & ~np.uint16(Hazard.DOUBT)) == 0, grid.cell)
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
     sites = tuple(_site(c, i + 1, at, hazards.clearance) for i, at in enumerate(safe))

@@ -8,7 +8,7 @@ import numpy as np
 
 from alight.arrays import F64
 
-SLOWEST = 0.5  # m/s over the ground, however strong the wind: the vehicle is to arrive
+SLOWEST = 0.5  # m/s over the ground, however strong the wind, so that the vehicle arrives
 
 
 def ground_speed(way: F64, wind: F64 | None, wanted: float, most_air_speed: float) -> float:
@@ -30,7 +30,7 @@ def ground_speed(way: F64, wind: F64 | None, wanted: float, most_air_speed: floa
 
 
 def is_from_behind(way: F64, wind: F64 | None, calm: float) -> bool:
-    """Whether a way leads down the wind, by more than `calm` m/s along it: no way to descend on."""
+    """True if the wind along a way comes from behind, by more than `calm` m/s: no way to descend on."""
     return _parts(way, wind)[0] > calm
 
 

@@ -1,4 +1,4 @@
-"""Ground that is known: how unlike all of it some evidence is (docs/method/land-cover.md, T6)."""
+"""Kinds of ground in the training data, and the novelty of evidence against them (docs/method/land-cover.md, T6)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CELLS_AT_A_TIME = 8192  # each is compared with hundreds of kinds of ground
 
 @dataclass(frozen=True, eq=False)
 class KnownGround:
-    """Means of kinds of ground, and the spread about them, in standardised terms."""
+    """Means of the kinds of ground in the training data, and the spread about them, in standardised terms."""
 
     terms: tuple[str, ...]
     usual: F32  # (T,)
@@ -28,7 +28,7 @@ class KnownGround:
     limit: float  # squared distance within which 95 of 100 cells lie of families of scenes left out
 
     def novelty(self, values: F32) -> F32:
-        """Squared distance to the nearest kind over the limit, (N,), of terms (N, T): above 1 it is like none."""
+        """Squared distance to the nearest kind over the limit, (N,), of terms (N, T): above 1 no kind is similar."""
         centres, out = self.means @ self.whitening, np.empty(len(values), np.float32)
         for first in range(0, len(values), CELLS_AT_A_TIME):
             some = slice(first, first + CELLS_AT_A_TIME)
@@ -40,7 +40,7 @@ class KnownGround:
 
 @cache
 def read_known() -> KnownGround:
-    """The table of the package.
+    """Read the table of the package.
 
     Raises:
         ValueError: it was fitted on other terms than this version computes, or its shapes do not fit.
@@ -54,7 +54,7 @@ def read_known() -> KnownGround:
 
 
 def known_bytes(k: KnownGround) -> bytes:
-    """The file of a table."""
+    """Content of the file (.npz) of a table."""
     out = io.BytesIO()
     np.savez_compressed(
         out, terms=np.array(k.terms), usual=k.usual, spread=k.spread, means=k.means.astype(np.float16),

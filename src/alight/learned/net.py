@@ -10,7 +10,7 @@ import numpy as np
 
 from alight.arrays import F16, F32, F64
 
-CLIP = np.float32(4.0)  # spreads; a term further from the training data counts no further
+CLIP = np.float32(4.0)  # spreads; a term further from the training data is clipped
 CELLS_AT_A_TIME = 8192  # whose hidden units stay in the cache
 
 
@@ -30,12 +30,12 @@ class Net:
     spread: F32  # (T,) standard deviation of each term
     hidden: AffineLayer
     output: AffineLayer
-    calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that it was worth on flights left out
+    calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that held on flights left out
 
     def standardised(self, found: Iterable[tuple[str, F32]]) -> F16:
         """Terms (R, C) in spreads about their mean and clipped, (terms, R, C) in the order of the net.
 
-        A term is let go before the next one is asked for, and they are kept to a thousandth: tens of them, of
+        A term is freed before the next one is computed, and the terms are kept to a thousandth: tens of them, of
         millions of cells, are gigabytes.
 
         Raises:

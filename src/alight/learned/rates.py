@@ -1,4 +1,4 @@
-"""Rates of hazards: a sum of rising broken lines, one a term, as the logarithm of the expected number of hazards."""
+"""Rates of hazards: log of the expected number of hazards as a sum of rising piecewise linear curves, one a term."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TERMS_OF = {
 
 @dataclass(frozen=True, eq=False)
 class Rate:
-    """A fitted rate: no term ever lowers it by growing."""
+    """A fitted rate, which never falls as a term grows."""
 
     terms: tuple[str, ...]  # identifiers (`terms`)
     knots: F64  # (T, K) values of each term, ascending; beyond the first and the last the line is level
@@ -42,7 +42,7 @@ class Rate:
 
 @cache
 def read_rate(name: str) -> Rate:
-    """A rate of the package (one of `TERMS_OF`), read and checked once.
+    """Read and check a rate of the package (one of `TERMS_OF`), once.
 
     Raises:
         ValueError: the file does not fit this version: other terms, shapes that do not fit, a line that falls.
@@ -51,7 +51,7 @@ def read_rate(name: str) -> Rate:
 
 
 def rate_of(content: bytes, terms: tuple[str, ...]) -> Rate:
-    """A rate from the bytes of its file, checked against the terms that this version computes.
+    """Read a rate from the bytes of its file; check it against the terms that this version computes.
 
     Raises:
         ValueError: as `read_rate`.
@@ -68,7 +68,7 @@ def rate_of(content: bytes, terms: tuple[str, ...]) -> Rate:
 
 
 def rate_bytes(rate: Rate) -> bytes:
-    """The file of a rate."""
+    """Content of the file (.npz) of a rate."""
     out = io.BytesIO()
     np.savez_compressed(
         out, terms=np.array(rate.terms), knots=rate.knots.astype(np.float32),

@@ -59,7 +59,7 @@ def arrays_of(content: bytes, terms: tuple[str, ...] | None = None, largest: int
 
 @cache
 def read_net(name: str) -> Net:
-    """A net of the package (`land_cover`), read and checked once.
+    """Read and check a net of the package (`land_cover`), once.
 
     Raises:
         ValueError: the file does not fit this version: other terms, shapes that do not fit, numbers not finite.
@@ -68,7 +68,7 @@ def read_net(name: str) -> Net:
 
 
 def net_of(content: bytes, terms: tuple[str, ...]) -> Net:
-    """A net from the bytes of its file, checked against the terms that this version computes.
+    """Read a net from the bytes of its file; check it against the terms that this version computes.
 
     Raises:
         ValueError: as `read_net`.
@@ -100,7 +100,7 @@ def _check(net: Net) -> None:
 
 
 def net_bytes(net: Net) -> bytes:
-    """The file of a net: weights as 16 bit floats, scales of the terms rounded to four digits."""
+    """Content of the file (.npz) of a net: weights as 16 bit floats, scales of the terms rounded to four digits."""
     arrays: dict[str, Any] = {
         "terms": np.array(net.terms),
         "usual": _rounded(net.usual),

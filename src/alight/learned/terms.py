@@ -1,4 +1,4 @@
-"""Identifiers of the features that the fitted tables weigh: the one list that stages and tables share.
+"""Identifiers of the terms of the fitted tables: the one list that stages and tables share.
 
 A table stores the identifiers that it was fitted on; `tables.read_net` refuses a table whose list is another.
 """
@@ -14,7 +14,7 @@ RELATIVE = "_vs_frame"  # ends the identifier of a term less its median over the
 class ReliefTerm(StrEnum):
     """Evidence of the heights against an even footprint (docs/method/p-safe.md, G7b).
 
-    Each is larger where it is less likely safe. Lengths are over the height that the lander just stands.
+    Each is larger where a touchdown is less likely safe. Lengths are over `Lander.tallest_obstacle`.
     """
 
     ROUGHNESS = "roughness"  # log of the largest deviation from the footprint's plane, over its limit
@@ -22,7 +22,7 @@ class ReliefTerm(StrEnum):
     ROUGHNESS_TREND = "roughness_trend"  # the same of heights smoothed by 0.45 m
     RELIEF_WORST = "relief_worst"  # log root mean square relief as wide as an obstacle: of the worst patch
     RELIEF_MEAN = "relief_mean"
-    SAMPLING = "sampling"  # log of what a sample of the match covers
+    SAMPLING = "sampling"  # log of the ground that a sample of the match covers
     SIGMA = "sigma"  # log of the sigma of the heights
     RESIDUAL_MEAN = "residual_mean"  # of the matches
     RESIDUAL_WORST = "residual_worst"
@@ -30,14 +30,14 @@ class ReliefTerm(StrEnum):
 
 
 class DensityTerm(StrEnum):
-    """Evidence of the picture that obstacles are about, which the heights may have smoothed away (G7c)."""
+    """Evidence of the picture for obstacles near by, which the heights may have smoothed away (G7c)."""
 
     SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle: of the worst patch
     SPOT_MEAN = "spot_mean"
     SPOT_AROUND = "spot_around"
     DARK = "dark"  # contrast of the darkest spot
     BRIGHT = "bright"
-    PIXEL = "pixel"  # log of what a pixel of the picture covers
+    PIXEL = "pixel"  # log of the ground that a pixel of the picture covers
 
 
 class GroundTerm(StrEnum):
@@ -49,15 +49,15 @@ class GroundTerm(StrEnum):
     WORST_BEYOND = "worst_beyond"  # to 1 m beyond the rim
     MEAN_BEYOND = "mean_beyond"  # to 3 m beyond the rim
     AROUND = "around"
-    NOVELTY = "novelty"  # log of how unlike all known ground it is: the mean
-    ENCLOSED = "enclosed"  # how much it is part of a level surface below its banks: the worst
+    NOVELTY = "novelty"  # log of the novelty (`KnownGround`): the mean
+    ENCLOSED = "enclosed"  # degree to which it is part of a level surface below its banks: the worst
 
 
 class NearTerm(StrEnum):
     """Evidence of looks from near by, besides that of relief, density and ground (G7f)."""
 
     RISE = "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts
-    RISE_UNKNOWN = "rise_unknown"  # share of the footprint where nothing was measured well
+    RISE_UNKNOWN = "rise_unknown"  # share of the footprint where no height was measured well
     NARROW = "narrow"  # log of that deviation over the one of smoothed heights: matching flattens stones, not ridges
     GREEN = "green"  # excess green of the greenest spot as wide as an obstacle: a tuft on bare ground, however flat
 
@@ -85,8 +85,8 @@ class SurfaceTerm(StrEnum):
     TEXTURELESS = "textureless"
     SATURATED = "saturated"
     PLANTS = "plants"
-    SAMPLING = "sampling"  # log of what a sample of the match covers
-    PIXEL = "pixel"  # log of what a pixel of the picture covers
+    SAMPLING = "sampling"  # log of the ground that a sample of the match covers
+    PIXEL = "pixel"  # log of the ground that a pixel of the picture covers
 
 
 class PictureTerm(StrEnum):
@@ -114,7 +114,7 @@ NEAR_TERMS: tuple[str, ...] = (
     *(t for t in (*RELIEF_TERMS, *DENSITY_TERMS, *GROUND_TERMS) if t not in _FROM_AFAR),
     *(t.value for t in NearTerm),
 )
-FRAME_TERMS: tuple[str, ...] = (  # whose value less its median over the frame is a term as well
+FRAME_TERMS: tuple[str, ...] = (  # their value less its median over the frame is a term as well
     SurfaceTerm.ROUGH_02,
     SurfaceTerm.ROUGH_05,
     SurfaceTerm.RESIDUAL,

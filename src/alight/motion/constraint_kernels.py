@@ -71,7 +71,7 @@ def misfits_at(own: F64, V: F64, b: F64, misfit: F64, error: F64, out: F64) -> N
 
 @kernel
 def _observing(own: F64, poses: I64) -> int:
-    """Write which poses observed a feature; return their number."""
+    """Write the indices of the poses that observed a feature; return their number."""
     count = 0
     for i in range(len(own)):
         if own[i, 3, 3] != 0.0 or own[i, 4, 4] != 0.0:

@@ -1,4 +1,4 @@
-"""Elimination of points: what observations constrain of the poses when their points are marginalised (M21).
+"""Elimination of points: constraints of observations on the poses when their points are marginalised (M21).
 
 Filter and adjustments use the same algebra, the Schur complement of the point blocks. For one feature it is the
 information form of the null-space projection of the MSCKF (Mourikis and Roumeliotis 2007).
@@ -67,7 +67,7 @@ class PoseConstraint:
     def mahalanobis(self, P: F64) -> F64:
         """(N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses.
 
-        Infinite for all of them where `P` is so far out of range that no inverse can be computed: none passes a gate.
+        Infinite for all of them where `P` is so far out of range that it has no inverse: none passes a gate.
         """
         out = np.empty(len(self.b))
         try:
@@ -126,8 +126,8 @@ def largest_sigma(covariance: F64) -> F64:
 class EliminatedPoints:
     """N points eliminated from a list of M observations, sorted by point: the Schur complement in factors.
 
-    With the couplings G of all observations of a point, stacked over the poses, the point takes G G' from the normal
-    matrix of the poses and G z from the right side, z = root' gradient.
+    The couplings G of all observations of a point are stacked over the poses. G G' is subtracted from the normal matrix
+    of the poses, and G z from the right side, z = root' gradient.
     """
 
     starts: I64  # (N + 1,) first observation of each point, then M

@@ -71,7 +71,7 @@ def whites(sigma: F64, noise: FilterSettings) -> F64:
 
 
 def is_photo_tag(sample: NavSample) -> bool:
-    """Whether a row holds the tags of a photo: position and gimbal attitude, no velocity."""
+    """True if a row holds the tags of a photo: position and gimbal attitude, no velocity."""
     return sample.velocity_world is None
 
 

@@ -35,7 +35,7 @@ class ImuBuffer:
 
     @property
     def times(self) -> I64:
-        """(M,) ns, ascending."""
+        """Stamps of the samples, (M,) ns, ascending."""
         return self._times[self._first : self._end]
 
     @property

@@ -1,4 +1,4 @@
-"""Preintegration of inertial measurements, and the transition of the state that follows: kernels (M4-M8)."""
+"""Preintegration of inertial measurements, and the transition of the state from it: kernels (M4-M8)."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from alight.motion.rotation_kernels import exponential, multiply
 
 @kernel
 def _rates_at(times: I64, rates: F64, t_ns: int, out: F64) -> None:
-    """Interpolate (M, 6) rates linearly; beyond the ends they hold."""
+    """Interpolate (M, 6) rates linearly; beyond the ends they are constant."""
     i = int(np.searchsorted(times, t_ns, side="right"))
     a, b = max(i - 1, 0), min(i, len(times) - 1)
     f = 0.0
@@ -141,7 +141,7 @@ def preintegrate_segments(
 
 @kernel
 def _minus_skew(x: float, y: float, z: float, out: F64) -> None:
-    """Write -[v]x."""
+    """Write -[v]x (3, 3) of the vector v = (x, y, z)."""
     out[0, 1], out[0, 2], out[1, 0], out[1, 2], out[2, 0], out[2, 1] = z, -y, -z, x, y, -x
 
 

@@ -16,7 +16,7 @@ from alight.motion.rotation_kernels import move_poses, place_cameras
 
 
 def positions(ascending: I64, ids: I64) -> I64:
-    """Return the (N,) places of numbers in ascending ones, -1 where they are not among them."""
+    """Return the (N,) indices of numbers among ascending ones, -1 where they are not among them."""
     if not len(ascending):
         return np.full(len(ids), -1)
     at = np.minimum(np.searchsorted(ascending, ids), len(ascending) - 1)
@@ -38,7 +38,7 @@ class WindowObservations:
 
     @property
     def observed(self) -> Mask:
-        """(N, K): whether at least one camera observed the feature at the pose."""
+        """(N, K): True where at least one camera observed the feature at the pose."""
         return np.asarray(np.isfinite(self.normalised[..., 0]).any(axis=2))
 
     def select(self, which: Mask | I64) -> WindowObservations:

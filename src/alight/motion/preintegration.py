@@ -16,11 +16,11 @@ from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.imu_kernels import cut_segments, preintegrate_segments
 from alight.settings import FilterSettings
 
-GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is taken up by the accelerometer bias
+GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is absorbed by the accelerometer bias
 IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
 _MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
-_HELD_NS = 200_000_000  # for which the last angular velocity is held; a vehicle turns no longer than that by itself
-OPEN_RATE_SIGMA, _OPEN_RATE_TAU = 0.5, 0.25  # rad/s, s: angular velocity that nothing measures, how long it lasts
+_HELD_NS = 200_000_000  # ns for which the last angular velocity is held; no turn of a vehicle lasts longer by itself
+OPEN_RATE_SIGMA, _OPEN_RATE_TAU = 0.5, 0.25  # rad/s, s: unmeasured angular velocity, and its correlation time
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Segments:
 
     dt: F64  # (N,) s
     rates: F64  # (N, 6) rad/s, m/s^2
-    interval: F64  # (N,) s between the samples about it; of one beyond the last sample, from that to its end
+    interval: F64  # (N,) s between the samples about it; of one beyond the last sample: from that sample to its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +104,8 @@ def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preint
 def _variance(parts: Segments, noise: FilterSettings) -> F64:
     """(N, 2) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2].
 
-    In a gap the angular velocity wanders as in the constant-velocity model from the last sample on, until it is as
-    unknown as it ever is: the rotation since then has that model's variance however the gap is cut (M6b).
+    In a gap the angular velocity wanders as in the constant-velocity model from the last sample on, until it has its
+    largest variance: the rotation since then has that model's variance however the gap is cut (M6b).
     """
     dt, since = parts.dt, parts.interval
     out = np.empty((len(dt), 2))

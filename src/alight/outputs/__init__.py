@@ -1,4 +1,4 @@
-"""What a run leaves behind, and how it is read back."""
+"""Files of a run: writing and reading them."""
 
 from alight.outputs.file_store import FileStore
 from alight.outputs.folder import FILES, is_finished, prepare_folder, timing_summary, write_run

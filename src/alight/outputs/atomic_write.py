@@ -12,7 +12,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """Say what the operating system said as a line that a user can act on."""
+    """Convert an error of the operating system into one line that a user can act on."""
     if error.errno in _FULL:
         return OutputError(f"{path}: the disk is full; free some space or choose another folder with --out")
     if isinstance(error, PermissionError) or error.errno == errno.EROFS:
@@ -34,9 +34,9 @@ def _sync(folder: Path) -> None:
 
 
 def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
-    """Put `data` at `path` so that no reader, crash or Ctrl-C ever meets a half of it.
+    """Write `data` to `path` as a whole: no reader sees half of it, and no crash or Ctrl-C leaves half of it.
 
-    Not `durable`: a loss of power may leave it damaged or take it away, and nothing waits for the disk.
+    Not `durable`: a loss of power may damage or remove the file, and the call does not wait for the disk.
 
     Raises:
         OutputError: the disk is full or the place may not be written; the old file, if any, is untouched.

@@ -19,7 +19,7 @@ class FileStore(MutableMapping[Name, bytes]):
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._size: dict[Name, int] = {}
-        self._room: dict[Name, tuple[int, int]] = {}  # where a tile is or was, and how many bytes go there
+        self._room: dict[Name, tuple[int, int]] = {}  # offset and size in bytes of a tile's room, even if deleted
         try:
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  (lives as long as the run)
         except OSError as e:
@@ -56,5 +56,5 @@ class FileStore(MutableMapping[Name, bytes]):
         return len(self._size)
 
     def close(self) -> None:
-        """Give the room on the disk back."""
+        """Free the space on the disk."""
         self._file.close()

@@ -1,4 +1,4 @@
-"""One folder a run: which files it gets, why one is missing, and in which order they are written."""
+"""The folder of a run: its files, the reasons for missing ones, and the order in which they are written."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FILES = (
 JUDGEMENT_FILES = ("hazards.tif", "heights.tif")  # besides, of `alight hazards`
 NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
 
-# a file's name -> how to make it, or why it cannot be made
+# a file's name -> the function that makes it, or the reason why it cannot be made
 Contents = dict[str, Callable[[], bytes] | str]
 
 
@@ -97,7 +97,7 @@ def _trajectory(r: RunResult) -> Contents:
 def contents(result: RunResult) -> Contents:
     """Every file but run.json, in the order of writing; the caller's own reasons win."""
     report_html: Contents = {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNSPEAKABLE)}
-    # the answer first: where the disk is full, what is small and matters most has its place
+    # the answer first: on a full disk, the small and most important files still find room
     files = _sites(result) | _route(result) | _trajectory(result) | _rasters(result) | report_html
     return files | dict(result.not_written)
 
@@ -118,7 +118,7 @@ def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 
 def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
-    """What run.json says: version, input, answer, settings in full, counts, times, warnings, and what is missing."""
+    """Content of run.json: version, input, answer, settings in full, counts, times, warnings, and missing files."""
     local = result.local
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     height = result.height_above_ground
@@ -142,7 +142,7 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
 
 
 def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
-    """What all heights of the map share, as in dem.tif's tags; None: the poses came without covariance."""
+    """Common error of all heights of the map, as in dem.tif's tags; None: the poses came without covariance."""
     if elevation is None or elevation.gauge is None:
         return None
     g = elevation.gauge
@@ -165,12 +165,12 @@ def is_run(folder: Path) -> bool:
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether the folder holds a finished run, and no work of a later one that is not."""
+    """Whether the folder holds a finished run, and no saved work of a later, unfinished one."""
     return is_run(folder) and not is_work(folder / WORK)
 
 
 def _is_ours(folder: Path) -> bool:
-    """A finished run, or what an interrupted one left: its lock or half a file, and no file of another name."""
+    """Whether the folder is empty, or holds a finished run, or only the files of an interrupted one."""
     known = {LOCK, RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
     there = list(folder.iterdir())
@@ -179,9 +179,9 @@ def _is_ours(folder: Path) -> bool:
 
 
 def prepare_folder(out: Path, overwrite: bool = False) -> None:
-    """Make the folder, see that it may be written, and lock it, before any work is done for it.
+    """Make the folder, test that it can be written, and lock it, before any work is done for it.
 
-    An earlier run of ours is replaced; anything else in the folder is somebody's, and refused.
+    An earlier run is replaced; a folder with other files is refused.
 
     Raises:
         OutputError: the folder is a file, holds other things (and not `overwrite`), may not be written, or another
@@ -211,7 +211,7 @@ def _remove(path: Path) -> None:
 
 
 class _Writer:
-    """Writes one file after the other; one that fails is remembered and holds up no other."""
+    """Writes one file after the other; a failure is remembered and does not stop the others."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -220,7 +220,7 @@ class _Writer:
         self.bugs: list[Exception] = []
 
     def write(self, name: str, make: Callable[[], bytes]) -> str | None:
-        """Make and write one file; return why that was not possible, and then no old file of the name is left."""
+        """Make and write one file; return the reason if that failed, and then no old file of the name is left."""
         try:
             write_whole(self._out / name, make())
         except OutputError as e:
@@ -235,7 +235,7 @@ class _Writer:
         return str(self.failed.get(name, "it could not be made: a defect of Alight"))
 
     def complain(self) -> None:
-        """Raise the first failure, with the number and the names of all."""
+        """Raise the first failure, with the names of all failed files and the number of written ones."""
         if self.failed:
             first, *others = self.failed
             also = f"; nor could {', '.join(others)}" if others else ""
@@ -249,13 +249,13 @@ def write_folder(
 ) -> list[Path]:
     """Write a folder, each file whole or not at all, run.json last; return the files written.
 
-    An earlier run's run.json goes first and its other files as their turn comes, so that a folder with a run.json is
-    always of one piece, and no old file survives beside a new answer. A file that cannot be written takes no other
-    with it: the rest is written, run.json says what is missing, and then the error is raised.
+    An earlier run's run.json is removed first, and each other file in its turn. So a folder with a run.json is always
+    of one run, and no old file survives beside a new answer. If a file cannot be written, the rest is still written,
+    run.json lists the missing files, and then the error is raised.
 
     Args:
-        files: every file but run.json, in the order of writing, or why it is not written.
-        info: makes run.json, of the files that are missing and why.
+        files: every file but run.json, in the order of writing, or the reason why it is not written.
+        info: makes run.json from the missing files and their reasons.
         out: the folder.
         overwrite: even where it holds other files.
 

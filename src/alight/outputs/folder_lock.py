@@ -1,6 +1,6 @@
-"""One run a folder at a time: a lock that the system gives back however the run ends.
+"""A lock for one run a folder at a time, which the system releases however the run ends.
 
-The lock's file stays where a run was ended before its folder was whole: what lies beside it is then a run's.
+If a run ended before its folder was complete, the lock's file stays: it shows that the files beside it are a run's.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _held: dict[Path, IO[str]] = {}  # of this process
 
 
 def lock_folder(out: Path) -> None:
-    """Take the folder for this process, until `release_folder` or its end; a second time is the same.
+    """Lock the folder for this process, until `release_folder` or its end; a second call has no effect.
 
     Raises:
         OutputError: another process writes there.
@@ -36,7 +36,7 @@ def lock_folder(out: Path) -> None:
             f"{out}: another run writes there (process {process or 'unknown'}); wait for its end or choose another "
             "folder with --out"
         )
-    with suppress(OSError):  # a full disk is told of by what is written next
+    with suppress(OSError):  # a full disk is reported by the next write
         file.truncate(0)
         file.write(str(os.getpid()))
         file.flush()
@@ -44,7 +44,7 @@ def lock_folder(out: Path) -> None:
 
 
 def release_folder(out: Path) -> None:
-    """Give the folder back; its lock's file goes, too."""
+    """Release the folder and remove its lock's file."""
     folder = out.resolve()
     file = _held.pop(folder, None)
     if file is not None:
@@ -54,7 +54,7 @@ def release_folder(out: Path) -> None:
 
 
 def release_all() -> None:
-    """Give back what this process still holds; a folder that a run began to fill keeps the file as its sign."""
+    """Release all folders of this process; a folder that a run began to fill keeps the lock's file as a mark."""
     for folder in list(_held):
         with suppress(OSError):
             if {p.name for p in folder.iterdir()} <= {LOCK}:

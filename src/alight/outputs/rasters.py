@@ -26,7 +26,7 @@ LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AX
 
 @dataclass(frozen=True, eq=False)
 class RasterFile:
-    """What one GeoTIFF holds."""
+    """Content of one GeoTIFF."""
 
     bands: NDArray[Any]  # (B, R, C)
     names: Sequence[str]  # one a band
@@ -56,7 +56,7 @@ def ellipsoidal_height(elevation: ElevationMap, local: LocalFrame) -> F32:
 
 
 def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -> F32:
-    """The way back from `ellipsoidal_height`: metres above the origin's tangent plane."""
+    """Inverse of `ellipsoidal_height`: (R, C) metres above the origin's tangent plane."""
     east, north = grid.xy()
     fall = (east[None, :] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)
     return (height.astype(np.float64) - local.height - fall).astype(np.float32)
@@ -78,9 +78,9 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame) -> RasterFile:
 
 
 def common_tags(gauge: Datum | None) -> dict[str, str]:
-    """The part of the error that all cells share: sigma of offset and tilt, and the covariance about its centre.
+    """Tags of the common error of all cells: sigma of offset and tilt, and the covariance about its centre.
 
-    Nothing where the poses came without covariance.
+    Empty if the poses came without covariance.
     """
     if gauge is None:
         return {}
@@ -94,7 +94,7 @@ def common_tags(gauge: Datum | None) -> dict[str, str]:
 
 
 def flags_raster(elevation: ElevationMap) -> RasterFile:
-    """The bits that say why a height is missing or doubtful."""
+    """Flags of each height, as bits: the reasons why it is missing or doubtful."""
     tags = {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in FLAGS.items()}
     return RasterFile(elevation.flags[None], ("flags",), tags=tags, resampling="NEAREST")
 
@@ -115,13 +115,13 @@ def safe_raster(hazards: HazardMap) -> RasterFile:
 
 
 def reasons_raster(hazards: HazardMap) -> RasterFile:
-    """The bits that say why a touchdown is refused or doubtful."""
+    """Reasons why a touchdown is refused or doubtful, as bits."""
     tags = {f"bit_{h.value.bit_length() - 1}": f"{(h.name or '').lower()}: {why}" for h, why in HAZARDS.items()}
     return RasterFile(hazards.reasons[None], ("reasons",), tags=tags, resampling="NEAREST")
 
 
 def ortho_raster(elevation: ElevationMap) -> RasterFile:
-    """What the cameras saw, transparent where they saw nothing."""
+    """Orthophoto, transparent where no view saw the ground."""
     return RasterFile(np.moveaxis(elevation.rgb, 2, 0), ("red", "green", "blue"), mask=elevation.views > 0)
 
 

@@ -1,4 +1,4 @@
-"""A run read back: what `evaluate` compares with the truth."""
+"""Reading of a run's folder, for `evaluate`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AGAIN = "run again to write it anew"
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The folder of one run. What was not written is None; `info["not_written"]` says why."""
+    """The folder of one run. A file that was not written is None; `info["not_written"]` holds the reason."""
 
     folder: Path
     info: dict[str, Any]  # run.json
@@ -83,7 +83,7 @@ class _CommonError(BaseModel):
 
 
 class _RunJson(BaseModel):
-    """What is read of run.json."""
+    """The keys of run.json that are read."""
 
     answer: _Answer
     height_above_ground_m: FiniteFloat | None = None
@@ -92,7 +92,7 @@ class _RunJson(BaseModel):
 
 
 def _checked(info: Any) -> dict[str, Any]:
-    """run.json, once all that is read of it is there.
+    """Return run.json after validation of the keys that are read.
 
     Raises:
         InputError: with the first key that is damaged.
@@ -105,12 +105,12 @@ def _checked(info: Any) -> dict[str, Any]:
 
 
 def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[Any], Grid]:
-    """All bands (B, R, C) of a raster of Alight's own, and where its cells are.
+    """Read all bands (B, R, C) of a raster of Alight's own, and its grid.
 
     Args:
-        least: bands that it must have.
+        least: smallest number of bands.
         kinds: of numbers that it may hold, as NumPy's letters.
-        mend: what to do about a damaged one.
+        mend: remedy for a damaged raster, for the message.
 
     Raises:
         InputError: it is no plain file, cannot be read, has too few bands, other numbers, or cells that are not square

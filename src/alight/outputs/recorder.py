@@ -1,8 +1,8 @@
-"""The recorder of a live run: everything that came in, the schedule and every decision, as MCAP.
+"""The recorder of a live run: all events, the schedule and every decision, as MCAP.
 
 It writes on a thread of its own. Messages are written as they are, without chunks, and given to the disk every half
 second: whatever ends the run, all but the last second can be read. A disk that is full or too slow costs messages,
-never the flight; how many is counted and said.
+never the flight; lost messages are counted and reported.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._write_all, daemon=True)
         self._thread.start()
 
-    # -- what a live run tells it (`alight.runner.live.Diary`)
+    # -- called by a live run (`alight.runner.live.Diary`)
 
     def event(self, event: Event) -> None:
         """Record an event as it came in."""
@@ -94,12 +94,12 @@ class Recorder:
         self._put(topic, event.t_ns, parts)
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        """Record that a lane used an exposure; of a judged map the place that it showed too."""
+        """Record that a lane used an exposure; for a judged map, also the place that it shows."""
         tree = {"kind": kind, "t_ns": t_ns, "value": value, "about": about}
         self._put(SCHEDULE, t_ns, [json.dumps(tree).encode()])
 
     def note(self, lane: str, words: str) -> None:
-        """Record what happened to a lane."""
+        """Record a note on a lane, in words."""
         self._put(NOTES, 0, [json.dumps({"lane": lane, "note": words}).encode()])
 
     def motion(self, motion: Motion) -> None:
@@ -113,14 +113,14 @@ class Recorder:
         self._put(MOTION, motion.t_ns, [json.dumps(tree).encode()])
 
     def sites(self, t_ns: int, sites: Sites) -> None:
-        """Record what a map said about landing."""
+        """Record the sites and candidates of a map."""
         listed = [{"kind": s.kind, "east": s.east, "north": s.north, "up": s.up, "p_safe": s.p_safe}
                   for s in sites.listed]  # fmt: skip
         tree = {"t_ns": t_ns, "frame_id": sites.frame_id, "reason": sites.reason, "listed": listed}
         self._put(SITES, t_ns, [json.dumps(tree).encode()])
 
     def telemetry(self, t_ns: int, heard: Telemetry) -> None:
-        """Record what the autopilot reports."""
+        """Record a report of the autopilot."""
         place, gps = heard.place, heard.gps
         tree = {
             "t_ns": t_ns, "mode": heard.mode_name, "armed": heard.armed, "landed": heard.landed.name,
@@ -132,7 +132,7 @@ class Recorder:
         self._put(TELEMETRY, t_ns, [json.dumps(_without_nan(tree)).encode()])
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Record what the vehicle was told to do, in words."""
+        """Record an order to the vehicle, in words."""
         self._put(ORDERS, t_ns, [json.dumps({"t_ns": t_ns, "state": state, "order": words}).encode()])
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
@@ -146,13 +146,13 @@ class Recorder:
 
     @property
     def warnings(self) -> list[str]:
-        """What is missing in the recording, and why."""
+        """Warning of messages that are missing in the recording, with the reasons; empty: none is missing."""
         total = sum(self.lost.values())
         why = ", ".join(f"{n} because {reason}" for reason, n in self.lost.items())
         return [f"recording: {total} messages are missing ({why}); a replay gives other results"] if total else []
 
     def close(self) -> None:
-        """Write what waits, and end the file; once is enough."""
+        """Write the waiting messages and end the file; a second call has no effect."""
         with self._changed:
             if self._closed:
                 return
@@ -215,7 +215,7 @@ class Recorder:
 
 
 def _without_nan(value: Any) -> Any:
-    """The tree with None for what is not known."""
+    """Return the tree with None for NaN."""
     if isinstance(value, dict):
         return {k: _without_nan(v) for k, v in value.items()}
     if isinstance(value, list):

@@ -32,7 +32,7 @@ def tum(motions: Sequence[Motion]) -> bytes:
 
 
 def attitude_sigma(m: Motion) -> F64:
-    """1-sigma of roll, pitch, yaw, (3,) rad: the attitude's covariance turned into the body and read off its axes."""
+    """1-sigma of roll, pitch, yaw, (3,) rad: root diagonal of the attitude's covariance in body axes."""
     R = m.world_from_body.rotation
     return np.sqrt(np.diag(R.T @ m.covariance[3:, 3:] @ R))
 
@@ -59,5 +59,5 @@ def _row(m: Motion) -> str:
 
 
 def csv(motions: Sequence[Motion]) -> bytes:
-    """One row a pose, SI and radians; an empty field is 'not known'."""
+    """One row a pose, SI and radians; an empty field is unknown."""
     return ("\n".join([COLUMNS, *map(_row, motions)]) + "\n").encode()

@@ -49,7 +49,7 @@ def lon_lat_height(local: LocalFrame, east: float, north: float, up: float) -> l
 
 
 def site_properties(site: Site) -> dict[str, Any]:
-    """The properties of one place as `formats/outputs` names them; where a view is from depends on the frame."""
+    """The properties of one place, named as in `formats/outputs`; `look` is left None, as it depends on the frame."""
     look_from = None if site.look is None else number(site.look.height, 2)
     of_candidates = {"doubt": site.doubt, "look": None, "look_from_m": look_from}
     return {
@@ -83,7 +83,7 @@ def _in_metres(site: Site) -> dict[str, Any]:
 
 
 def answer_json(sites: Sites) -> dict[str, Any]:
-    """The answer as it stands in run.json: numbers of sites and candidates, their properties, and the reason."""
+    """The answer of run.json: numbers of sites and candidates, their properties, and the reason."""
     return {
         "counts": {"sites": len(sites.sites), "candidates": len(sites.candidates)},
         "sites": [_in_metres(s) for s in sites.sites],
@@ -110,7 +110,7 @@ def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -
 
 
 def accuracy(covariance: F64) -> dict[str, Any]:
-    """How well the whole map's place on Earth is known, 1-sigma: on the ground towards where it is worst, and upwards.
+    """1-sigma of the whole map's place on Earth: horizontal in the worst direction, and vertical.
 
     `covariance`: (3, 3) m^2, east north up.
     """
@@ -121,7 +121,7 @@ def accuracy(covariance: F64) -> dict[str, Any]:
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
     """The sites, then the candidates, in order of rank; without a site, the `reason`.
 
-    `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: not known.
+    `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: unknown.
     """
     features = [
         feature("Point", lon_lat_height(local, s.east, s.north, s.up), _on_earth(s, local)) for s in sites.listed
@@ -160,7 +160,7 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
 
 
 def _item(number_: int, item: MissionItem) -> dict[str, Any]:
-    """An item as QGroundControl has it; what is not a number there is null."""
+    """A mission item in QGroundControl's form; a parameter that is no number is null."""
     parameters = [number(p, 4) for p in item.parameters]
     simple = {"type": "SimpleItem", "command": item.command, "frame": item.frame, "doJumpId": number_}
     if item.place is None:
@@ -177,7 +177,7 @@ def _item(number_: int, item: MissionItem) -> dict[str, Any]:
 
 
 def _home_and_zero(site: list[float], home: Home | None) -> tuple[list[float], float]:
-    """The planned home, and the height above the ellipsoid that altitudes are counted from."""
+    """The planned home, and the height above the ellipsoid to which altitudes refer."""
     if home is None:
         longitude, latitude, ground = site
         return [latitude, longitude, ground], ground
@@ -188,7 +188,7 @@ def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home |
     """The route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
 
     Altitudes are relative to the vehicle's home. Without one they are relative to the ground of the landing site, which
-    is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name says so.
+    is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name states this.
     """
     planned, zero = _home_and_zero(lon_lat_height(local, *route.waypoints[-1].position_world), home)
     start = route.waypoints[0].position_world
@@ -217,7 +217,7 @@ def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home |
 
 
 def plain(thing: Any) -> Any:
-    """What JSON can hold of numbers, words, lists and mappings, arrays included; what is not finite is null."""
+    """Convert numbers, words, lists, mappings and arrays to types of JSON; a number that is not finite becomes null."""
     if isinstance(thing, Mapping):
         return {str(k): plain(v) for k, v in thing.items()}
     if isinstance(thing, (list, tuple, np.ndarray)):
@@ -230,6 +230,6 @@ def plain(thing: Any) -> Any:
 
 
 def json_bytes(tree: Any) -> bytes:
-    """JSON that every reader takes: UTF-8, no NaN, a new line at the end."""
+    """JSON that every reader accepts: UTF-8, no NaN, a new line at the end."""
     text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", UNSPEAKABLE)

@@ -32,7 +32,7 @@ def _heights(e: ElevationMap) -> rasters.RasterFile:
 
 
 def _places(sites: Sites, crs: CRS | None) -> list[list[float]] | None:
-    """Longitude, latitude and height of every place; None where the raster says nothing about its place on Earth."""
+    """Longitude, latitude (degrees) and height (m) of every place; None where the raster has no place on Earth."""
     if crs is None:
         return None
     try:
@@ -73,7 +73,7 @@ def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> 
 
 
 def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
-    """Every file but run.json, in the order of writing, or why it is not written."""
+    """Every file but run.json, in the order of writing, or the reason why it is not written."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None

@@ -1,4 +1,4 @@
-"""What a long run has done so far, in one folder inside its output: an interrupted run goes on with it."""
+"""Saved work of a long run, in one folder inside its output: an interrupted run continues from it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from alight.records import InputError
 log = logging.getLogger(__name__)
 
 WORK = "unfinished-work"  # its name in the output
-KEY = "run.json"  # whose work it is
+KEY = "run.json"  # identifies the run that the work belongs to
 SUFFIX = ".part"
 LARGEST_PIECE = 4_000_000_000  # bytes
 
@@ -26,11 +26,11 @@ class WorkFolder(MutableMapping[str, bytes]):
 
     Args:
         out: folder of the results.
-        key: what the work rests on: input, settings, version.
-        resume: go on with the work that is there; without it, that is removed.
+        key: everything that the work depends on: input, settings, version.
+        resume: continue with the saved work; without it, saved work is removed.
 
     Raises:
-        InputError: the work that is there rests on something else, or its key is damaged.
+        InputError: the saved work has another key, or its key is damaged.
         OutputError: the folder cannot be written.
     """
 
@@ -46,7 +46,7 @@ class WorkFolder(MutableMapping[str, bytes]):
             remove_work(out)
             self._folder.mkdir(parents=True)
             write_whole(self._folder / KEY, json.dumps(key, indent=1).encode())
-        self.found = len(self)  # pieces that were there
+        self.found = len(self)  # number of pieces that were saved before
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}{SUFFIX}"
@@ -63,7 +63,7 @@ class WorkFolder(MutableMapping[str, bytes]):
         Raises:
             OutputError: the disk is full.
         """
-        write_whole(self._path(name), data, durable=False)  # a damaged piece is known by its digest and done again
+        write_whole(self._path(name), data, durable=False)  # a damaged piece is detected by its digest and done again
 
     def __delitem__(self, name: str) -> None:
         self._path(name).unlink()
@@ -76,7 +76,7 @@ class WorkFolder(MutableMapping[str, bytes]):
 
 
 def _key_of(folder: Path) -> dict[str, Any] | None:
-    """Whose work is there; None: there is none."""
+    """Key of the saved work; None: there is none."""
     try:
         tree = parse_json(read_text(folder / KEY, LARGEST_JSON))
     except FileNotFoundError:
@@ -87,7 +87,7 @@ def _key_of(folder: Path) -> dict[str, Any] | None:
 
 
 def _differing(there: Any, wanted: Any, name: str = "") -> str:
-    """The first thing in which two keys differ, in words; empty where they are the same."""
+    """The first difference of two keys, in words; empty where they are the same."""
     if there == wanted:
         return ""
     if isinstance(there, dict) and isinstance(wanted, dict):
@@ -105,6 +105,6 @@ def is_work(path: Path) -> bool:
 
 
 def remove_work(out: Path) -> None:
-    """Remove what an interrupted run left in its output."""
+    """Remove the saved work of an interrupted run from its output."""
     if is_work(out / WORK):
         shutil.rmtree(out / WORK, ignore_errors=True)

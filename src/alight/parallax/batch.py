@@ -1,4 +1,4 @@
-"""Batch parallax: one grid, all views that saw it, from nothing to heights with sigma and flags.
+"""Batch parallax: heights with sigma and flags of one grid, from all views that saw it, without initial heights.
 
 Plane sweeps along rays with semi-global aggregation, visibility by ray test, Gauss-Newton.
 For recorded flights, photos, and the restart after a gap.
@@ -27,10 +27,10 @@ from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 
-MOST_BYTES = 400_000_000  # of views that are kept ready
+MOST_BYTES = 400_000_000  # of prepared views that are kept
 LEAST_KEPT = 16  # of them, however large
-LEAST_ACROSS = 64  # cells that the shorter side of a halved picture covers: smaller ones show too little
-PYRAMID = 4 / 3  # an image with all its halvings over itself
+LEAST_ACROSS = 64  # cells, least, that the shorter side of a halved picture covers: smaller ones show too little
+PYRAMID = 4 / 3  # memory of an image with all its halvings over that of itself
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
@@ -44,9 +44,9 @@ def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
 
 
 class Images:
-    """The views of one recording, made ready for matching when first asked for; the last ones asked for are kept.
+    """The views of one recording, prepared for matching at their first use; the most recently used ones are kept.
 
-    Several threads may ask.
+    Several threads may use it.
     """
 
     def __init__(self, views: Sequence[View], cell: float, height: float, most_bytes: int = MOST_BYTES) -> None:
@@ -58,13 +58,13 @@ class Images:
         self._lock = Lock()
 
     def of(self, views: Sequence[View]) -> Images:
-        """Other views of the recording; what is ready is shared."""
+        """Other views of the recording, with the same store of prepared views."""
         other = copy(self)
         other.views = views
         return other
 
     def get(self, index: int, halved: int = 0) -> Prepared:
-        """View `index` at the cell of the grid, or at cells that were so many times `halved`."""
+        """View `index` at the cell of the grid, with the picture halved `halved` times."""
         key = self.views[index].key
         with self._lock:
             if key not in self._ready:
@@ -130,7 +130,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid, tuning: ConsistencyTuning) -> U16:
-    """MOVING flags (R, C) from pairs of synchronous views, some of the chosen ones among them."""
+    """MOVING flags (R, C) from pairs of synchronous views, with some of the chosen views among them."""
     pairs = witness.instants(images.views)
     asked = pairs[np.isin(pairs, chosen).any(axis=1)]
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(tuning.pairs, len(asked))).astype(int))]

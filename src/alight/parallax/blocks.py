@@ -1,7 +1,7 @@
-"""Which blocks of the window a step works on, so that steps cost alike (docs/method/recursive.md).
+"""Choice of the blocks of the window that a step works on, so that steps cost alike (docs/method/recursive.md).
 
-A new block is refined with every keyframe. What a further one adds falls with their number, so that the block then
-waits the longer the more it has had; not below the newest view, where somebody may come while the vehicle lands. First
+A new block is refined with every keyframe. The gain of a further one falls with their number, so a block waits longer
+the more it has had. Blocks below the newest view do not wait: somebody may come there while the vehicle lands. First
 sweeps are put off until the step's share of sweeping suffices.
 """
 
@@ -20,7 +20,7 @@ from alight.settings.tuning.parallax import RecursiveTuning
 SIDE = 64  # cells of a block
 LEAST = 8  # samples of known cells from which a block is refined: one in 32
 ENOUGH = 16  # samples of new cells from which a block is swept: one in 16
-PART = 0.4  # of the cells of a block that are seen, the least that is swept at once: less is what a sweep left
+PART = 0.4  # of the cells of a block that are seen, the least to sweep at once: fewer are remains of a sweep
 NEVER = -(1 << 30)
 DEAR = 8192  # cells whose refinement costs as much as one rectangle more
 MOST_URGENT = 4.0
@@ -28,30 +28,30 @@ WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
 TAKEN = -8.0
 ROUGH = 8  # times less work at half the resolution
 MOST_NEW = 0.5  # of the blocks that are seen, from which the map begins
-AT_START = 3  # times as much a step may refine then
-SWEPT_AT_START = 2  # and sweep
+AT_START = 3  # factor by which a step may refine more then
+SWEPT_AT_START = 2  # factor by which it may sweep more
 
 Box = tuple[slice, slice]  # rows and columns of the window
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What a step may cost: a row of `EFFORTS`."""
+    """Limit of the cost of a step: a row of `EFFORTS`."""
 
     share: float  # of the cells and of the sweeping that a full step may do
-    rigs: int  # of every so manieth exposure, from the newest on, all cameras take part; of the others one of each rig
+    rigs: int  # of every n-th exposure, from the newest on, all cameras take part; of the others one of each rig
 
 
 EFFORTS = (Effort(1.0, 1), Effort(0.6, 3), Effort(0.4, 3), Effort(0.25, 3))  # full, ..., least
 
 
 def effort_of(level: int) -> Effort:
-    """The effort of a level from 0 (full) to 3 (least); what is beyond is as the nearest."""
+    """The effort of a level from 0 (full) to 3 (least); levels beyond count as the nearest."""
     return EFFORTS[min(max(level, 0), len(EFFORTS) - 1)]
 
 
 class Rectangle(NamedTuple):
-    """Of blocks."""
+    """Rectangle of blocks; `bottom` and `right` are outside."""
 
     top: int
     left: int
@@ -60,20 +60,20 @@ class Rectangle(NamedTuple):
 
     @property
     def blocks(self) -> int:
-        """How many."""
+        """Number of blocks."""
         return (self.bottom - self.top) * (self.right - self.left)
 
 
 class Counts(NamedTuple):
     """Samples of each kind in every block, (BR, BC)."""
 
-    fresh: F32  # that a sweep may look at for the first time
-    waiting: F32  # that will be, once seen over a longer baseline
+    fresh: F32  # to be swept, seen over a baseline that is enough
+    waiting: F32  # to be swept once seen over a longer baseline
     known: F32  # with a height, that two views see
 
 
 class SweepCost(NamedTuple):
-    """What the sweep of a block takes."""
+    """Cost of the sweep of a block."""
 
     layers: float  # samples a cell: planes times views, at the sweep's cells
     reach: float  # cells about a block that rays through it cross as well, a cell of distance from below the camera
@@ -82,13 +82,13 @@ class SweepCost(NamedTuple):
 class Plan(NamedTuple):
     """The work of one step."""
 
-    sweep: list[Box]  # whose new cells are swept
-    rough: list[Box]  # the same, at half the resolution: they would cost more than a step may
-    refine: list[Box]  # sharing no cell, among them all that are swept
+    sweep: list[Box]  # boxes whose new cells are swept
+    rough: list[Box]  # boxes swept at half the resolution: they would cost more than a step may
+    refine: list[Box]  # boxes to refine, disjoint; they cover all swept ones
 
 
 class Blocks:
-    """The blocks under a window, in numbers of the map's raster, and what was done to each.
+    """The blocks under a window, numbered on the map's raster, and the work done on each.
 
     Args:
         tuning: of the recursive step.
@@ -98,7 +98,7 @@ class Blocks:
         self._tuning, self._step = tuning, 0
         self._row, self._col = 0, 0
         self._begins = True
-        self._rate = 0.0  # samples of first sweeps a step, until none is due
+        self._rate = 0.0  # samples of first sweeps in a step, until none is due
         self._first = np.zeros(2, np.int64)  # row and column of the window in the raster
         self._shape = (0, 0)  # of the window
         self._cell = 1.0  # metres
@@ -106,7 +106,7 @@ class Blocks:
         self.recolour = False  # blocks that were never visited have coarse colours
 
     def forget(self, sharper: bool) -> None:
-        """All blocks are new; their colours are coarse where the cells became smaller (`sharper`)."""
+        """Make all blocks new; their colours are coarse where the cells became smaller (`sharper`)."""
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
         self.recolour = sharper
 
@@ -133,7 +133,7 @@ class Blocks:
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
 
     def plan(self, counts: Counts, below: tuple[float, float], sweep: SweepCost, effort: Effort) -> Plan:
-        """Choose what to do; `below`: row and column of the window under the newest view."""
+        """Choose the work of a step; `below`: row and column of the window under the newest view."""
         middle = [
             SIDE * (b + np.arange(n) + 0.5) - f
             for b, n, f in zip((self._row, self._col), self._count.shape, self._first, strict=True)
@@ -156,11 +156,11 @@ class Blocks:
 
     @property
     def beginning(self) -> bool:
-        """Most blocks of the last plan are new: heights of a part may not speak for the rest."""
+        """True if most blocks of the last plan are new: heights of a part need not be typical of the rest."""
         return self._begins
 
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
-        """Blocks whose sweep is due, the longest known first; a third of what is due where that is much."""
+        """Blocks whose sweep is due, the longest waiting first; only a share of them where many are due."""
         some = counts.fresh >= ENOUGH
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
         many = counts.fresh >= np.maximum(counts.waiting, PART * (counts.fresh + counts.waiting + counts.known))
@@ -190,14 +190,14 @@ class Blocks:
         return r, c
 
     def never_visited(self, box: Box) -> bool:
-        """Whether some block of a rectangle was never refined."""
+        """True if some block of a rectangle was never refined."""
         return bool((self._last[self._inside(box)] == NEVER).any())
 
     def visited(self, box: Box, known: Mask, changed: Mask, every: int) -> None:
-        """A rectangle was refined; its blocks of which much `changed` are looked at again soon.
+        """Note that a rectangle was refined; blocks in which much `changed` are refined again soon.
 
         Args:
-            known, changed: of a sample of its cells, `every` cells apart: had a height before, and has another one now.
+            known, changed: masks of a sample of its cells, `every` cells apart: had a height before, has another now.
         """
         inside = self._inside(box)
         blocks = [s.stop - s.start for s in inside]
@@ -214,7 +214,7 @@ class Blocks:
 
 
 def _moved(old: I64, by: tuple[int, int], shape: tuple[int, int], empty: int) -> I64:
-    """The values of a raster of blocks on one that begins `by` blocks further and has another shape."""
+    """Move the values of a raster of blocks to one that begins `by` blocks further and has another shape."""
     out = np.full(shape, empty, np.int64)
     there = [slice(max(b, 0), max(min(b + n, m), 0)) for b, n, m in zip(by, shape, old.shape, strict=True)]
     here = [slice(s.start - b, s.start - b + max(s.stop - s.start, 0)) for s, b in zip(there, by, strict=True)]
@@ -231,7 +231,7 @@ def _members(count: int, every: int, first: int, blocks: int) -> F32:
 
 
 def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
-    """The first of the wanted in an order whose costs are within a budget; one of them in any case."""
+    """The first wanted blocks in an order whose summed costs are within a budget; one of them in any case."""
     ranked = order[wanted.ravel()[order]]
     spent = np.cumsum(costs.ravel()[ranked])
     out = np.zeros(wanted.size, np.bool_)
@@ -256,11 +256,11 @@ def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
 def grown(urgency: F64, away: F64, most: float) -> Rectangle:
     """The rectangle of at most so many blocks that grows from the most urgent, nearest one while its rim is urgent too.
 
-    Few large rectangles cost less than many small ones, and what is refined together is urgent together again.
+    Few large rectangles cost less than many small ones, and blocks refined together are urgent together again.
     """
     total = np.zeros((urgency.shape[0] + 1, urgency.shape[1] + 1))
     total[1:, 1:] = urgency.cumsum(axis=0).cumsum(axis=1)
-    sums = total.tolist()  # plain numbers: a tenth of the time for one at a time
+    sums = total.tolist()  # Python numbers: a tenth of the time for single accesses
     first = np.flatnonzero(urgency.ravel() == urgency.max())
     row, col = divmod(int(first[np.argmin(away.ravel()[first])]), urgency.shape[1])
     out = Rectangle(row, col, row + 1, col + 1)
@@ -279,7 +279,7 @@ def grown(urgency: F64, away: F64, most: float) -> Rectangle:
 
 
 def _mean(sums: list[list[float]], of: Rectangle) -> float:
-    """Of a rectangle, from sums over all that is above and to the left; -1 outside."""
+    """Mean over a rectangle, from sums over all blocks above and to the left; -1 outside."""
     top, left, bottom, right = of
     if min(top, left) < 0 or bottom >= len(sums) or right >= len(sums[0]):
         return -1.0

@@ -1,4 +1,4 @@
-"""Loops over views of one instant: what they see alike and the others do not (eqs. 15a and 16d, docs/method)."""
+"""Loops over views of one instant: deviations that they share and the others do not (eqs. 15a and 16d, docs/method)."""
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32
 
 @parallel_kernel
 def before_and_after(samples: F32, pairs: I64, block: int, least: int, between: F32, whole: F32, count: F32) -> None:
-    """Split the views in time: how far what was seen before and after each moment lies apart, by blocks of cells.
+    """Split the views in time: difference of the samples before and after each moment, by blocks of cells.
 
     Of the means v of each of the `pairs` (K, 2), in the order of time, of the `samples` (N, R, C); cells that fewer
     than 2 `least` pairs see are left out. Sums over R / `block` x C / `block` blocks, rounded up.

@@ -1,4 +1,4 @@
-"""The common error of a batch map: offset and tilt by the poses' errors, and what a plane leaves.
+"""The common error of a batch map: offset and tilt by the poses' errors, and the rest that a plane leaves.
 
 The joint covariance of the poses is propagated to the matched points, and a plane is fitted to their errors
 (docs/method/uncertainty.md, eqs. 26 and 27).
@@ -18,8 +18,8 @@ from alight.parallax.pose_error import Matched, sensitivity
 from alight.raster import gradient, nearest_known
 from alight.records import Datum, ElevationMap, KeyframePosterior
 
-SAMPLES = 900  # cells of the map that are asked, about
-LEAST = 12  # of them that a plane needs
+SAMPLES = 900  # cells of the map that are sampled, about
+LEAST = 12  # of them, least for a plane
 SLOPE_CELLS = 1.5  # 1-sigma of the Gaussian over which the slope of the map is taken: heights are no finer
 
 
@@ -30,12 +30,12 @@ class Shared:
     gauge: Datum
     rows: I64  # (S,) of the map
     cols: I64  # (S,)
-    bend: F64  # (S,) metres up, 1-sigma of what the plane leaves
-    shift: F64  # (S,) metres east or north, 1-sigma of the cell's place beside what all cells are moved by
+    bend: F64  # (S,) metres up, 1-sigma of the rest that the plane leaves
+    shift: F64  # (S,) metres east or north, 1-sigma of the cell's place beside the shift of all cells
 
 
 def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> ElevationMap:
-    """The map with its datum: offset and tilt of the plane, and as `warp` what a plane does not hold."""
+    """The map with its datum: offset and tilt of the plane, and as `warp` the rest that a plane leaves."""
     shared = shared_error(found, matched, joint)
     if shared is None:
         return found
@@ -44,11 +44,11 @@ def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframeP
 
 
 def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> Shared | None:
-    """Push the joint covariance of the views through the map; None where too little of the map is known.
+    """Propagate the joint covariance of the views to the map; None where too little of the map is known.
 
     Args:
         found: the map.
-        matched: the tiles it was matched from, a later one over an earlier.
+        matched: the tiles it was matched from; a later one covers an earlier.
         joint: covariance of the poses of the recording.
     """
     rows, cols, points = _sampled(found)
@@ -68,7 +68,7 @@ def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: Keyfram
 
 
 def steepness(found: ElevationMap) -> F32:
-    """(R, C) root mean square slope of the map about each cell, metres a metre: what a place moved by a metre costs."""
+    """(R, C) root mean square slope of the map about each cell, metres a metre: height error a metre of shift."""
     height, known = np.nan_to_num(found.height), np.isfinite(found.height).astype(np.float32)
     share = np.maximum(_blurred(known), np.float32(1e-3))
     level = _blurred(height * known) / share

@@ -40,7 +40,7 @@ class Fit:
 
 
 def median_height(height: F32, none: float = 0.0) -> float:
-    """About the median of the known heights, metres; `none` where none is known. The exact one costs a step's time."""
+    """Approximate median of the known heights, metres; `none` if none is known. The exact one costs a step's time."""
     for every in (8, 1):
         some = height[::every, ::every]
         some = some[np.isfinite(some)]
@@ -57,7 +57,7 @@ class ViewGeometry:
     count: NDArray[np.uint8]  # of these views
     metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
     sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
-    views: Mask  # (N, ...) which these are
+    views: Mask  # (N, ...) True for these views
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: float) -> ViewGeometry:
@@ -82,22 +82,22 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: flo
 
 
 def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
-    """The values of blocks of `factor` x `factor` cells on the cells of the grid."""
+    """Expand the values of blocks of `factor` x `factor` cells to the cells of the grid."""
     size = (values.shape[1] * factor, values.shape[0] * factor)
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
 
 
 @dataclass(frozen=True, eq=False)
 class Skyline:
-    """A height map at half resolution, as rays to the cameras meet it."""
+    """A height map at half resolution, for tests of rays to the cameras."""
 
     grid: Grid  # of 2 x 2 cells
-    solid: F32  # (R / 2, C / 2) metres, single spikes taken out
+    solid: F32  # (R / 2, C / 2) metres, without single spikes
     tops: F32  # of each block of `BLOCK` x `BLOCK` of these, the highest within reach of its rays
 
     @classmethod
     def of(cls, height: F32, grid: Grid, centres: F64) -> Skyline:
-        """Of a map (R, C) and the cameras (N, 3)."""
+        """Skyline of a map (R, C) for cameras at `centres` (N, 3), all metres."""
         wide = grid.coarser(2)
         height = np.ascontiguousarray(height[::2, ::2])
         solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
@@ -106,7 +106,7 @@ class Skyline:
         return cls(wide, solid, tops)
 
     def visible(self, centres: F64, where: tuple[slice, slice], metres_per_px: F32, rise_px: float) -> U8:
-        """(N, R / 2, C / 2) of a part of the map: 0 where it rises `rise_px` over a ray to the camera (eq. 13).
+        """Visibility (N, R / 2, C / 2) of a part of the map: 0 where it rises `rise_px` over a camera's ray (eq. 13).
 
         Args:
             centres: (N, 3) metres.
@@ -122,7 +122,7 @@ class Skyline:
 
 
 def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float) -> U8:
-    """(N, R / 2, C / 2): 0 where the map rises `rise_px` over a ray to the camera (eq. 13); no single spike does."""
+    """(N, R / 2, C / 2): 0 where the map, without single spikes, rises `rise_px` over a ray to the camera (eq. 13)."""
     centres, whole = centres_of(prepared), (slice(0, grid.rows), slice(0, grid.cols))
     return Skyline.of(height, grid, centres).visible(centres, whole, metres_per_px, rise_px)
 
@@ -138,7 +138,7 @@ def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
     xs, ys = grid.xy()
     corner = np.array([[x, y] for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])])
     flattest = max(np.linalg.norm(corner - c[:2], axis=1).max() / max(c[2] - high, 1e-2) for c in centres)
-    # a height above a camera is out of reach of no ray: all of the map is
+    # a height above a camera may be reached by any ray: then the reach is all of the map
     reach = min(math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1, max(tops.shape))
     return np.asarray(cv2.dilate(tops, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
 
@@ -156,8 +156,8 @@ def gauss_newton(
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
     `visible` (N, R / 2, C / 2) leaves views out where the map stands in their way, unless it leaves one only: then the
-    map is wrong. What the fit knows beside the heights is of where the last iteration began. With `buffers`, the fit
-    holds until they are used again.
+    map is wrong. The statistics of the fit are those at the start of the last iteration. With `buffers`, the fit is
+    valid until they are used again.
     """
     held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()

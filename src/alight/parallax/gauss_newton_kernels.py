@@ -10,7 +10,7 @@ from alight.arrays import F32, F64, I64, U8
 from alight.compiled import inline, kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.sorting_kernels import fill_row, median_row, sort_rows
 
-UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
+UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that its weight is zero
 BAND = 24  # rows a thread takes at once
 CHUNK = 640  # columns of them
 STRIDE = CHUNK + 4  # with two neighbours on either side
@@ -23,12 +23,12 @@ ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 @kernel
 def _no_lone_row(seen: F32, median: F32) -> None:
     for c in range(seen.size):
-        median[c] = median[c] if seen[c] >= TWO else UNKNOWN  # nothing agrees with that
+        median[c] = median[c] if seen[c] >= TWO else UNKNOWN  # no sample agrees with that
 
 
 @pixelwise
 def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
-    """Weight, weighted sample and 1 of a sample that agrees; nothing of one that does not."""
+    """Weight, weighted sample and 1 for a sample that agrees; zeros for one that does not."""
     e = s - median
     share = ONE - narrow * e * e
     good = share > ZERO  # False for NaN
@@ -112,7 +112,7 @@ def _gradient_row(m: F32, up: F32, down: F32, scale: np.float32, gx: F32, gy: F3
 
 @pixelwise
 def _share(s: np.float32, w: np.float32, m: np.float32, g: np.float32, drop: np.float32) -> Four:
-    """One sample's w q, w q^2, w q e, w e^2; `g`: gradient times the way to the camera, `drop` below which it is."""
+    """One sample's w q, w q^2, w q e, w e^2; `g`: gradient times the vector from the camera, `drop` metres above it."""
     used = w > ZERO
     q, e = (g / drop if used else ZERO), (s - m if used else ZERO)
     wq = w * q
@@ -161,7 +161,7 @@ def _sum_two_rows(
 
 @inline
 def _place(centres: F64, i: int, x: float, y: float) -> Three:
-    """From camera `i` to (x, y), and its height, metres."""
+    """Vector from camera `i` to (x, y), and the camera's height, metres."""
     return np.float32(x - centres[i, 0]), np.float32(y - centres[i, 1]), np.float32(centres[i, 2])
 
 
@@ -193,9 +193,9 @@ def normal_equations(
 ) -> None:  # fmt: skip
     """Fill the template m (eq. 8), Lambda, eta (eqs. 9, 10) and the residual variance of every cell.
 
-    q_i = grad m . (v_i - vbar), v_i = ((X, Y) - C_i,xy) / (C_i,z - h): how far view i's sample slides over the ground a
-    metre of height. The template's gradient carries none of the single views' noise. `pairs`: the sorting network of N.
-    `used` gets the views that agree, within 4 tau of the median, `number` those that see.
+    q_i = grad m . (v_i - vbar), v_i = ((X, Y) - C_i,xy) / (C_i,z - h): slide of view i's sample over the ground for a
+    metre of height. The template's gradient has none of the single views' noise. `pairs`: the sorting network of N.
+    `used` gets the number of views that agree, within 4 tau of the median, `number` that of views that see.
     """
     n, rows, cols = samples.shape
     scale, narrow = np.float32(0.5 / cell), np.float32(1.0 / (16.0 * tau * tau))
@@ -253,7 +253,7 @@ def invert_row(x: F32, out: F32) -> None:
 
 @pixelwise
 def _tap(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse: np.float32, sums: Four) -> Four:
-    """Add one neighbour: 1 at the same height, nothing from two parallax pixels on."""
+    """Add one neighbour: weight 1 at the same height, 0 from two parallax pixels on."""
     d = (h[i] - here) * inverse
     share = ONE - d * d
     share = share if share > ZERO else ZERO
@@ -322,7 +322,7 @@ def solve_window(
         for left in range(0, cols, CHUNK):
             width = min(CHUNK, cols - left)
             low, high = max(0, left - 2), min(cols, left + width + 2)
-            ph[:] = pl[:] = pe[:] = pn[:] = ZERO  # a border that knows nothing
+            ph[:] = pl[:] = pe[:] = pn[:] = ZERO  # a border of unknown cells
             for r in range(max(0, first - 2), min(rows, end + 2)):
                 k = (r - first + 2) * STRIDE + low - left + 2
                 inner = slice(k, k + high - low)

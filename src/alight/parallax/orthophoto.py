@@ -1,7 +1,7 @@
-"""Orthophoto on finer pixels than the heights have: the mean of the nearest views of each place.
+"""Orthophoto on finer pixels than those of the heights: the mean of the nearest views of each place.
 
 Matching takes cells of nearly two pixels; stones and tufts that its windows flatten are three pixels wide. One view
-shows them in its noise, the mean of five does not have it (docs/method/p-safe.md, G9b).
+shows them in noise; the mean of five has less of it (docs/method/p-safe.md, G9b).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from alight.parallax.views import (
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
-BLOCK = 192  # cells a side that are done at a time
+BLOCK = 192  # cells a side of a block that is done at a time
 MOST = 4  # fine pixels a cell, each way
 LARGE = 80_000_000  # pixels, 240 MB: a picture of more is coarser; few photos of a card are taken from so near
 SAME = 0.3  # share of a block that two views must share for their exposures to be compared
 AROUND = 0.05  # of the side of the ground that a picture shows: rows that were exposed at other times, and the lens
-FLAT = 0.05  # sine of the angle to the ground of a ray whose end on it is not looked for
+FLAT = 0.05  # sine of the angle to the ground below which a ray's end on it is not computed
 COARSER = 1.5  # a view whose pixel is larger than that of the finest by this factor does not count beside it
 
 
@@ -43,7 +43,7 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
 
 
 def _within(outer: tuple[slice, slice], inner: tuple[slice, slice]) -> tuple[slice, slice]:
-    """Rows and columns of a window in a window, in those of the whole."""
+    """Rows and columns of a window within a window, in the numbers of the whole."""
     (r, c), (dr, dc) = outer, inner
     return slice(r.start + dr.start, r.start + dr.stop), slice(c.start + dc.start, c.start + dc.stop)
 
@@ -65,7 +65,7 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> tupl
 
 
 class _Sums:
-    """What the views of a block show so far, and whether they are enough."""
+    """Sums over the views of a block so far, and the pixels that want another view."""
 
     def __init__(self, grid: Grid, wants: Mask) -> None:
         self.total, self.number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
@@ -74,7 +74,7 @@ class _Sums:
         self.pixel = np.empty(grid.shape, np.float32)
 
     def add(self, view: View, grid: Grid, height: F32, at: tuple[slice, slice], level: float, count: int) -> None:
-        """Add one view where a window wants it, brought to the exposure of those before."""
+        """Add one view where a window wants it, brought to the exposure of the views before."""
         camera, part = view.camera, grid.window(at[0].start, at[1].start, *self.wants[at].shape)
         picture, exposures = np.asarray(view.image), np.empty((part.rows, kernels.EXPOSURES))
         seen, use, pixel = self.seen[at], self.use[at], self.pixel[at]
@@ -98,7 +98,7 @@ def _block(
     """Mean of the `count` nearest views of every pixel that wants one, each brought to the exposure of the first.
 
     Beside it their number, and the pixel on the ground of the first, metres. A view with much coarser pixels than the
-    first does not count. Only the pixels that the view may show and that want another one are looked at.
+    first does not count. Only the pixels that the view may show and that want another one are computed.
     """
     xs, ys = grid.xy()
     level, low, high = float(np.median(height)), float(height.min()), float(height.max())
@@ -122,31 +122,31 @@ def _without_black(mean: F32) -> U8:
 
 
 def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:
-    """Fine pixels a cell, each way, that show all that the views show: a power of two, `MOST` at most."""
+    """Fine pixels a cell, each way, that keep the resolution of the views: a power of two, `MOST` at most."""
     level = float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
     finest = min((ground_sampling(v, level) for v in views), default=elevation.grid.cell)
     return int(np.clip(2 ** math.ceil(math.log2(max(0.95 * elevation.grid.cell / finest, 1e-3))), 1, MOST))
 
 
 def _affordable(wanted: int, cells: int, most: int) -> int:
-    """Fine pixels a cell, each way, of a map of so many cells: as wanted, or as few as make at most so many pixels."""
+    """Fine pixels a cell, each way, of a map of `cells` cells: `wanted`, or fewer: `most` pixels in all."""
     while wanted > 1 and cells * wanted**2 > most:
         wanted //= 2
     return wanted
 
 
 def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, most: int = LARGE) -> tuple[U8, F32]:
-    """Look at the ground of a map on its views' own pixels.
+    """Picture of the ground of a map on its views' own pixels.
 
     Args:
         views: with the poses that the map was made of.
-        elevation: where the ground is.
+        elevation: the map, for the heights of the ground.
         count: views whose mean is taken.
         most: pixels of the picture.
 
     Returns:
-        The picture, (f R, f C, 3): the map's own colours where none of the views looks, black where nothing was seen,
-        and there only: what a view shows as black is one level brighter.
+        The picture, (f R, f C, 3): the map's own colours where none of the views looks, black only where nothing was
+        seen: black in a view is made one level brighter.
         Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
     """
     grid, wanted = elevation.grid, pixels_a_cell(views, elevation)

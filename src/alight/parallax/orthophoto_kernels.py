@@ -1,4 +1,4 @@
-"""Loops of the orthophoto: one view after the other is added to the mean of what earlier ones saw."""
+"""Loops of the orthophoto: one view after the other is added to the mean of the earlier ones."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.compiled import inline, kernel, parallel_kernel, prange
 from alight.parallax.projection_kernels import project_row
 
-EXPOSURES = 7  # of a row: how many pixels both show, colours in earlier views, colours in this one
+EXPOSURES = 7  # numbers of a row: shared pixels, their colours in earlier views, their colours in this view
 
 
 @inline
@@ -64,24 +64,24 @@ def look(
     pixel: F32,
     exposures: F64,
 ) -> None:
-    """What a view shows of a window, where that counts, and the exposures of what it shares with earlier views.
+    """Sample a view on a window: its colours, where they count, and its exposure against earlier views.
 
-    Views come from the finest on: `wants` becomes false, in place, where one is too coarse, for so are those after it.
-    Only the rows' stretches that want a view are looked at.
+    Views come in order, the finest first. `wants` becomes false, in place, where one is too coarse, as all later ones
+    are. Only the stretches of rows that want a view are computed.
 
     Args:
         image: (H, W, 1 or 3).
-        tone: (256, 3), the colours that its levels stand for.
+        tone: (256, 3), table from its levels to colours.
         H, b, intrinsics, distortion, model, r2_max, rolling: as `project_grid` takes them.
         centre: (3,) metres, of the camera; a pixel covers the distance over the focal length.
         xs, ys: metres, east of the columns and north of the rows.
         height: (R, C) metres.
         level: metres, of the ground.
         coarser: a view with pixels larger than the finest by this factor does not count.
-        wants: (R, C), whether another view is wanted.
+        wants: (R, C), True where another view is wanted.
         finest: (R, C), metres, the finest pixel of earlier views.
         total, number: (R, C, 3), (R, C), sum and number of earlier views.
-        seen, use, pixel: (R, C, 3), (R, C), (R, C), out: colours, where they count, metres that a pixel covers.
+        seen, use, pixel: (R, C, 3), (R, C), (R, C), out: colours, True where they count, metres that a pixel covers.
         exposures: (R, `EXPOSURES`), out.
     """
     b32, k32, limit, roll = (
@@ -148,11 +148,11 @@ def look(
 def add_view(
     seen: U8, use: Mask, pixel: F32, gain: F64, count: int, total: F32, number: F32, finest: F32, wants: Mask
 ) -> None:
-    """Add a view to the sums, in place; `wants` becomes false where `count` views are together.
+    """Add a view to the sums, in place; `wants` becomes false where `count` views are reached.
 
     Args:
         seen: (R, C, 3), the view's picture on the grid.
-        use: (R, C), where the view counts.
+        use: (R, C), True where the view counts.
         pixel: (R, C), metres of ground that a pixel of the view covers.
         gain: (3,), factor of its colours.
         count: views that are wanted.

@@ -1,8 +1,8 @@
 """Heights from nothing: a plane sweep along the rays of one view with semi-global aggregation (cold start, recordings).
 
-The cells of the sweep are those of the world grid where its ground is, but a hypothesis about what stands higher moves
-along the ray to the reference view, not up: each ray then meets one surface. A cell of the world grid can be explained
-at the height of the ground by whatever stands before it, and things seen from the side went missing.
+At the height of the ground, the cells of the sweep are those of the world grid. A hypothesis of another height moves
+along the ray to the reference view, not up: each ray then meets one surface. With vertical hypotheses, an object before
+a cell can match at the height of the ground, and objects seen from the side were lost.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Prepared, centres_of, maps, sample, when_exposed
 from alight.settings.tuning.parallax import SweepTuning
 
-SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
+SEEN_BLOCK = 8  # cells: resolution at which the border of the reference is known
 LEAST_SIDE = 16  # coarse cells across which aggregation finds a surface
-SLACK, BROAD_SLACK = 2, 8  # planes beyond what was found: at the finest cells, and at those between
+SLACK, BROAD_SLACK = 2, 8  # planes beyond the heights found: at the finest cells, and at those between
 OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
-CLOSE = 0.2  # of the height of the lowest view above the heights searched: what stands nearer to it is not swept
-MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # about the others, of what they span and coarse planes
+CLOSE = 0.2  # of the height of the lowest view above the heights searched: the part nearer to it is not swept
+MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # margin about the other heights: share of their span, and coarse planes
 ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; heights there, at least; metres
 
 
 class Reach(NamedTuple):
-    """About what was found with coarser cells a ray tries heights."""
+    """Range of heights that a ray tries about those found with coarser cells."""
 
-    beside: int  # coarse cells about one whose heights it tries
-    border: int  # the same where none of these has a height
+    beside: int  # coarse cells about its own whose heights it tries
+    border: int  # coarse cells about its own where none of these has a height
     slack: int  # planes beyond these
 
 
@@ -43,23 +43,23 @@ NARROW, BROAD = Reach(1, 6, SLACK), Reach(8, 16, BROAD_SLACK)  # at the finest c
 
 Span = tuple[float, float]  # lowest and highest height, metres
 Where = tuple[slice, slice]  # rows and columns of a tile
-Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
+Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second height fits; NaN where unseen
 
 
 def parallax_per_metre(centres: F64, height: float) -> float:
-    """Metres of slide over the ground between the two outermost of the `centres` (N, 3), a metre of height."""
+    """Slide over the ground between the two outermost of the `centres` (N, 3), metres a metre of height."""
     v = centres[:, :2] / np.maximum(centres[:, 2:] - height, 1e-3)
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
 def planes(centres: F64, low: float, high: float, cell: float, most: int) -> F32:
-    """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
+    """Heights of the planes to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
     count = plane_count(parallax_per_metre(centres, 0.5 * (low + high)), low, high, cell, most)
     return np.linspace(low, high, count).astype(np.float32)
 
 
 def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
-    """How many these are for a `slide` of the outermost views, metres a metre of height."""
+    """Number of planes for a `slide` of the outermost views, metres a metre of height; at most `most`."""
     return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
@@ -103,7 +103,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span
 
 
 def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) -> Grid:
-    """The cells at `ground` whose rays to the reference cross `grid` where `searched`, where it has a picture."""
+    """Cells at `ground` whose rays to the reference cross `grid` at the heights `searched`, where it has a picture."""
     about = reference.centre
     x, y = (v[[0, -1]] for v in grid.xy())
     share = np.array([(about[2] - ground) / (about[2] - z) for z in searched])
@@ -129,11 +129,11 @@ def sweep_unseen(
 ) -> Swept:
     """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
 
-    What that one does not see, behind a step or beyond its border, is swept along the rays of others.
+    Cells that this view does not see, behind a step or beyond its border, are swept along the rays of others.
 
     Args:
         searched: lowest and highest height, metres.
-        known: heights (R, C), NaN where there are none; those about a region narrow what is searched there.
+        known: heights (R, C), NaN where there are none; those about a region narrow the search there.
     """
     height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     left, tried = wanted.copy(), list[tuple[Where, int]]()
@@ -156,12 +156,12 @@ def sweep_unseen(
 
 
 def meet(one: Where, other: Where) -> bool:
-    """Whether two parts of a tile share cells."""
+    """True if two parts of a tile share cells."""
     return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
 
 
 def heights_about(known: F32, where: Where, searched: Span) -> Span:
-    """The heights to search in a part of a tile: those `known` (R, C) about it, with a margin, where these are some."""
+    """The heights to search in a part of a tile: those `known` (R, C) about it, with a margin, if there are enough."""
     rows, cols = (slice(max(s.start - ABOUT, 0), s.stop + ABOUT) for s in where)
     heights = known[rows, cols][np.isfinite(known[rows, cols])]
     if len(heights) < LEAST_ABOUT:
@@ -172,7 +172,7 @@ def heights_about(known: F32, where: Where, searched: Span) -> Span:
 
 
 def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Where]:
-    """The rectangles about blocks with wanted cells; a few of them in a block are not worth a sweep."""
+    """The rectangles about blocks with wanted cells; blocks with only a few of them are left out."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
     whole[: wanted.shape[0], : wanted.shape[1]] = wanted
@@ -189,7 +189,7 @@ def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Where]:
 def best_reference(
     prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask, but: Sequence[int] = ()
 ) -> int | None:
-    """The view that sees most of the `wanted` cells were they at `ground`, the steeper the better; None: none sees.
+    """The view that sees most of the `wanted` cells if they lie at `ground`, steep views preferred; None: none sees.
 
     Args:
         but: views that are left out.
@@ -210,7 +210,7 @@ def best_reference(
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """First and last plane that each ray tries, and where its costs begin in the volume."""
+    """First and last plane that each ray tries, and the index of its first cost in the volume."""
 
     low: I32  # (R, C)
     high: I32  # (R, C)
@@ -224,13 +224,13 @@ class Spans:
     def about(cls, found: F32, shape: tuple[int, int], levels: F32, reach: Reach = NARROW) -> Spans:
         """Planes about the heights found at twice the cells (R / 2, C / 2), of a cell and those beside it.
 
-        Beside a step a ray tries what stands on both sides of it and between (Rothermel et al. 2012, tSGM).
+        Beside a step a ray tries the heights on both sides of it and between (Rothermel et al. 2012, tSGM).
         """
         low, high = extremes(found, reach.beside)
         beyond = extremes(found, reach.border)  # smaller pixels reach further towards the border of a picture
         for end, further in zip((low, high), beyond, strict=True):
             np.copyto(end, further, where=~np.isfinite(end))
-        none = low > high  # two views see nothing there, at any resolution
+        none = low > high  # no two views see anything there, at any resolution
         low[none] = high[none] = levels[0]
         spacing, last = levels[1] - levels[0], len(levels) - 1
         ends = np.floor((low - levels[0]) / spacing) - reach.slack, np.ceil((high - levels[0]) / spacing) + reach.slack
@@ -239,7 +239,7 @@ class Spans:
 
     @property
     def neighbours(self) -> Spans:
-        """With the spans of the rays beside, whose costs are averaged."""
+        """Spans widened by those of the rays beside, whose costs are averaged."""
         near = np.ones((3, 3), np.uint8)
         low, high = -cv2.dilate(-self.low.astype(np.float32), near), cv2.dilate(self.high.astype(np.float32), near)
         return Spans(low.astype(np.int32), high.astype(np.int32))
@@ -252,7 +252,7 @@ class Spans:
 
     @property
     def size(self) -> int:
-        """Costs of all rays."""
+        """Number of costs of all rays."""
         return int((self.high - self.low + 1).sum(dtype=np.int64))
 
 
@@ -263,10 +263,10 @@ def sweep(
 
     Args:
         pyramid: the views at the cells of `grid`, then at cells twice as large and so on. The coarsest tries all
-            planes that its views can tell apart, each finer one those about what the coarser found.
+            planes that its views can separate, each finer one those about the heights of the coarser.
         grid: the cells.
-        searched: lowest and highest height, metres; what stands nearer to the lowest view than `CLOSE` is left out.
-        ground: metres, about where most of it lies.
+        searched: lowest and highest height, metres; heights nearer to the lowest view than `CLOSE` are left out.
+        ground: metres, approximate height of most of it.
         reference: the view along whose rays heights are tried.
 
     Returns:
@@ -307,7 +307,7 @@ def extremes(found: F32, reach: int) -> tuple[F32, F32]:
 
 
 def narrowed(found: F32, searched: Span, spacing: float) -> Span:
-    """Heights to search with smaller cells: those `found`, and a margin for what is too thin for the larger ones."""
+    """Heights to search with smaller cells: those `found`, and a margin for objects too thin for the larger ones."""
     known = found[np.isfinite(found)]
     if not known.size:
         return searched
@@ -317,7 +317,7 @@ def narrowed(found: F32, searched: Span, spacing: float) -> Span:
 
 
 def doubled(values: F32, shape: tuple[int, int]) -> F32:
-    """The values of 2 x 2 cells on each of them."""
+    """Repeat the value of each 2 x 2 cells on all four, cut to `shape`."""
     size = (2 * values.shape[1], 2 * values.shape[0])
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]])
 
@@ -336,7 +336,7 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
             views.pictures, scale, shift, pairs, tuning.keep_share, truncation, wanted.low, wanted.high, k, plane, count
         )
         kernels.store(plane, k, spans.low, spans.high, first, cost)
-        if k == usual:  # beyond the border only a wrong height brings a second view in
+        if k == usual:  # beyond the border only a wrong height adds a second view
             seen = count.copy()
     seen[np.isnan(views.guide)] = 0
     halves = np.empty((2, len(cost)), np.float32)
@@ -350,7 +350,7 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
 
 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
-    """Put what was found along the rays to `about` on the world grid: of several in one cell, the highest."""
+    """Move heights found along the rays to `about` to the world grid: of several in one cell, the highest."""
     height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     to = np.array(
         [rays.east - grid.east, rays.north - grid.north, about[0] - grid.east, about[1] - grid.north, about[2]]
@@ -360,7 +360,7 @@ def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid:
 
 
 def close_gaps(height: F32, reach: int) -> F32:
-    """Fill gaps of a few cells with the lowest height beside them: what a step hides lies at its foot."""
+    """Fill gaps of a few cells with the lowest height beside them: ground hidden by a step lies at its foot."""
     known = np.isfinite(height)
     near = np.ones((2 * reach + 1,) * 2, np.uint8)
     gap = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, near).astype(np.bool_) & ~known

@@ -1,6 +1,6 @@
-"""How the errors of the views' poses move the heights that were matched with them (docs/method/uncertainty.md).
+"""Sensitivity of matched heights to the errors of their views' poses (docs/method/uncertainty.md).
 
-A view whose pose is wrong carries the ground that it sees along with its body. Where the views of a place carry it to
+A wrong pose moves the ground that the view sees along with its body. Where the views of a point move it to
 different places, the match is the point nearest to all of them. So height and place are linear in the poses' errors.
 """
 
@@ -16,8 +16,8 @@ from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose, skew
 from alight.records import KeyframePosterior, View
 
-_LEAST = 2  # views that make a height
-_REGULAR = 1e-9  # of the normal equations, so that a point seen along one ray has an answer
+_LEAST = 2  # views that a height needs
+_REGULAR = 1e-9  # of the normal equations, so that a point seen along one ray has a solution
 
 
 class PosedCamera(NamedTuple):
@@ -37,26 +37,26 @@ class Matched(NamedTuple):
 
     @classmethod
     def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
-        """Those of views."""
+        """Keep the grid and the cameras of the views."""
         return cls(grid, tuple(PosedCamera(v.t_ns, v.camera, v.world_from_cam, v.cam) for v in views))
 
     def holds(self, east: F64, north: F64) -> NDArray[np.bool_]:
-        """Which places lie in the tile."""
+        """True for places (metres, east and north) that lie in the tile."""
         row, col = self.grid.index(east, north)
         inside = (row >= -0.5) & (row < self.grid.rows - 0.5) & (col >= -0.5) & (col < self.grid.cols - 0.5)
         return np.asarray(inside)
 
 
 def sensitivity(points: F64, cameras: Sequence[PosedCamera], joint: KeyframePosterior) -> F64:
-    """By how much matched points move with the errors of the poses and the lens.
+    """Derivatives of matched points by the errors of the poses and the lens.
 
-    The displacement is the least-squares intersection of the displaced rays, each measured on the ground as the
-    matching measures it: of view i with ray `r`, `T_i = [I | -r_xy / r_z]`, and `dX = (sum T'T)^-1 sum T'T d_i`.
+    The displacement is the least-squares intersection of the displaced rays, each measured on the ground as in
+    the matching: of view i with ray `r`, `T_i = [I | -r_xy / r_z]`, and `dX = (sum T'T)^-1 sum T'T d_i`.
 
     Args:
         points: (S, 3) metres, the ground.
         cameras: those of the views.
-        joint: whose errors; an exposure between two of its own has their errors, interpolated in time.
+        joint: the poses with errors; an exposure between two of them has their errors, interpolated in time.
 
     Returns:
         (S, 3, 6K + L) metres a metre, a radian or a unit of the lens; NaN where fewer than two views see a point.
@@ -88,7 +88,7 @@ def _sees(view: PosedCamera, points: F64) -> NDArray[np.bool_]:
 
 
 def _carried(points: F64, body: F64) -> F64:
-    """(S, 3, 6): by how much the ground goes with a body that is moved and turned; the error is what must be added."""
+    """(S, 3, 6): derivatives of the ground by an error of the body's pose, which must be added to the pose."""
     out = np.zeros((len(points), 3, 6))
     out[:, :, :3] = -np.eye(3)
     out[:, :, 3:] = np.array([skew(p - body) for p in points])
@@ -96,7 +96,7 @@ def _carried(points: F64, body: F64) -> F64:
 
 
 def _bent(view: PosedCamera, lens: Camera, points: F64, seen: NDArray[np.bool_]) -> F64:
-    """(S, 3): by how much the ground goes with the pixels of a lens that is one unit off; 0 where it is not seen."""
+    """(S, 3) metres: displacement of the ground by a lens that is one unit off; 0 where it is not seen."""
     out = np.zeros(points.shape)
     in_cam = view.world_from_cam.inverse.apply(points[seen])
     true = lens.rays(view.camera.project(in_cam))
@@ -105,7 +105,7 @@ def _bent(view: PosedCamera, lens: Camera, points: F64, seen: NDArray[np.bool_])
 
 
 def _shares(t_ns: int, joint: KeyframePosterior) -> list[tuple[int, float]]:
-    """Which exposures of the joint covariance stand for that at a time, and how much of it each is."""
+    """Exposures of the joint covariance whose errors an exposure at `t_ns` has, with the share of each."""
     times = np.array([m.t_ns for m in joint.motions], np.int64)
     k = int(np.searchsorted(times, t_ns))
     if k == len(times):

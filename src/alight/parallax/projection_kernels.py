@@ -1,4 +1,4 @@
-"""From the world grid into an image: homography of the ground, parallax, lens, rolling rows (eqs. 1 to 4b)."""
+"""Projection of the world grid into an image: homography of the ground, parallax, lens, rolling rows (eqs. 1 to 4b)."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 
 ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 NEAR = np.float32(1e-3)  # metres before the camera
-ROLLS = 3  # times that the row is looked up: each leaves a tenth of the error or less
+ROLLS = 3  # iterations for the pixel row: each leaves a tenth of the error or less
 TWELFTH = np.float32(1 / 12)
 OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
 
@@ -90,14 +90,14 @@ def project_row(
     """Fill the pixels of a row of cells at heights `h` (eqs. 1 to 3 and 4b).
 
     Args:
-        p, step: (3,) the homography of the first cell, and what it grows by from cell to cell.
-        b: (3,) what a metre of height adds.
+        p, step: (3,) homogeneous coordinates of the first cell, and their increment from cell to cell.
+        b: (3,) their increment a metre of height.
         lens: fu, fv, cu, cv, last column and row.
         k: (5,) distortion of the `model`.
         r2_max: limit of the squared ideal radius.
         height: rows of the picture.
-        roll: way (metres) and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
-        ideal: (5, C) room.
+        roll: translation (metres) and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
+        ideal: (5, C) scratch.
     """
     x, y, z = ideal[0], ideal[1], ideal[2]
     _ideal_row(p, step, b, h, x, y, z)
@@ -127,8 +127,8 @@ def project_grid(
     """Fill `mapx`, `mapy` with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3 and 4b).
 
     Row by row in short loops without branches, which the compiler turns into vector code: 8 times faster than one loop.
-    Where a row begins is computed in double precision, its cells in single: 0.0001 px of 1000. `rolling`: way (metres)
-    and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
+    The start of a row is computed in double precision, its cells in single: 0.0001 px of 1000. `rolling`: translation
+    (metres) and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
     """
     rows, cols = h.shape
     b32, k32, limit = b.astype(np.float32), k.astype(np.float32), np.float32(r2_max)

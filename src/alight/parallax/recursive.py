@@ -1,8 +1,8 @@
-"""Recursive parallax: a ring of keyframes, one step for each new one, heights carried from step to step.
+"""Recursive estimator: a keyframe window, one step for each new keyframe, heights carried from step to step.
 
-The open problem of the 2004 paper. What is carried is the height itself with its sigma, never a sum of old gradients: a
-sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. A cell
-enters the map by a sweep, as soon as the views that see it span `first_baseline` of the height; from then on it
+The open problem of the 2004 paper. The height itself is carried with its sigma, never a sum of old gradients. A
+sample slides by (X - C) / (Z - h) a metre in every view; so a changed height makes stored sums invalid. A cell
+enters the map by a sweep, as soon as the views that see it span `first_baseline` of the height. From then on it
 starts from the map.
 """
 
@@ -28,17 +28,17 @@ HALF = 2  # cells of the map that a cell of a rough sweep spans
 
 
 class RecursiveParallax:
-    """Keyframes at distances that grow with age, and the step that they allow."""
+    """Recursive estimator of heights: keyframes at distances that grow with age, and the step on them."""
 
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
         self._settings, self._tuning = settings, settings.recursive
-        # what one view does not see may wait for the next keyframe
+        # cells that one view does not see may wait for the next keyframe
         self._sweep_tuning = settings.sweep.model_copy(update={"most_references": 1})
         self._unswept = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
         self._kept: list[list[Kept]] = []
         self._unknown = self._unswept
-        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
+        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: sweep anew
         self._blocks, self._refiner = Blocks(settings.recursive), Refiner(settings, Buffers())
         self._alignment = Alignment(settings.ring, settings.poses)
         self._came = list[tuple[Grid, Mask]]()
@@ -59,7 +59,7 @@ class RecursiveParallax:
 
     @property
     def beginning(self) -> bool:
-        """Most of the window was not refined often yet: heights of a part may not speak for the rest."""
+        """True while most of the window is little refined: heights of a part need not be typical of the rest."""
         return self._blocks.beginning
 
     @property
@@ -68,15 +68,15 @@ class RecursiveParallax:
         return self._came
 
     def work_at(self, cell: float, ground: float) -> None:
-        """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
+        """Set the cell size and the ground's height, metres; for a new `cell` the kept pictures are prepared anew.
 
-        Pictures that were made ready for another ground stay as they are: the height only says how much to smooth.
+        Pictures prepared for another ground stay as they are: its height only sets the smoothing.
         """
         self._ground = ground
         if cell != self._cell:
             self._blocks.forget(sharper=cell < self._cell)
             self._cell = cell
-            if self._ratio is not None:  # the other cells confirm or refute what the sweep found
+            if self._ratio is not None:  # the other cells confirm or refute the sweep
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
             self._kept = [[Kept.of(k.view, cell, ground) for k in exposure] for exposure in self._kept]
 
@@ -85,12 +85,12 @@ class RecursiveParallax:
         self._ratio, self._unknown = None, np.float32(np.nan)
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
-        """Take the images of one exposure, late or not; the keyframe that leaves the smallest gap is dropped.
+        """Add the images of one exposure, out of sequence or not; the keyframe that leaves the smallest gap is dropped.
 
         `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
         """
         if any(exposure[0].view.t_ns == views[0].t_ns for exposure in self._kept):
-            return  # a repeated time: the same picture twice would agree with itself
+            return  # a repeated time: a picture would agree with itself
         self._kept.append([Kept.of(v, self._cell, self._ground) for v in views])
         self._kept.sort(key=lambda exposure: exposure[0].view.t_ns)
         centres = np.array([exposure[0].view.centre for exposure in self._kept])
@@ -102,16 +102,16 @@ class RecursiveParallax:
             self._alignment.update_posterior(poses, times, drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
-        """Improve the heights of a part of a window with the ring as it is now (docs/method/recursive.md).
+        """Improve the heights of a part of a window with the present keyframe window (docs/method/recursive.md).
 
         Args:
             grid: the window, cells on the map's raster.
-            known: what the map has there.
-            low, high: heights searched where nothing is known.
-            effort: how much to do, from 0 (all) to 3 (least).
+            known: the map there.
+            low, high: heights searched where nothing is known, metres.
+            effort: level of the effort, from 0 (full) to 3 (least).
 
         Returns:
-            The rectangles that were refined, as they are now; none while no cell has seen enough parallax.
+            The refined rectangles, with their new heights; none while no cell has seen enough parallax.
         """
         ratio, chosen, self._came = self._carried(grid), effort_of(effort), []
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
@@ -141,7 +141,7 @@ class RecursiveParallax:
     def _taking_part(self, drop: float, effort: Effort) -> list[Kept]:
         """All views, or with less effort one camera of each rig and the whole rig in some exposures.
 
-        These show what moves (eq. 15a).
+        Whole rigs show moving things (eq. 15a).
         """
         views = [k for exposure in self._kept for k in exposure]
         rigs = {exposure[0].view.t_ns for exposure in self._kept[:: -effort.rigs]}
@@ -154,15 +154,15 @@ class RecursiveParallax:
             old, values = self._ratio
             (row, r), (col, c) = (_shared(*i) for i in zip(old.index(*grid.xy()), old.shape, strict=True))
             if r.size and c.size:
-                same = old.cell == grid.cell  # then both are ranges, and views are copied fast
+                same = old.cell == grid.cell  # then both are ranges, and array views are copied fast
                 there = values[row[0] : row[-1] + 1, col[0] : col[-1] + 1] if same else values[np.ix_(row, col)]
                 out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
     def _views_of(self, window: Window, box: Box, ratio: F32, fresh: Mask, drop: float) -> list[Kept]:
-        """The views that sweep a rectangle: of a few exposures over about twice the baseline that this takes.
+        """The views that sweep a rectangle: of a few exposures over about twice the least baseline.
 
-        More exposures blur the edges of things. A longer baseline takes more planes, and the steps to come bring it.
+        More exposures blur the edges of objects. A longer baseline takes more planes, and later steps have it.
         """
         seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
         asked = max(1.0, float(np.median(self._wanted(ratio)[fresh])))
@@ -175,16 +175,16 @@ class RecursiveParallax:
 
     @staticmethod
     def _wanted(ratio: F32) -> F32:
-        """Baselines of a first sweep that a cell takes: after a sweep in vain, twice as many as before."""
+        """Least baseline of a cell's sweep, in those of a first sweep: after a sweep in vain, twice the one before."""
         return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
     def _asked(self, baseline: F32, count: NDArray[np.uint8], ratio: F32, drop: float) -> Mask:
-        """Where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
+        """True where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
         return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
 
     def _plan(self, window: Window, ratio: F32, drop: float, effort: Effort) -> Plan:
-        """Count in a sample of the cells, and choose."""
+        """Plan the step from counts in a sample of the cells."""
         every = refine.SEEN_BLOCK
         k = min(every // 2, *(n - 1 for n in window.grid.shape))
         h, r = window.known.height[k::every, k::every], ratio[k::every, k::every]
@@ -248,7 +248,7 @@ class RecursiveParallax:
     def _take(
         self, window: Window, box: Box, fresh: Mask, new: F32, found: F32, ratio: F32, start: F32, wrong: Mask
     ) -> None:
-        """Fill what a sweep found in a rectangle into its `start`, `ratio` and `wrong`."""
+        """Fill the result of a sweep of a rectangle into its `start`, `ratio` and `wrong`."""
         before, per_px = window.known.height[box], window.per_px[box]
         both = fresh & np.isfinite(before) & np.isfinite(new)
         shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
@@ -277,13 +277,13 @@ def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:
 def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list[int]:
     """Choose `count` keyframes, oldest first, whose distances from the newest grow evenly in proportion.
 
-    `away` (N,): baseline to the newest, the last, over the height. The nearest find what is new, the farthest measure
-    it best; what is farther than `span` sees too little of what the newest sees.
+    `away` (N,): baseline to the newest, the last, over the height. The nearest find new ground, the farthest measure
+    it best; those farther than `span` see too little of the newest view's ground.
     """
     kept = [i for i in range(len(away)) if away[i] < span]
     while len(kept) > count:
         gaps = [
             (away[kept[k - 1]] - away[kept[k + 1]]) / (away[kept[k]] + 0.02) for k in range(1, len(kept) - 1)
-        ]  # what would be left open, in proportion
+        ]  # the gap that would be left, in proportion
         kept.pop(1 + int(np.argmin(gaps)))
     return kept

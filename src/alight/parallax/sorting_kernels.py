@@ -1,6 +1,6 @@
 """Sorting the views of every cell at once: a network of compare-and-swap over rows of cells, which becomes vector code.
 
-Sorting cell by cell costs ten times as much: its branches cannot be guessed.
+Sorting cell by cell costs ten times as much: its branches cannot be predicted.
 """
 
 from functools import cache
@@ -32,7 +32,7 @@ def network(n: int) -> I64:
 
 @kernel
 def fill_row(samples: F32, out: F32, count: F32) -> None:
-    """Copy one view's row, `NOTHING` for NaN; count what was seen."""
+    """Copy one view's row, `NOTHING` for NaN; count the samples."""
     for c in range(samples.size):
         s = samples[c]
         seen = s == s
@@ -66,7 +66,7 @@ def _pick(row: F32, index: np.float32, count: F32, offset: np.float32, out: F32)
 
 @kernel
 def median_row(rows: F32, count: F32, out: F32) -> None:
-    """Fill the median of the first `count` of each column of sorted `rows` (N, C); nonsense where there is none."""
+    """Fill the median of the first `count` of each column of sorted `rows` (N, C); undefined where there is none."""
     out[:] = 0
     for j in range(rows.shape[0]):
         _pick(rows[j], np.float32(j), count, np.float32(-1), out)

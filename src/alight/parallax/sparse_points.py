@@ -1,7 +1,7 @@
 """Height of the ground before there is a map: points triangulated from pairs of posed views.
 
-They give the height range that the sweep searches and the ground sampling distance. Descriptors, not tracks: it works
-the same for video and for photos far apart, from any source of poses.
+They give the height range that the sweep searches and the ground sampling distance. Descriptors are used, not tracks:
+it works alike for video and for photos far apart, with poses from any source.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _Features:
 
 
 def _detected(grey: U8, tuning: PointsTuning) -> tuple[Sequence[cv2.KeyPoint], F32]:
-    """Features of an image, and their descriptors (N, 128); of plain ground, as sand or gravel from far, faint ones."""
+    """Features of an image, and their descriptors (N, 128); on plain ground, as gravel from far, weak ones too."""
     contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
     while True:
         sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
@@ -55,11 +55,11 @@ def _matches(a: _Features, b: _Features, ratio: float) -> NDArray[np.int64]:
 
 
 def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F64]:
-    """Meet rays (N, 3) from two centres half way between their nearest points.
+    """Triangulate rays (N, 3) from two centres: the middle between their nearest points.
 
     Returns:
         points (N, 3), the sine of the angle between the rays (N,), and the miss as an angle seen from the cameras
-        (N,) rad, infinite where the rays meet behind a camera.
+        (N,) rad, infinite where the point lies behind a camera.
     """
     base = cb - ca
     dot = (rays_a * rays_b).sum(1)
@@ -75,7 +75,7 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
 def _pair(a: _Features, b: _Features, tuning: PointsTuning) -> tuple[F64, float]:
     """Points of a pair of views and the median angle between its matched rays.
 
-    None where most rays meet at too small an angle: those that do not are wrong matches, and all of them too near.
+    None where most rays meet at too small an angle: the others are wrong matches, and all of them too near.
     """
     m = _matches(a, b, tuning.descriptor_ratio)
     if len(m) < 12:
@@ -121,7 +121,7 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
 
 
 def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:
-    """Drop the points (N, 3) that hardly any neighbour agrees with: one wrong match in a tile widens all its search."""
+    """Drop points (N, 3) with hardly any neighbour that agrees: one wrong match in a tile widens all its search."""
     if len(points) <= tuning.neighbours:
         return points
     like = tuning.like_height * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
@@ -133,7 +133,7 @@ def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64
 def height_range(
     points: F64, height_of_camera: float, near: tuple[float, float, float] | None = None
 ) -> tuple[float, float]:
-    """The heights to search: what the points span, with a margin for what has no point (tree tops, holes).
+    """The heights to search: the span of the points, with a margin for places without points (tree tops, holes).
 
     Args:
         points: (N, 3) metres.

@@ -51,7 +51,7 @@ def _times(row: F32, factor: np.float32, out: F32) -> None:
 def _cost_row(
     views: F32, a: int, z: int, seen: int, keep: float, truncation: np.float32, scratch: F32, cost: F32
 ) -> None:  # fmt: skip
-    """Eq. 6 of cells a to z, which `seen` views see; their samples `views` (N, C) are sorted and get lost.
+    """Eq. 6 of cells a to z, which `seen` views see; their samples `views` (N, C) are sorted and overwritten.
 
     Those nearest to the median lie side by side among the sorted ones: the best of a few windows.
     """
@@ -154,9 +154,9 @@ def sweep_cost(
     """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
 
     `pictures` (N, P, Q) are registered on a plane; cell (r, c) lies at row `scale[i] r + shift[i, 0]` and column
-    `scale[i] c + shift[i, 1]` of picture i. Occluded and moving views are the largest deviations; leaving them out is
-    what keeps walls upright. `pairs`: the sorting network of N. Cells whose first and last plane, `low` and `high`
-    (R, C), leave out this `plane` may keep what they had.
+    `scale[i] c + shift[i, 1]` of picture i. Occluded and moving views are the largest deviations; leaving them out
+    keeps walls upright. `pairs`: the sorting network of N. Cells whose first and last plane, `low` and `high`
+    (R, C), leave out this `plane` may keep their old value.
     """
     n, height, width = pictures.shape
     rows, cols = cost.shape
@@ -226,7 +226,7 @@ def _lowest(values: F32) -> float:
 
 @kernel
 def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.float32, out: F32, total: F32) -> None:
-    """Some planes of one cell of one path; `before` has those of the cell before it and one more at both ends."""
+    """Add some planes of one cell of one path; `before`: those of the previous cell, and one more at both ends."""
     depth = cost.size
     same, down, up = before[1 : depth + 1], before[:depth], before[2 : depth + 2]
     for d in range(depth):
@@ -241,7 +241,7 @@ def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.f
 
 @kernel
 def _begin(cost: F32, more: np.float32, out: F32, total: F32) -> None:
-    """Planes that the cell before it does not have."""
+    """Add planes that the previous cell of the path does not have."""
     for d in range(cost.size):
         v = cost[d] + more
         out[d] = v

@@ -1,8 +1,8 @@
 """Motion detection by temporal consistency: synchronous cameras of a rig agree with each other, not with the template.
 
-Light on waves, the edge of a drifting shadow, a car or a swaying blade looks alike to two cameras at the same time and
-different a moment later. Still ground looks alike at all times; noise agrees with nothing. So the deviations that
-synchronous views share separate time from baseline, which the residual alone cannot. A rig of one camera has no such
+Light on waves, the edge of a drifting shadow, a car or a swaying blade looks alike to two cameras at one time.
+A moment later it looks different. Still ground looks alike at all times; noise agrees with nothing. So deviations that
+synchronous views share separate time from baseline; the residual alone cannot. A rig of one camera has no such
 pairs.
 """
 
@@ -43,9 +43,9 @@ def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: i
 
     Args:
         samples: (N, R, C) normalised grey, NaN outside a picture.
-        pairs: (K, 2) of them.
+        pairs: (K, 2) indices of them.
         mean: (R, C) the template of all views.
-        seen: (R, C) how many these are.
+        seen: (R, C) number of these views.
         least: views that a cell needs.
 
     Returns:
@@ -57,12 +57,12 @@ def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: i
     views = cv2.resize(seen, count.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
     enough = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= least)
     number, cells = np.where(enough, count, np.float32(1)), np.maximum(known, 1)
-    both /= (1 - 2 / np.maximum(views, least)) * number  # a pair pulls the template towards itself
+    both /= (1 - 2 / np.maximum(views, least)) * number  # a pair attracts the template
     return np.where(enough, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
 def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int, tuning: ConsistencyTuning) -> U16:
-    """MOVING flags (R, C) where synchronous views share a deviation from the template."""
+    """MOVING flags (R, C), set where synchronous views share a deviation from the template."""
     if not len(pairs):
         return np.zeros(grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
@@ -73,15 +73,15 @@ def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: 
 def changed_since(
     samples: F32, pairs: NDArray[np.int64], times: NDArray[np.int64], grid: Grid, tuning: ConsistencyTuning
 ) -> Mask:
-    """Find ground that looks otherwise since some moment (eq. 16d): somebody stopped there, or went.
+    """Find ground that looks different since some moment (eq. 16d): somebody stopped there, or went.
 
-    The views from before it agree with each other, and so do those from after it. A majority of one of them would
-    pass for the ground, at the height that the map has.
+    The views from before it agree with each other, and so do those from after it. The majority of them would
+    pass for the ground, at the height of the map.
 
     Args:
         samples: (N, R, C) normalised grey, NaN outside a picture.
-        pairs: (K, 2) of them, of one instant each.
-        times: (N,) ns, when the views were taken.
+        pairs: (K, 2) indices of them, of one instant each.
+        times: (N,) ns, of the views.
 
     Returns:
         (R, C), by blocks.
@@ -102,18 +102,18 @@ def changed_since(
 
 
 class Contradicted(NamedTuple):
-    """Ground of which the views agree on nothing (eq. 16e), (R, C) each, by blocks."""
+    """Ground on which the views do not agree (eq. 16e), (R, C) each, by blocks."""
 
-    wrong: Mask  # as the height is that the map has there
+    wrong: Mask  # the height of the map is wrong there
     came: Mask  # the views agreed before: somebody has come since
 
 
 def contradicted(samples: F32, known: ElevationMap, least: int, tuning: ConsistencyTuning) -> Contradicted:
-    """Find ground of which the views agree on nothing (eq. 16e): somebody stands there who is taller than the map.
+    """Find ground on which the views do not agree (eq. 16e): somebody stands there, higher than the map.
 
-    Still ground at the height of the map looks alike to all views. The mean is that of all of them: the template leaves
-    out those that deviate. What sways differs at all times; so for somebody who came it is enough that the views differ
-    less, where the step that gave the map its height had found them alike.
+    Still ground at the height of the map looks alike to all views. The mean is that of all views: the template
+    leaves out those that deviate. Swaying plants differ at all times. So the limit for somebody who came is lower. It
+    holds only where the views were alike in the step that gave the map its height.
 
     Args:
         samples: (N, R, C) normalised grey, NaN outside a picture.

@@ -1,6 +1,6 @@
 """Uncertainty of heights: sigma, and the flags that override it (docs/method/uncertainty.md).
 
-Sigma measures how well a surface fits. Whether it is the right surface needs other evidence: texture, the second-best
+Sigma measures the fit of a surface. Other evidence shows whether it is the right surface: texture, the second-best
 cost, the residual, neighbours, steps.
 """
 
@@ -30,12 +30,12 @@ class Pooled:
 
     low: F32  # metres, of 2 x 2 cells; the middle of the map where unknown
     high: F32
-    lowest: F32  # metres, of what is within `step_cells`
+    lowest: F32  # metres, of the cells within `step_cells`
     highest: F32
     texture: F32  # variance of the template nearby: the texture that all views share
-    residual: F32  # share of the samples' variance that the views do not have in common: 0 perfect, 1 nothing
+    residual: F32  # share of the samples' variance that the views do not share: 0 perfect, 1 nothing shared
     noise: F32  # mean residual variance
-    hidden2: F32  # metres^2, variance of what the windows flatten
+    hidden2: F32  # metres^2, variance of the relief that the windows flatten
     sigma2_px: F32  # variance of the heights, parallax pixels^2 (eq. 14)
     metres_per_px: F32
 
@@ -71,7 +71,7 @@ def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyT
 
 
 def _padded_even(values: NDArray[Any]) -> NDArray[Any]:
-    """The raster with even numbers of rows and columns, the last ones doubled."""
+    """The raster with even numbers of rows and columns, the last ones repeated."""
     odd = [(0, n % 2) for n in values.shape]
     return np.pad(values, odd, mode="edge") if any(n for _, n in odd) else values
 
@@ -92,7 +92,7 @@ def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str,
     ambiguity: best over second-best cost `ratio` nearby; residual: share of the variance that the views do not share,
     nearby; sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax
     pixels (the high side of a step is where windows smear); slide: baseline over height. `near`: cells of half
-    resolution, the window of what is nearby.
+    resolution, the window of "nearby".
     """
     return {
         "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), near), 1e-2, 1e3),
@@ -105,9 +105,9 @@ def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str,
 
 
 def outlier_probability(terms: dict[str, F32], tuning: UncertaintyTuning) -> F32:
-    """Probability that a height is off by more than a hundredth of the height above it (eq. 15).
+    """Probability that a height is off by more than a hundredth of the height above ground (eq. 15).
 
-    The log odds are linear in the logarithms of terms without unit: they hold for any camera and height.
+    The log odds are linear in the logarithms of terms without unit, so they are valid for any camera and height.
     """
     weights = {k: np.float32(getattr(tuning, f"odds_{k}")) for k in terms}
     score = sum((weights[k] * np.log(terms[k]) for k in terms), start=np.float32(tuning.odds))
@@ -115,7 +115,7 @@ def outlier_probability(terms: dict[str, F32], tuning: UncertaintyTuning) -> F32
 
 
 def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
-    """Mean grey level of the views at half resolution for heights (R / 2, C / 2), NaN where none sees."""
+    """Mean grey level of the views at half resolution for heights (R / 2, C / 2), NaN where no view sees."""
     total, count = np.zeros(height.shape, np.float32), np.zeros(height.shape, np.float32)
     for p in prepared:
         grey = sample(p.grey, *maps(p, grid.coarser(2), height))

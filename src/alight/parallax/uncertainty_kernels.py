@@ -1,4 +1,4 @@
-"""Loops of what a height is worth: sigma, flags, fusion with the map (eqs. 14 and 16).
+"""Loops of the uncertainty of heights: sigma, flags, fusion with the map (eqs. 14 and 16).
 
 docs/method/uncertainty.md, docs/method/recursive.md
 """
@@ -74,11 +74,10 @@ def _pool_fit_row(n0: F32, n1: F32, p0: F32, p1: F32, per_px: F32, noise: F32, f
 
 @parallel_kernel
 def pool(h: F32, mean: F32, noise: F32, precision: F32, per_px: F32, fill: float, out: F32) -> None:
-    """Fill `out` (8, R / 2, C / 2) with what 2 x 2 cells have between them; R and C are even.
+    """Fill `out` (8, R / 2, C / 2) with statistics of 2 x 2 cells; R and C are even.
 
-    Lowest, highest and mean height (`fill` where unknown), variance of the heights, mean and mean square of the
-    template (0 where unknown), noise, and noise over information in parallax
-    pixels^2.
+    In order: lowest, highest and mean height (`fill` where unknown); variance of the heights; mean and mean square of
+    the template (0 where unknown); noise; noise over information in parallax pixels^2.
     """
     for r in prange(out.shape[1]):
         i, j = 2 * r, 2 * r + 1
@@ -119,7 +118,7 @@ def _judge_row(
 def height_sigma(h: F32, noise: F32, precision: F32, hidden2: F32, fit: float, out: F32) -> None:
     """Fill the 1-sigma of each height (eq. 14); NaN where there is no height or no information.
 
-    sigma^2: `fit` times noise over information, and what the windows flatten, `hidden2` (R / 2, C / 2) metres^2.
+    sigma^2: `fit` times noise over information, and flattened relief, `hidden2` (R / 2, C / 2) metres^2.
     """
     for r in prange(h.shape[0]):
         _sigma_row(h[r], noise[r], precision[r], hidden2[r // 2], np.float32(fit), out[r])
@@ -158,7 +157,7 @@ def _add_row(visible: U8, count: U8) -> None:
 
 @parallel_kernel
 def veil(visible: U8, samples: F32) -> None:
-    """Make NaN of the samples (N, R, C) of views whose ray the map stops, unless it stops all but one.
+    """Set samples (N, R, C) of views to NaN where the map stops their ray, unless it stops all but one.
 
     `visible` (N, R / 2, C / 2), rounded up: of 2 x 2 cells.
     """
@@ -196,7 +195,7 @@ def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, worse: np.float32, keep: F32) ->
 
 @kernel
 def _keep_row(keep: F32, new: F32, old: F32) -> None:
-    """For any type; apart from the heights, because loops over many types do not become vector code."""
+    """Keep old values, of any type; apart from the heights: loops over many types do not become vector code."""
     for c in range(new.size):
         new[c] = old[c] if keep[c] > ZERO else new[c]
 
@@ -208,8 +207,8 @@ def fuse(
 ) -> None:  # fmt: skip
     """Weigh a step (changed in place) against the map before it (`...0`) (eq. 16).
 
-    Heights that disagree by more than three sigma are not averaged: the new one stands. Steps see nearly the same
-    pictures, so that sigma hardly falls. A look whose sigma is `worse` times the map's changes nothing.
+    Heights that disagree by more than three sigma are not averaged: the new one replaces the old. Steps see nearly the
+    same pictures, so sigma hardly falls. A step whose sigma is `worse` times the map's changes nothing.
     """
     for r in prange(height.shape[0]):
         keep = np.empty(height.shape[1], np.float32)

@@ -36,7 +36,7 @@ def _normalise_row(grey: F32, total: F32, total2: F32, share: np.float32, floor:
 def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
     """Fill `norm` (H, W) with the grey level less its local mean over its local sd, at least `floor` (eq. 5).
 
-    The window has 2 `reach` + 1 pixels; beyond the picture its border goes on.
+    The window has 2 `reach` + 1 pixels; beyond the picture its border is repeated.
     """
     rows, cols = grey.shape
     share = np.float32(1.0 / (2 * reach + 1) ** 2)
@@ -55,7 +55,7 @@ def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
 
 @kernel
 def _reach_row(u: F32, place: F32, focal: np.float32, x: F32, north: np.float32, level: F32, box: F32) -> None:
-    """Take a view into the box (east, west, north, south, number, two finest pixels) of those that see each cell."""
+    """Add a view to the box (east, west, north, south, number, two finest pixels) of the views that see each cell."""
     for c in range(u.size):
         seen = u[c] >= ZERO
         box[0, c] = place[0] if seen & (place[0] > box[0, c]) else box[0, c]
@@ -79,9 +79,9 @@ def seen_from(
     """Fill (R, C) rasters with the geometry of the views of each cell, at `level` (R, C) metres.
 
     The view i sees a cell where its column `columns` (N, R, C), pixels, is not negative; `focal` (N,) pixels.
-    `baseline`: the diagonal of the box about their `centres`, level with the ground; `count`: how many they are;
+    `baseline`: the diagonal of the box about their `centres`, level with the ground; `count`: number of these views;
     `per_px`: the height that moves the outermost apart by one `cell` (eq. 3b); `sampling`: the second finest of their
-    pixels on the ground (it takes two for a height), the cell at least, NaN where there are not two. All metres.
+    pixels on the ground (a height needs two), the cell at least, NaN where there are not two. All metres.
     """
     n, rows, cols = columns.shape
     mean = np.float32(centres[:, 2].mean())

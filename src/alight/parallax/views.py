@@ -1,4 +1,4 @@
-"""Views made ready for matching: smoothed to the cell size, normalised, sampled on the world grid."""
+"""Views prepared for matching: smoothed to the cell size, normalised, sampled on the world grid."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from alight.records import Pixels, View
 
 AT_ONCE = np.empty(0)
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
-GLANCE = 1e-6  # rad: rounding never loses a view
+GLANCE = 1e-6  # rad: so that rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
-LEAST_SIDE = 8  # pixels of the shorter side of a picture that is made coarser
+LEAST_SIDE = 8  # pixels, least, of the shorter side of a picture that is made coarser
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Prepared:
     centre: F64  # (3,) metres
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
     ratio: float  # pixels a cell spans
-    rolling: F64 = field(default_factory=lambda: AT_ONCE)  # as `rolling_of` gives it
+    rolling: F64 = field(default_factory=lambda: AT_ONCE)  # as from `rolling_of`
 
 
 def rgb_of(image: Pixels) -> NDArray[np.uint8]:
@@ -47,13 +47,13 @@ def rgb_of(image: Pixels) -> NDArray[np.uint8]:
 
 
 def tone_of(view: View) -> U8:
-    """(256, 3) the colours that the levels of a view stand for, as views of the same ground have them in common."""
+    """(256, 3) table from the levels of a view to colours that all views of the same ground share."""
     levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
 
 
 def toned(pixels: U8, view: View) -> U8:
-    """Colours (..., 3) of a view as views of the same ground have them in common."""
+    """Colours (..., 3) of a view brought to those that all views of the same ground share."""
     return pixels if view.gain is None else np.asarray(cv2.LUT(pixels, tone_of(view)[None]))
 
 
@@ -80,14 +80,14 @@ def radius2_limit(camera: Camera) -> float:
 
 
 def ground_sampling(view: View, height: float) -> float:
-    """Metres of level ground a pixel sees at the image centre, for a ground at `height`."""
+    """Ground sampling distance at the image centre for level ground at `height`, metres."""
     drop = max(view.centre[2] - height, 1e-3)
     tilt = max(-view.world_from_cam.rotation[2, 2], 0.2)  # cosine of the optical axis to the vertical
     return float(drop / tilt / view.camera.fu)
 
 
 def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, float]:
-    """Halve while a cell spans two pixels, then blur what is left; returns pixels a cell as well."""
+    """Halve while a cell spans two pixels, then blur for the rest; returns pixels a cell as well."""
     while ratio >= 1.9:
         grey = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
         camera, ratio = camera.scaled(0.5), ratio / 2
@@ -98,7 +98,7 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
 def prepare_view(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel).
 
-    A camera that stands as high as the ground does, by a wrong height, keeps `LEAST_SIDE` pixels.
+    A camera no higher than the ground, because of a wrong height, keeps `LEAST_SIDE` pixels.
     """
     image = grey_of(view.image)
     most = max(min(image.shape) / LEAST_SIDE, 1.0)
@@ -109,7 +109,7 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
 
 
 def rolling_of(view: View) -> F64:
-    """(9,) way and turns of the camera while its rows were exposed; (0,): all at once."""
+    """(9,) translation (m) and turns (rad) of the camera while its rows were exposed; (0,): all at once."""
     return AT_ONCE if view.rolling is None else view.rolling
 
 
@@ -126,33 +126,33 @@ def coarser(fine: Prepared) -> Prepared:
 
 
 class Kept(NamedTuple):
-    """A view of the window, ready for matching."""
+    """A view of the window, prepared for matching."""
 
     view: View
     fine: Prepared  # at the cells of the map
-    half: list[Prepared]  # at twice their size, made when it is first asked for
+    half: list[Prepared]  # at twice their size, made at first use
 
     @classmethod
     def of(cls, view: View, cell: float, height: float) -> Kept:
-        """A view made ready for cells of this size (metres) above a ground at this height."""
+        """Prepare a view for cells of size `cell` above a ground at `height`, metres."""
         return cls(view, prepare_view(view, cell, height), [])
 
     @property
     def coarse(self) -> Prepared:
-        """At half the resolution."""
+        """The prepared view at half the resolution."""
         if not self.half:
             self.half.append(coarser(self.fine))
         return replace(self.half[0], H=self.fine.H, b=self.fine.b, centre=self.fine.centre)
 
 
 class Buffers:
-    """Arrays that are used again from step to step: the system hands out a fresh one page by page, at a price."""
+    """Arrays that are reused from step to step, because the system allocates new memory slowly, page by page."""
 
     def __init__(self) -> None:
         self._flat: dict[str, NDArray[Any]] = {}
 
     def get(self, name: str, shape: tuple[int, ...], dtype: type[np.generic] = np.float32) -> NDArray[Any]:
-        """The array of this name, of any content; what it held before is lost."""
+        """The array of this name, of any content; its old content is lost."""
         size = math.prod(shape)
         if name not in self._flat or self._flat[name].size < size:
             self._flat[name] = np.empty(size + size // 8, dtype)
@@ -165,7 +165,7 @@ def centres_of(prepared: list[Prepared]) -> F64:
 
 
 def when_exposed(p: Prepared, grid: Grid, height: float) -> Prepared:
-    """The view with its centre where it was when the middle of a grid at `height` (metres) was exposed."""
+    """The view with its centre at the exposure of the middle of a grid at `height` (metres)."""
     if not p.rolling.size:
         return p
     x, y = (float(v.mean()) for v in grid.xy())
@@ -192,7 +192,7 @@ def project_cells(
     camera: Camera, r2_max: float, H: F64, b: F64, xs: F64, ys: F64, h: F32, out: tuple[F32, F32],
     rolling: F64 = AT_ONCE,
 ) -> None:  # fmt: skip
-    """Fill `out` with the pixel coordinates of cells at height `h`; -1 outside of the picture."""
+    """Fill `out` with the pixel coordinates of cells at height `h`; negative outside of the picture."""
     lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     project_grid(
         H, b, lens, camera.coefficients, camera.code, r2_max,
@@ -217,7 +217,7 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
 
 
 def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[int]:
-    """Which views may see some of a grid between two heights (metres): all that do, and some that do not.
+    """Views that may see some of a grid between two heights (metres): all that do, and some that do not.
 
     The cone about a picture against the sphere about the ground, for all views at once: with thousands of photos, most
     are nowhere near a tile.
@@ -239,8 +239,8 @@ def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
     """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
 
-    Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
-    are already in. Views flatter than `max_tangent` (horizontal over vertical distance) serve where nothing else sees.
+    Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views
+    already chosen. Views flatter than `max_tangent` (horizontal over vertical distance) count where no other sees.
     """
     if not views:
         return []

@@ -16,7 +16,7 @@ ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 @kernel
 def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, trust: F32) -> None:
-    """Fill a row with the heights and with what each is worth as a neighbour: nothing where unknown."""
+    """Fill a row with the heights and their weights as neighbours: 0 where unknown."""
     for c in range(h.size):
         known = h[c] == h[c]
         information = precision[c] / (precision[c] + noise[c] / (spread[c] * spread[c]) + np.float32(1e-12))
@@ -26,7 +26,7 @@ def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, tru
 
 @pixelwise
 def _pair(height: F32, trust: F32, i: int, dx: int, dy: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
-    """Add two opposite neighbours by what both know and by how near the middle between them is to the cell."""
+    """Add two opposite neighbours, weighted by trust and by the height of their middle against the cell's."""
     ahead = i + np.uintp(CENTRE + dy * STRIDE + dx)
     behind = i + np.uintp(CENTRE - dy * STRIDE - dx)
     above = np.float32(0.5) * (height[ahead] + height[behind]) - here
@@ -80,7 +80,7 @@ def _pull_row(
 
 @parallel_kernel
 def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, out: F32) -> None:
-    """Pull each height towards the planes of its neighbours (eq. 12); what is unseen stays NaN and unused.
+    """Pull each height towards the planes of its neighbours (eq. 12); unseen cells stay NaN and unused.
 
     On a plane the middle between two opposite neighbours is the height, whatever the slope. The pull is `strength` in
     parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
@@ -94,7 +94,7 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
         for left in range(0, cols, CHUNK):
             width = min(CHUNK, cols - left)
             low, high = max(0, left - REACH), min(cols, left + width + REACH)
-            height[:], trust[:] = ZERO, ZERO  # a border that knows nothing
+            height[:], trust[:] = ZERO, ZERO  # a border of unknown cells
             for r in range(max(0, first - REACH), min(rows, end + REACH)):
                 k = (r - first + REACH) * STRIDE + low - left + REACH
                 inner, near = slice(k, k + high - low), slice(low, high)
@@ -127,7 +127,7 @@ def visibility(
 ) -> None:  # fmt: skip
     """Fill `visible` (N, P, Q) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
 
-    It is asked of the P x Q cells of the map from `top_row` and `left_col` on.
+    It is computed for the P x Q cells of the map from `top_row` and `left_col` on.
 
     `tops`: for each block of `block` x `block` cells the highest height that a ray from it can meet: the march ends
     once the ray is above it, and on open ground it does not begin. `margin` (P, Q) metres are forgiven.
@@ -150,7 +150,7 @@ def visibility(
                 length = max(abs(dx), abs(dy))
                 if length < 1e-6 or dz <= 0.0:
                     continue
-                rise = dz / length  # metres a cell of march
+                rise = dz / length  # metres for each cell of the march
                 down, right = dy / length, dx / length
                 steps = int(min(length, (top - hc - spare) / rise))
                 for s in range(1, steps + 1):

@@ -22,12 +22,12 @@ from alight.raster import close_mask, weighted_gaussian
 from alight.records import ElevationMap, Flag, Heights, is_trusted
 from alight.settings import ParallaxSettings
 
-GAP = 4  # cells: a gap narrower than twice that, between heights, starts from them
+GAP = 4  # cells: a gap narrower than twice this, between heights, starts from them
 HALO = 8  # cells about a rectangle that are refined with it and thrown away: no seams
 FUSED = ("height", "sigma", "flags", "views", "residual", "sampling")
 FIELDS = (*FUSED, "rgb")
-BESIDE = 0.02  # of the height: the same hides the ground from cameras of one exposure that are nearer to each other
-APART = 0.06  # of the height: such cameras see so much of the same that a sweep needs one of them
+BESIDE = 0.02  # of the height: cameras of one exposure nearer to each other have the same occlusions
+APART = 0.06  # of the height: cameras nearer to each other see so much alike that a sweep needs one of them
 ALIKE = 0.1  # rad between the axes of such cameras
 SAME_FOCAL = 0.05  # between their focal lengths, as a share
 
@@ -37,7 +37,7 @@ T = TypeVar("T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """What all rectangles of one step have in common."""
+    """Common input of all rectangles of one step."""
 
     grid: Grid
     known: ElevationMap  # the map before the step
@@ -54,7 +54,7 @@ class Window:
     def of(
         cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float
     ) -> Window:
-        """The window as these views see it; `drop`: metres from the newest camera to the ground."""
+        """The window for these views; `drop`: metres from the newest camera to the ground."""
         ground = float(kept[-1].view.centre[2]) - drop
         seen = refine.view_geometry([k.fine for k in kept], grid, known.height, ground)
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
@@ -62,12 +62,12 @@ class Window:
         return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), near, far)
 
     def views_of(self, where: Box) -> NDArray[np.intp]:
-        """Those that see any of a rectangle."""
+        """Indices of the views that see any of a rectangle."""
         r, c = (slice(s.start // refine.SEEN_BLOCK, -(-s.stop // refine.SEEN_BLOCK)) for s in where)
         return np.flatnonzero(self.seen.views[:, r, c].any(axis=(1, 2)))
 
     def part_of(self, values: NDArray[T], where: Box) -> NDArray[T]:
-        """A rectangle of values of blocks of `refine.SEEN_BLOCK` cells, on its cells."""
+        """Values of blocks of `refine.SEEN_BLOCK` cells, on the cells of a rectangle."""
         n = refine.SEEN_BLOCK
         r, c = (slice(s.start // n, -(-s.stop // n)) for s in where)
         part = np.ascontiguousarray(values[r, c])
@@ -102,12 +102,12 @@ def within(inner: Box, outer: Box) -> Box:
 
 
 def _same_field(a: Camera, b: Camera) -> bool:
-    """Whether two cameras see as much: of one model, calibrated one by one."""
+    """True if two cameras have the same field of view: of one model, calibrated one by one."""
     return (a.width, a.height) == (b.width, b.height) and abs(a.fu / b.fu - 1) < SAME_FOCAL
 
 
 def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
-    """For each view (N,) the first one of its exposure that looks the same way from a place `within` so many metres."""
+    """For each view (N,) the first one of its exposure that looks the same way from a place `within` metres of it."""
     out = list[int]()
     for i, (view, fine, _) in enumerate(kept):
         axis = view.world_from_cam.rotation[:, 2]
@@ -125,8 +125,8 @@ class Refined(NamedTuple):
     """A rectangle after a step."""
 
     heights: Heights
-    changed: Mask  # (R, C) where the ground looks otherwise since some moment: the height is that of before
-    came: Mask  # (R, C) where somebody came to stand (eq. 16e)
+    changed: Mask  # (R, C) ground that looks different since some moment: the height is the old one
+    came: Mask  # (R, C) ground on which somebody came to stand (eq. 16e)
 
 
 @dataclass(eq=False)
@@ -177,7 +177,7 @@ class Refiner:
         found = judged(
             [window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty
         )
-        samples = self.buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
+        samples = self.buffers.get("samples", (len(fine), *grid.shape))  # left there by the fit
         pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
         found = fused(replace(found, flags=found.flags | moves), known, self.settings.recursive.worse)
@@ -218,7 +218,7 @@ def without_halo(found: Heights, where: Box) -> Heights:
 
 
 def bridged(start: F32, wanted: Mask) -> F32:
-    """Narrow gaps that are `wanted` start from the heights beside them.
+    """Start narrow gaps that are `wanted` from the heights beside them.
 
     A sweep at the rim of the pictures is often in vain, and the next one has to wait for twice the baseline. Without
     this, the rims of earlier steps stay in the map as seams, one cell wide, that no touchdown may cross.

@@ -1,4 +1,4 @@
-"""What a recording says about landing."""
+"""Result of a recording: the landing decision."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alight.records import ElevationMap, HazardMap, Motion, PhotoOutcome, Route,
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """Everything that was found out, in the world."""
+    """All results of a recording, in the world."""
 
     sites: Sites
     motions: list[Motion]
@@ -29,7 +29,7 @@ class Decision:
 
     @classmethod
     def none(cls, trajectory: Trajectory, reason: str, *warnings: str) -> Decision:
-        """No site, and why."""
+        """Decision without a site, with the reason."""
         said = [*trajectory.warnings, *warnings]
         return cls(
             Sites((), reason), list(trajectory.motions), warnings=said, notes=trajectory.notes, photos=trajectory.photos

@@ -1,4 +1,4 @@
-"""From a map to a verdict, as often as there is a newer map; what was found earlier stays in reserve."""
+"""Judging lane: from a map to a verdict, for every newer map; sites found earlier stay in reserve."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ NO_COVER = "the kind of ground is not judged (terrain.enabled=false): nothing re
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What one map says about landing, in the world."""
+    """Verdict on one map: land cover, hazards and sites, in the world."""
 
     elevation: ElevationMap  # with the heights of water refused
     cover: TerrainMap | None
     danger: HazardMap
     sites: Sites
-    frame: MapFrame  # of the map, with what is known of its place in the world
+    frame: MapFrame  # of the map, with the covariance of its place in the world
     missing: MissingVeto = NOTHING_MISSING
 
     @property
@@ -61,20 +61,20 @@ class Verdict:
 
     @property
     def look(self) -> NextView | None:
-        """Where there is no site, the view that would settle the doubt about the first candidate that has one."""
+        """Without a site: the view that would settle the doubt about the first candidate that has one. Else None."""
         views = [c.look for c in self.sites.candidates if c.look is not None]
         return views[0] if views and not self.sites.sites else None
 
 
 @dataclass(frozen=True, eq=False)
 class JudgingMemory:
-    """What the judging lane knows of earlier maps, by value: a lane that takes another one's place goes on with it."""
+    """Memory of the judging lane of earlier maps, by value: a lane that replaces another one goes on with it."""
 
     kept: Reserve = NOTHING  # in the map's frame
     frame: MapFrame | None = None  # of the newest map
     lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
-    warnings: tuple[str, ...] = ()  # what became of the sites where the motion began anew
-    roofs: Remembered = NOWHERE  # flat roofs, in the map's frame: from near by no map shows that the ground is lower
+    warnings: tuple[str, ...] = ()  # on the sites, where the motion began anew
+    roofs: Remembered = NOWHERE  # flat roofs, in the map's frame: maps from near by do not show the lower ground
 
     @property
     def reserve(self) -> Reserve:
@@ -87,7 +87,7 @@ class JudgingMemory:
         )
 
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
-        """The memory in another frame of the map; how many sites that leaves is warned of."""
+        """The memory moved to another map frame, with a warning of the number of sites that are left."""
         roofs, before = self.roofs.moved(tie.shift, tie.sigma_horizontal), len(self.kept.sites)
         moved = replace(self, roofs=roofs)
         if not before:
@@ -102,7 +102,7 @@ class JudgingMemory:
         return replace(moved, warnings=(*moved.warnings, warning)[-MOST_LOST:])
 
     def with_reserve(self, kept: Reserve, frame: MapFrame) -> JudgingMemory:
-        """The memory with another reserve; what that lost is noted in words."""
+        """The memory with another reserve; lost sites are noted in words."""
         later = replace(self, kept=kept, frame=frame)
         said = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
         return replace(later, lost=(self.lost + said)[-MOST_LOST:])
@@ -112,8 +112,8 @@ class JudgingLane:
     """Judges one map after the other, and keeps the sites of earlier ones until a newer one refuses them.
 
     Args:
-        appearance: what ground looks like; None: the map's own evidence alone says what covers it.
-        memory: of a lane whose place this one takes.
+        appearance: model of appearance; None: land cover from the map's own evidence alone.
+        memory: of a lane that this one replaces.
     """
 
     def __init__(
@@ -133,11 +133,11 @@ class JudgingLane:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What became of the sites where the motion began anew."""
+        """Warnings on the sites, where the motion began anew."""
         return self.memory.warnings
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map: what covers it, the hazards, the sites, and the candidates with the views that would help."""
+        """Judge a map: land cover, hazards, sites, and candidates with the views that would settle their doubt."""
         s, frame = self._settings, seen.frame
         self._follow(frame)
         with self._timings.of("finer pixels"):
@@ -175,9 +175,9 @@ class JudgingLane:
         return cover.with_roofs(np.maximum(cover.raised, roofs.on(grid)))
 
     def _follow(self, frame: MapFrame) -> None:
-        """Move what is known of earlier maps into the frame of a newer one.
+        """Move the memory of earlier maps into the frame of a newer one.
 
-        Sites that lie too near to a hazard for that are given up.
+        Sites whose clearance does not cover the error of the tie are given up.
         """
         m = self.memory
         if m.frame is not None and frame.frame_id != m.frame.frame_id:
@@ -189,7 +189,7 @@ class JudgingLane:
         self.memory = self.memory.with_reserve(self.memory.kept.updated(found, danger, apart), frame)
 
     def notes(self, found: Verdict) -> dict[str, object]:
-        """What a run's notes say of it: sites of earlier maps, and why others were given up."""
+        """Notes of a run on a verdict: sites of earlier maps, and the reasons why others were given up."""
         out: dict[str, object] = {
             "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
         }
@@ -213,7 +213,7 @@ def _tidy(elevation: ElevationMap) -> None:
 
 
 def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
-    """The map on cells that fit the lander, with the finest picture that there is of them."""
+    """The map on cells that fit the lander, with the finest picture of them."""
     elevation = on_cells_up_to(seen.elevation, lander.judging_cell)
     picture, sampling = orthophoto(seen.views, elevation)
     for view in seen.views:
@@ -228,7 +228,7 @@ def land_cover(
     appearance: terrain.Model | None,
     tables: terrain.Tables | None = None,
 ) -> TerrainMap:
-    """The classes on the map's grid, found on cells that fit their evidence: it is gathered over 0.4 m."""
+    """Land cover on the map's grid, found on cells that fit its evidence, which is gathered over 0.4 m."""
     coarse = on_cells_up_to(elevation, settings.cell)
     return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 
@@ -241,7 +241,7 @@ def observer(seen: MapSnapshot) -> Observer:
 
 
 def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> ElevationMap:
-    """The map with the heights of water refused: flat, smooth and confident, they are those of the bed.
+    """The map with the heights of water refused: flat and smooth, with a small sigma, they are those of the bed.
 
     On the sample flight this takes the wrong heights that are given out from 10 % of all to 1 %.
     """

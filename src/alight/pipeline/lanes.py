@@ -1,4 +1,4 @@
-"""The three lanes of a run, and how a replay makes one anew where it was lost in flight."""
+"""The three lanes of a run, and lanes that a replay makes anew where one was lost in flight."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Judge(Protocol):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What became of the sites where the motion began anew."""
+        """Warnings on the sites, where the motion began anew."""
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map."""
 
     def notes(self, found: Verdict) -> dict[str, object]:
-        """What a run's notes say of a verdict."""
+        """Notes of a run on a verdict."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class FilterAgain:
         self._make, self._before, self._lane = make, frozenset(before), make(0)
 
     def feed(self, event: Event) -> Navigation | None:
-        """As the lane; it hears the rows that came since the last exposure that the one before it took."""
+        """As the lane; a new lane first takes the rows since the last exposure of the one before."""
         if isinstance(event, Frame) and event.t_ns in self._before:
             waiting = self._lane.waiting()
             self._lane = self._make(self._lane.next_frame)
@@ -102,7 +102,7 @@ class FilterAgain:
         return self._lane.feed(event)
 
     def finish(self, progress: Progress) -> Trajectory:
-        """As the lane."""
+        """Finish the present lane."""
         return self._lane.finish(progress)
 
 
@@ -114,15 +114,15 @@ class MappingAgain:
         self._lane = make()
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
-        """As the lane."""
+        """Feed the present mapper, or a new one from its first exposure on."""
         if navigation.frame.t_ns in self._before:
             self._lane = self._make()
         return self._lane.feed(navigation, effort)
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
-        """As the lane."""
+        """Snapshot of the present mapper."""
         return self._lane.snapshot(about)
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
-        """As the lane."""
+        """Finish the present mapper."""
         return self._lane.finish(trajectory, progress)

@@ -1,8 +1,8 @@
-"""The frame of a map and the world: results leave in the world, with what is known of the map's place on Earth.
+"""The frame of a map and the world: results leave in the world, with the covariance of the map's place on Earth.
 
 The filter works in a map frame whose offset from the world is a state: poses and heights agree with each other far
-better than GPS/INS knows where they are. So what leaves is moved by one constant, the newest offset, and its covariance
-goes beside it. A filter that begins anew gives its poses another frame number.
+better than with GPS/INS. So all results are moved by one constant, the newest offset, and its covariance is given
+beside it. A filter that begins anew gives its poses another frame number.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """How positions of one frame become those of another, by the place of both in the world."""
+    """Transform of positions from one map frame to another, by the place of both in the world."""
 
     shift: F64  # (3,) metres, to add
     covariance: F64  # (3, 3) m^2 of it
 
     @property
     def sigma_horizontal(self) -> float:
-        """Metres, towards where it is known worst."""
+        """1-sigma on the ground, metres, in the direction in which it is largest."""
         return PlaceSigma.of(self.covariance).horizontal
 
 
 @dataclass(frozen=True, eq=False)
 class MapFrame:
-    """Where a map frame lies in the world."""
+    """Place of a map frame in the world."""
 
     frame_id: int  # `Motion.frame_id` of the poses that belong to it
     offset_world: F64  # (3,) metres, to add to positions of the map
@@ -42,12 +42,12 @@ class MapFrame:
 
     @classmethod
     def of(cls, motion: Motion) -> MapFrame:
-        """As the motion of one exposure knows it: its covariance is the second moment with the offset not applied."""
+        """Map frame of a motion, whose covariance is the second moment with the offset not applied."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
         return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 
     def tie(self, other: MapFrame) -> Tie:
-        """From this frame to another one; what is not known of their places adds up."""
+        """The tie from this frame to another one; the covariances of their places add up."""
         return Tie(self.offset_world - other.offset_world, self.covariance + other.covariance)
 
     # -- from the map to the world
@@ -63,16 +63,16 @@ class MapFrame:
         return replace(motion, world_from_body=body, world_from_cams=cams, covariance=covariance, offset_world=None)
 
     def point(self, position: F64) -> F64:
-        """(3,) metres."""
+        """A point of this frame in the world, (3,) metres."""
         return np.asarray(position + self.offset_world)
 
     def grid(self, grid: Grid) -> Grid:
-        """The same cells."""
+        """A grid of this frame, moved to the world."""
         east, north = float(self.offset_world[0]), float(self.offset_world[1])
         return replace(grid, east=grid.east + east, north=grid.north + north)
 
     def elevation(self, elevation: ElevationMap) -> ElevationMap:
-        """A map, with its frame number and the covariance of its place."""
+        """A map of this frame in the world, with its frame number and the covariance of its place."""
         gauge, up = elevation.gauge, np.float32(self.offset_world[2])
         return replace(
             elevation,
@@ -84,19 +84,19 @@ class MapFrame:
         )
 
     def _gauge(self, gauge: Datum) -> Datum:
-        """What all heights share: the offset is applied now, and is no error any more."""
+        """Common error of all heights in the world: the offset is applied there, and is no error any more."""
         covariance = gauge.covariance.copy()
         covariance[0, 0] = max(covariance[0, 0] - self.offset_world[2] ** 2, 0.0)
         return Datum(gauge.east + self.offset_world[0], gauge.north + self.offset_world[1], covariance)
 
     def on_grid(self, found: OnGrid) -> OnGrid:
-        """Land cover or hazards."""
+        """Land cover or hazards of this frame in the world."""
         return replace(found, grid=self.grid(found.grid))
 
     def site(self, site: Site) -> Site:
-        """One site."""
+        """A site of this frame in the world."""
         return site.moved(self.offset_world)
 
     def sites(self, sites: Sites) -> Sites:
-        """Sites and candidates, with the frame number."""
+        """Sites and candidates of this frame in the world, with the frame number."""
         return replace(sites.moved(self.offset_world), frame_id=self.frame_id)

@@ -28,15 +28,15 @@ class Pipeline:
 
     Args:
         rig: the cameras.
-        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may say otherwise.
+        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may override it.
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
-        far: where the map puts what the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
-        history: keep what `finish` needs of a recording; without it a flight may last for ever.
-        appearance: what ground looks like; None: the map's own evidence alone says what covers it.
-        schedule: of a live run, to do again what it did and when; None: every exposure in its turn.
-        lanes: to use instead of those that `kind` and the settings call for, such as processes of their own.
-        imu, jobs, prior: noise of the recording's IMU; who does the work of photos; heights known from elsewhere.
+        far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
+        history: keep the data for `finish`; without it a flight may last for ever.
+        appearance: model of appearance; None: land cover from the map's own evidence alone.
+        schedule: of a live run, to be repeated; None: every exposure in its turn.
+        lanes: to use instead of those for `kind` and the settings, such as processes of their own.
+        imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Pipeline:
         return None if navigation is None else navigation.motion
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
-        """Improve the map with an exposure; the map as it is then, where it is to be judged."""
+        """Improve the map with an exposure; return the map if it is to be judged, else None."""
         if not (turn := self._turns).maps(navigation):
             return None
         update = self._mapping.feed(navigation, turn.effort(navigation))  # docs/method/parallax.md

@@ -12,9 +12,9 @@ from alight.geometry import Grid
 from alight.landing.reserve import SIGMAS_OF_TIE
 from alight.raster import cells_as_blocks, upsample
 
-CELL = 0.5  # metres, of what is remembered
-SHARE = 0.5  # of such a cell that must show it
-MOST_GROWN = 5.0  # metres: a place that is known worse in another frame grows no further
+CELL = 0.5  # metres, of the remembered places
+SHARE = 0.5  # of such a cell that must be covered
+MOST_GROWN = 5.0  # metres: most that a place grows by, however uncertain it is in another frame
 NEARLY = 1e-6  # metres: a cell that ends where another begins does not reach into it
 CROSS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
 SQUARE = np.array([(east, north) for east in (-1, 0, 1) for north in (-1, 0, 1)])
@@ -22,24 +22,24 @@ SQUARE = np.array([(east, north) for east in (-1, 0, 1) for north in (-1, 0, 1)]
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """Cells where something was seen, and when, by value; in the frame of a map."""
+    """Cells where something was seen, with the time, by value; in the frame of a map."""
 
     cells: I64 = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (N, 2) east, north over `CELL`
     t_ns: I64 = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) the last time
 
     def with_seen(self, cells: I64, t_ns: int) -> Remembered:
-        """These, and cells (M, 2) where it is seen at `t_ns`."""
+        """These cells, and cells (M, 2) seen at `t_ns`."""
         kept = ~np.isin(_keys(self.cells), _keys(cells))
         times = np.concatenate([self.t_ns[kept], np.full(len(cells), t_ns)])
         return Remembered(np.concatenate([self.cells[kept], cells]), times)
 
     def since(self, t_ns: int) -> Remembered:
-        """Those where it was seen at `t_ns` or later."""
+        """The cells seen at `t_ns` or later."""
         kept = self.t_ns >= t_ns
         return Remembered(self.cells[kept], self.t_ns[kept])
 
     def moved(self, shift: F64, sigma: float = 0.0) -> Remembered:
-        """The same in a frame where positions are larger by `shift`, metres, known to `sigma` metres on the ground.
+        """The cells in a frame where positions are larger by `shift`, metres, known to `sigma` metres on the ground.
 
         Cells grow by 2 sigma, as far as the clearance of a site must reach there, but not beyond `MOST_GROWN`.
         """
@@ -57,7 +57,7 @@ class Remembered:
         return Remembered(cells[at], t_ns[at])
 
     def on(self, grid: Grid) -> Mask:
-        """The cells (R, C) of a grid into which places reach where it was seen."""
+        """Mask (R, C) of the cells of a grid that overlap remembered cells."""
         if not len(self.cells):
             return np.zeros(grid.shape, np.bool_)
         columns, rows = _numbers(grid)
@@ -73,7 +73,7 @@ NOWHERE = Remembered()
 
 
 def shown(grid: Grid, where: Mask) -> tuple[Mask, I64]:
-    """Which cells of `CELL` a mask (R, C) of a grid covers by `SHARE`.
+    """True for cells of `CELL` that a mask (R, C) of a grid covers by `SHARE`.
 
     Returns:
         (E, N) by east and north, and the number (2,) of its first cell.
@@ -101,7 +101,7 @@ def cells_at(grid: Grid, where: Mask) -> I64:
 
 
 def _across(grid: Grid) -> int:
-    """Points across a cell of a grid, each way, that meet every cell of `CELL` it covers; its centre where it is small.
+    """Points across a cell of a grid, each way, that hit every cell of `CELL` it covers; its centre where it is small.
 
     By its centre alone, a cell of 0.8 m would leave gaps between those of `CELL`.
     """

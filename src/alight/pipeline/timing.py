@@ -1,4 +1,4 @@
-"""How long the stages take, by a clock that the caller brings: the core has none of its own."""
+"""Run time of the stages, by a clock of the caller: the core has none of its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 Clock = Callable[[], float]  # seconds
 Tell = Callable[[str, float], None]  # stage, share done
-LAST_STEPS = 1000  # whose times are kept in flight
+LAST_STEPS = 1000  # steps whose times are kept in flight
 
 
 class Timings:

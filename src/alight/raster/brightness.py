@@ -29,8 +29,8 @@ class BlockLight(NamedTuple):
     """Log brightness of square blocks of pixels, (R, C) each."""
 
     mean: F32
-    seen: F32  # share of the block that was seen: black is nothing
-    within: F32  # variance of the pixels of a block; zeros where it was not asked for
+    seen: F32  # share of the block that was seen: black counts as unseen
+    within: F32  # variance of the pixels of a block; zeros unless `within` is set
 
 
 def block_light(rgb: U8, inner: int, within: bool = False) -> BlockLight:

@@ -1,4 +1,4 @@
-"""Statistics over the disc of cells whose centres lie within a radius: what a lander's footprint covers."""
+"""Statistics over the disc of cells whose centres lie within a radius: the cells of a lander's footprint."""
 
 from __future__ import annotations
 

@@ -17,6 +17,6 @@ def distance_to(mask: Mask) -> F32:
 
 
 def clearance_of(free: Mask, cell: float) -> F32:
-    """Distance of every cell's centre to the rim of the nearest cell that is not free, (R, C) metres; 0 on those."""
+    """Distance of every cell's centre to the rim of the nearest cell that is not free, (R, C) metres; 0 on these."""
     out: F32 = np.maximum(distance_to(~free) - np.float32(0.5), np.float32(0)) * np.float32(cell)
     return out

@@ -14,7 +14,7 @@ T = TypeVar("T", bound=np.generic)
 
 
 def nearest_known(values: NDArray[T], known: Mask) -> NDArray[T]:
-    """Give unknown cells of (R, C, ...) the value of the nearest known one; as they are where none is known."""
+    """Give unknown cells of (R, C, ...) the value of the nearest known one; unchanged if none is known."""
     if known.all() or not known.any():
         return values
     at = distance_transform_edt(~known, return_distances=False, return_indices=True)

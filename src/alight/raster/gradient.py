@@ -18,6 +18,6 @@ class Rise(NamedTuple):
 
 
 def gradient(values: NDArray[T], spacing: float = 1.0) -> Rise:
-    """`numpy.gradient`, and level along a side of one cell, where it raises."""
+    """As `numpy.gradient`, but 0 along a side of one cell, where that raises."""
     sides = [np.gradient(values, spacing, axis=k) if values.shape[k] > 1 else np.zeros_like(values) for k in range(2)]
     return Rise(*sides)

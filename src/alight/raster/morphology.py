@@ -28,7 +28,7 @@ def grow(mask: Mask, reach: int) -> Mask:
 
 
 def fill_pits(values: F32, reach: int) -> F32:
-    """Grey-scale closing: raise what is low and narrower than twice the reach, cells."""
+    """Grey-scale closing: raise low areas that are narrower than twice the reach, cells."""
     return np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, ellipse(reach)), np.float32)
 
 

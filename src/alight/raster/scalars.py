@@ -1,4 +1,4 @@
-"""Functions of single values that features are made of."""
+"""Functions of single values, for features."""
 
 from __future__ import annotations
 

@@ -47,17 +47,17 @@ def gaussian_mean(values: F32, sigma: float) -> F32:
 
 
 def difference_of_gaussians(values: F32, narrow: float, wide: float) -> F32:
-    """What is wider than one Gaussian and narrower than another, (R, C); both 1-sigma, cells."""
+    """Detail wider than one Gaussian and narrower than another, (R, C); `narrow`, `wide`: 1-sigma, cells."""
     out = gaussian_mean(values, narrow)
     out -= gaussian_mean(values, wide)
     return out
 
 
 def weighted_gaussian(values: F32, weight: F32, sigma: float) -> WeightedMean:
-    """Gaussian mean of the cells with weight, and how much of the Gaussian lies on them.
+    """Gaussian mean of the cells with weight, and the share of the Gaussian on them.
 
     Args:
-        values: (R, C); what it holds where the weight is 0, NaN included, does not count.
+        values: (R, C); values where the weight is 0, NaN included, do not count.
         weight: (R, C), at least 0.
         sigma: cells, 1-sigma.
     """
@@ -70,7 +70,7 @@ def masked_gaussian(values: F32, weight: F32, sigma: float) -> F32:
     """Gaussian mean of the cells with weight, NaN where none is near; a wide one is taken on a coarser raster.
 
     Args:
-        values: (R, C); what it holds where the weight is 0, NaN included, does not count.
+        values: (R, C); values where the weight is 0, NaN included, do not count.
         weight: (R, C), at least 0.
         sigma: cells, 1-sigma.
     """

@@ -1,4 +1,4 @@
-"""What goes between the stages: frozen records, and the errors a user can mend.
+"""Frozen records that the stages exchange, and the errors that a user can mend.
 
 World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is NaN, reasons are flag bits.
 """

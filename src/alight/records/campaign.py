@@ -1,4 +1,4 @@
-"""What one landing of a campaign leaves: a line of landings.jsonl. Metres, seconds, radians; places east, north, up."""
+"""Records of a campaign; a landing is a line of landings.jsonl. Metres, seconds, radians; places east, north, up."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Outcome = Literal[
 ]  # fmt: skip
 LOST = "WorkerLostError"  # an error of the machine, not of the landing
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
-PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wanted
+PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the wanted outcomes
 MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
 LARGEST_SEED = 2**63 - 1
-STRIKE = "strike"  # of what stands beside it, in flight
-GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # of the ground; the other reasons are the flying's
+STRIKE = "strike"  # of an obstacle beside the vehicle, in flight
+GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons in the ground; others lie in the flying
 
 
 class _Line(BaseModel):
@@ -24,7 +24,7 @@ class _Line(BaseModel):
 
 
 class FaultRecord(_Line):
-    """A fault or an event that was planned."""
+    """A planned fault or event."""
 
     what: str
     after: float  # s, of the flight, or since `state` was first entered
@@ -34,7 +34,7 @@ class FaultRecord(_Line):
 
 
 class LightRecord(_Line):
-    """Sun and sky."""
+    """Light of a scene: sun, sky and clouds."""
 
     azimuth_deg: float  # of the sun, clockwise from north
     elevation_deg: float  # of it above the horizon
@@ -44,7 +44,7 @@ class LightRecord(_Line):
 
 
 class Conditions(_Line):
-    """What a landing is flown in: all that is drawn."""
+    """Conditions of a landing: everything that is drawn from the seed."""
 
     landing: int = Field(ge=0)  # its number in the campaign
     seed: int  # of the campaign
@@ -61,7 +61,7 @@ class Conditions(_Line):
 
     @property
     def wind_speed(self) -> float:
-        """m/s."""
+        """Wind speed, m/s."""
         return math.hypot(*self.wind)
 
 
@@ -88,7 +88,7 @@ class TransitionLine(_Line):
 
 
 class TouchdownLine(_Line):
-    """How the vehicle met the true ground, by the oracle."""
+    """Contact of the vehicle with the true ground, by the oracle."""
 
     t: float
     east: float
@@ -102,12 +102,12 @@ class TouchdownLine(_Line):
 
     @property
     def bad_ground(self) -> bool:
-        """Whether the ground is a reason, and not the speed alone."""
+        """Whether a reason lies in the ground, and not in the speed alone."""
         return any(r in GROUND for r in self.reasons)
 
 
 class StrikeLine(_Line):
-    """What stood beside the vehicle and was struck in flight, by the oracle."""
+    """Obstacle beside the vehicle that was struck in flight, by the oracle."""
 
     t: float
     east: float  # of the vehicle
@@ -116,7 +116,7 @@ class StrikeLine(_Line):
 
 
 class LandingRecord(_Line):
-    """How a landing went, and in what."""
+    """Outcome and course of one landing, with its conditions."""
 
     conditions: Conditions
     outcome: Outcome
@@ -143,24 +143,24 @@ class LandingRecord(_Line):
 
     @property
     def number(self) -> int:
-        """Of the landing."""
+        """Number of the landing in the campaign."""
         return self.conditions.landing
 
     @property
     def commit_t(self) -> float | None:
-        """Seconds when the landing was begun that was not broken off; None: none was begun."""
+        """Time of the last commit, s of the flight; None: none was begun."""
         return next((x.t for x in reversed(self.transitions) if x.after == "commit"), None)
 
     @property
     def bad_place(self) -> bool:
-        """Whether the place was unsafe, and not the flying: its ground, or what was struck while landing there."""
+        """Whether the place was unsafe, and not the flying: its ground, or a strike after the landing was begun."""
         begun = self.commit_t
         struck = self.strike is not None and begun is not None and self.strike.t >= begun
         return struck or (self.touchdown is not None and self.touchdown.bad_ground)
 
     @property
     def was_lost(self) -> bool:
-        """Whether its process died: nothing is known of the landing."""
+        """Whether its process died, so that nothing is known of the landing."""
         return self.error is not None and self.error.startswith(LOST)
 
     @property
@@ -170,25 +170,25 @@ class LandingRecord(_Line):
         return tuple(x for x in self.looks if x.t >= found)
 
     def repeatable(self) -> dict[str, Any]:
-        """All that the same landing gives again."""
+        """Every field that a repeated landing reproduces."""
         return self.model_dump(mode="json", exclude={"cpu_s", "cpu_of"})
 
 
 class CampaignHead(_Line):
-    """What makes a campaign: the same seed, scenes and settings give the same landings."""
+    """Head of a campaign: the same seed, scenes and settings give the same landings."""
 
-    model_config = ConfigDict(extra="ignore")  # campaign.json holds what was found, too
+    model_config = ConfigDict(extra="ignore")  # campaign.json holds the results, too
 
     alight: str
     seed: int = Field(ge=0)
     scenes: tuple[str, ...] = Field(min_length=1)
-    landings: int = Field(ge=1, le=MOST_LANDINGS)  # that are to be flown; more of them make no other campaign
+    landings: int = Field(ge=1, le=MOST_LANDINGS)  # to be flown; with more of them it is still the same campaign
     settings: dict[str, Any]
     sources: str = ""  # digest of the program; empty: not known
     files: dict[str, str] = {}  # digests of scene files, their rasters, and the model of appearance
 
     def differing(self, other: CampaignHead) -> str | None:
-        """In what this is another campaign, in words; None: it is the same."""
+        """The first difference from another campaign, in words; None: it is the same."""
         if self.seed != other.seed:
             return f"seed {self.seed}"
         if self.scenes != other.scenes:

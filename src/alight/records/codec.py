@@ -1,4 +1,4 @@
-"""Records as bytes and back, bit for bit: what a recording holds (docs/formats/recording.md).
+"""Encode the records of a recording as bytes, and decode them, bit for bit (docs/formats/recording.md).
 
 Numbers are JSON, whose decimals give the same bits again. Pictures are raw bytes behind a JSON head.
 """
@@ -20,16 +20,16 @@ from alight.records.errors import InputError
 from alight.records.events import Event, Frame, ImuSample, NavSample, Rig, RigCamera
 from alight.settings import ImuNoise, Settings
 
-CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of what came in
-SCHEDULE, NOTES, MOTION, SITES = "/schedule", "/notes", "/motion", "/sites"  # and of what was done
-TELEMETRY, ORDERS, LANDING = "/telemetry", "/orders", "/landing"  # and of a landing that was flown
+CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of the input
+SCHEDULE, NOTES, MOTION, SITES = "/schedule", "/notes", "/motion", "/sites"  # topics of the run
+TELEMETRY, ORDERS, LANDING = "/telemetry", "/orders", "/landing"  # topics of a landing in flight
 _HEAD = struct.Struct("<I")
 _DAMAGED = (ValueError, KeyError, TypeError, struct.error, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True, eq=False)
 class FlightHead:
-    """What a recording says of its flight before the first event."""
+    """Head of a recording: facts on the flight, before the first event."""
 
     name: str
     rig: Rig
@@ -39,7 +39,7 @@ class FlightHead:
     settings: Settings
 
     def to_json(self) -> str:
-        """As text."""
+        """Encode the head as JSON."""
         cameras = [
             {
                 "name": c.name,
@@ -59,7 +59,7 @@ class FlightHead:
 
     @classmethod
     def from_json(cls, text: str) -> FlightHead:
-        """The way back.
+        """Decode the head from JSON.
 
         Raises:
             InputError: it is damaged, or of another version.
@@ -95,7 +95,7 @@ def pack(event: Event) -> tuple[str, list[bytes | memoryview]]:
 
 
 def unpack(topic: str, data: bytes) -> Event:
-    """The way back.
+    """Decode an event from its topic and its bytes.
 
     Raises:
         ValueError: the bytes are damaged.

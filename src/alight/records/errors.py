@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class AlightError(Exception):
-    """Something a user can mend; the message names the bad thing and says how."""
+    """An error that a user can mend; the message names the cause and the remedy."""
 
 
 class InputError(AlightError):

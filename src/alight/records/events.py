@@ -1,4 +1,4 @@
-"""What sources give: cameras, frames, GPS/INS and inertial samples; and feature tracks."""
+"""Output of the sources: cameras, frames, GPS/INS and inertial samples; and feature tracks."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from alight.geometry import Camera, Pose
 class StoredPixels(Protocol):
     """A picture that is not held in memory: `np.asarray` reads it."""
 
-    nbytes: int  # of memory that it holds for good
+    nbytes: int  # bytes of memory that it always holds
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> U8:
         """The pixels, (H, W) grey or (H, W, 3) RGB."""
 
     def let_go(self) -> None:
-        """Keep no copy of the pixels in memory: they are not asked for soon."""
+        """Keep no copy of the pixels in memory: they are not needed soon."""
 
 
 Pixels = U8 | StoredPixels
@@ -29,7 +29,7 @@ Pixels = U8 | StoredPixels
 
 @dataclass(frozen=True, eq=False)
 class RigCamera:
-    """One camera of a rig: its lens and where it sits."""
+    """One camera of a rig: its lens and its mounting."""
 
     name: str
     camera: Camera
@@ -81,7 +81,7 @@ Event = Frame | NavSample | ImuSample
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Where the tracked features are in one exposure. Row i of every array is the feature `ids[i]`."""
+    """Tracked features of one exposure. Row i of every array is the feature `ids[i]`."""
 
     t_ns: int
     ids: NDArray[np.int64]  # (N,) one number a feature, never used again
@@ -92,10 +92,10 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Where the cameras will be at an exposure as the motion lets expect it, and how well that is known.
+    """Predicted camera poses of an exposure, with covariance.
 
-    What tells how features move is the change of the pose, and that is known far better than the pose: both poses are
-    of one estimate, with the covariance of the one as seen from the other.
+    The motion of features depends on the change of the pose, which is known far better than the pose. Both poses are
+    of one estimate; the covariance is that of one pose relative to the other.
     """
 
     world_from_cams: tuple[Pose, ...]
@@ -104,6 +104,6 @@ class Prediction:
 
     @property
     def is_finite(self) -> bool:
-        """Whether no number of it has run out of range."""
+        """Whether all its numbers are finite."""
         known = [p.matrix for p in (*self.world_from_cams, *(self.earlier or ()))]
         return all(np.isfinite(a).all() for a in (*known, *(() if self.covariance is None else (self.covariance,))))

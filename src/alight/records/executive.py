@@ -1,4 +1,4 @@
-"""What the executive is told, and what it wants. Places are in the map's frame, metres east, north, up."""
+"""Inputs, orders and diary of the executive. Places are in the map's frame, metres east, north, up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from alight.records.surface import ElevationMap
 
 
 class FlightState(Enum):
-    """Where a landing stands."""
+    """State of a landing."""
 
     SEARCH = "search"
     APPROACH = "approach"
@@ -28,7 +28,7 @@ class FlightState(Enum):
 
 
 class FlightEvent(Enum):
-    """What moves a landing from one state to the next."""
+    """Event that takes a landing from one state to the next."""
 
     PILOT = "the pilot has taken over"
     LINK_LOST = "the autopilot is silent"
@@ -65,15 +65,15 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """All that the executive knows at one moment."""
+    """Inputs of the executive at one moment."""
 
     t: float  # s
     position: F64 | None  # (3,) metres, of the vehicle; None: not known
     state: MotionState
     frame_id: int = 0  # of the position
     seen: Seen | None = None  # the newest verdict
-    picture_age: float = 0.0  # s, of the newest one that is no repetition
-    frozen: bool = False  # pictures come, and repeat the one before bit for bit
+    picture_age: float = 0.0  # s, of the newest picture that is no repetition
+    frozen: bool = False  # pictures come, each equal to the one before bit for bit
     height: float | None = None  # metres above the ground below; None: not known
     link: bool = True  # the autopilot is heard
     pilot: bool = False  # somebody else flies
@@ -85,19 +85,19 @@ class Situation:
 
     @property
     def wind_speed(self) -> float:
-        """m/s over the ground; 0 where it is not known."""
+        """Wind speed, m/s over the ground; 0 where it is not known."""
         return 0.0 if self.wind is None else math.hypot(float(self.wind[0]), float(self.wind[1]))
 
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """What the vehicle is to do now."""
+    """Present order to the vehicle."""
 
     what: str  # fly | hold | land | return | nothing
     position: F64 | None = None  # (3,) metres, to fly to or to land on; None, to land: straight down where it is
     speed: float = 5.0  # m/s
     sink: float = 1.0  # m/s, downwards at most
-    down: bool = True  # False: to land, and over the place first
+    down: bool = True  # to land; False: to be over the place first
     height: float | None = None  # metres up, kept meanwhile; None: the present one
 
 
@@ -115,12 +115,12 @@ class Transition:
 
     @property
     def line(self) -> str:
-        """As one line of text."""
+        """The transition as one line of text."""
         reason = "" if self.reason == self.event.value else f" ({self.reason})"
         return f"{self.t:7.1f} s  {self.before.value} -> {self.after.value}: {self.event.value}{reason}"
 
     def as_tree(self) -> dict[str, object]:
-        """As a tree of JSON."""
+        """The transition as a tree of JSON."""
         return {
             "kind": "transition", "t": self.t, "before": self.before.value, "event": self.event.value,
             "after": self.after.value, "reason": self.reason, "place": self.place, "p_safe": self.p_safe,
@@ -129,7 +129,7 @@ class Transition:
 
 @dataclass(frozen=True)
 class LookRecord:
-    """One look at a place: from where, and what it said."""
+    """One look at a place: height, verdict and P(safe)."""
 
     t: float  # s
     place: tuple[float, float, float]
@@ -140,12 +140,12 @@ class LookRecord:
 
     @property
     def line(self) -> str:
-        """As one line of text."""
+        """The look as one line of text."""
         doubt = f", {self.doubt}" if self.doubt else ""
         return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {self.p_safe:.3f}{doubt}"
 
     def as_tree(self) -> dict[str, object]:
-        """As a tree of JSON."""
+        """The look as a tree of JSON."""
         return {
             "kind": "look", "t": self.t, "place": self.place, "height": self.height, "verdict": self.verdict,
             "p_safe": self.p_safe, "doubt": self.doubt,
@@ -154,7 +154,7 @@ class LookRecord:
 
 @dataclass(frozen=True, eq=False)
 class LookPicture:
-    """What one look saw of the ground about its place, north up."""
+    """Picture and P(safe) of the ground about the place of one look, north up."""
 
     look: LookRecord
     photo: U8  # (S, S, 3) RGB; black where nothing was seen
@@ -164,7 +164,7 @@ class LookPicture:
 
 @dataclass
 class FlightDiary:
-    """What happened in a landing, in order."""
+    """Diary of a landing: transitions and looks, in order."""
 
     transitions: list[Transition] = field(default_factory=list)
     looks: list[LookRecord] = field(default_factory=list)
@@ -172,7 +172,7 @@ class FlightDiary:
 
     @property
     def end(self) -> tuple[FlightState, str] | None:
-        """The last state and its reason in words; None: nothing has happened. One that returned and landed returned."""
+        """The last state and its reason in words; None: nothing has happened. A landing after RETURN is a RETURN."""
         if not self.transitions:
             return None
         last = self.transitions[-1]
@@ -183,5 +183,5 @@ class FlightDiary:
 
     @property
     def entries(self) -> list[Transition | LookRecord]:
-        """Looks and changes of state in order of time; a look stands before what it led to."""
+        """Looks and transitions in order of time; at the same time, looks come first."""
         return sorted([*self.looks, *self.transitions], key=lambda e: e.t)

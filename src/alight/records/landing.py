@@ -18,7 +18,7 @@ Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
 
 
 class Hazard(IntFlag):
-    """Why a touchdown centred on a cell is refused."""
+    """Reason to refuse a touchdown centred on a cell; a bit."""
 
     UNKNOWN = 1  # part of the footprint was not seen or not trusted
     SLOPE = 2
@@ -33,7 +33,7 @@ class Hazard(IntFlag):
 
 @dataclass(frozen=True, eq=False)
 class HazardMap:
-    """What a touchdown centred on each cell would meet. NaN where it cannot be judged."""
+    """Hazards of a touchdown centred on each cell. NaN where it cannot be judged."""
 
     grid: Grid
     slope: F32  # (R, C) rad, of the footprint's plane
@@ -42,15 +42,15 @@ class HazardMap:
     clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
     p_safe: F32  # (R, C) probability that a touchdown here meets every limit: the product of the three factors
     p_relief: F32  # (R, C) probability that slope and relief keep their limits, by the heights
-    p_obstacle: F32  # (R, C) probability that nothing stands there that heights and pictures are too coarse to show
+    p_obstacle: F32  # (R, C) probability that no obstacle stands there that heights and pictures are too coarse to show
     p_ground: F32  # (R, C) probability that the ground bears and is dry
     resolved: F32  # (R, C) metres, height of the smallest obstacle that would have been found with 95 %
-    settles_at: F32  # (R, C) metres, size of the pixel on the ground by which the doubt would be settled; NaN: never
+    settles_at: F32  # (R, C) metres, pixel on the ground that would settle the doubt; NaN: never
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
 
     def on(self, grid: Grid) -> HazardMap:
-        """The same findings on another grid, each cell with the value of the nearest one; unknown outside.
+        """The hazards on another grid, each cell with the value of the nearest one; unknown outside.
 
         A map may be judged on coarser cells than its heights have; files and pictures share the grid of the heights.
         """
@@ -73,7 +73,7 @@ class NextView:
     north: float
     up: float
     height: float  # metres above the ground of the place
-    settles: bool  # its pixels are fine enough; False: as near as is allowed, and still too coarse
+    settles: bool  # its pixels are fine enough; False: too coarse even as near as is allowed
 
     @property
     def position_world(self) -> F64:
@@ -107,7 +107,7 @@ class Site:
     look: NextView | None = None  # of a candidate; None: no nearer view would settle the doubt
 
     def moved(self, shift: F64) -> Site:
-        """The same place, with its view, moved by `shift`, (3,) metres."""
+        """The site and its view, moved by `shift`, (3,) metres."""
         east, north, up = (float(v) for v in shift)
         look = self.look
         if look is not None:
@@ -130,7 +130,7 @@ class Sites:
         return self.sites + self.candidates
 
     def moved(self, shift: F64) -> Sites:
-        """The same places moved by `shift`, (3,) metres."""
+        """Sites and candidates moved by `shift`, (3,) metres."""
         sites, candidates = (tuple(s.moved(shift) for s in part) for part in (self.sites, self.candidates))
         return replace(self, sites=sites, candidates=candidates)
 

@@ -13,7 +13,7 @@ from alight.records.events import Pixels
 
 
 class MotionState(IntEnum):
-    """How far the motion estimate can be trusted."""
+    """State of the motion estimate."""
 
     INITIALISING = 0
     GOOD = 1
@@ -23,10 +23,10 @@ class MotionState(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where the vehicle and its cameras were at one exposure, with covariance.
+    """Poses and velocity of the vehicle and its cameras at one exposure, with covariance.
 
-    `world_from_cams` is what the pictures say: it holds any mounting correction that the estimator found, so it can
-    differ from `world_from_body @ body_from_cam` of the rig.
+    `world_from_cams` holds any mounting correction that the estimator found, so it can differ from
+    `world_from_body @ body_from_cam` of the rig.
     """
 
     t_ns: int
@@ -36,21 +36,21 @@ class Motion:
     velocity_world: F64 | None = None  # (3,) m/s
     state: MotionState = MotionState.GOOD
     tracks: int = 0  # features that supported it
-    offset_world: F64 | None = None  # (3,) m to add to the positions for the best guess of where the world has them
-    why: str = ""  # it is not GOOD
-    frame_id: int = 0  # poses of one number belong together; a new one after the estimator had to start anew
+    offset_world: F64 | None = None  # (3,) m, map offset: positions plus this are their best estimate in the world
+    why: str = ""  # reason why it is not GOOD
+    frame_id: int = 0  # number of the map frame: a new one after the estimator had to start anew
     rolling: F64 | None = (
-        None  # (9,) way [m], even and bent turn [rad] of the camera, in its axes, while it is read out
+        None  # (9,) translation [m], linear and quadratic turn [rad] of the camera, in its axes, during the readout
     )
-    gain: F64 | None = None  # (3,) factor of its picture's colours, with which all show the ground alike
+    gain: F64 | None = None  # (3,) factor of its picture's colours, so that all pictures show the ground alike
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframePosterior:
-    """Exposures from one posterior: poses that agree with each other, and how far they may be off together.
+    """Joint posterior of the poses of several exposures.
 
-    In flight the last keyframes, in their map; of a recording exposures of the whole of it, in the world. `lenses`
-    holds the cameras once for each of L lens numbers that were estimated with the poses, that number off by one unit.
+    In flight these are the last keyframes, in their map frame; of a recording, exposures from all of it, in the world.
+    `lenses` holds the cameras once for each of L lens numbers estimated with the poses, that number off by one unit.
     """
 
     motions: tuple[Motion, ...]  # K, oldest first
@@ -60,7 +60,7 @@ class KeyframePosterior:
 
 @dataclass(frozen=True, eq=False)
 class RefinedMotions:
-    """The motions of a whole recording, and how their errors go together."""
+    """The motions of a whole recording, with the joint covariance of their errors."""
 
     motions: tuple[Motion, ...]
     joint: KeyframePosterior | None  # of some or all of them; None: the poses are exact, or their errors are not known
@@ -68,7 +68,7 @@ class RefinedMotions:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One image with its pose: what parallax works on."""
+    """One image with its pose: the input of parallax."""
 
     t_ns: int
     cam: int  # index in the rig
@@ -76,9 +76,9 @@ class View:
     camera: Camera
     world_from_cam: Pose  # when the middle row was exposed
     rolling: F64 | None = (
-        None  # (9,) way [m], even and bent turn [rad] of the camera, in its axes, while it is read out
+        None  # (9,) translation [m], linear and quadratic turn [rad] of the camera, in its axes, during the readout
     )
-    gain: F64 | None = None  # (3,) factor of its colours, with which all views show the ground alike
+    gain: F64 | None = None  # (3,) factor of its colours, so that all views show the ground alike
 
     @property
     def centre(self) -> F64:
@@ -87,6 +87,6 @@ class View:
 
     @property
     def key(self) -> tuple[int, int, bytes]:
-        """The same of all views of one image from one pose."""
+        """Key of image and pose: equal for all views of one image from one pose."""
         rolling = b"" if self.rolling is None else self.rolling.tobytes()
         return self.t_ns, self.cam, self.world_from_cam.matrix.tobytes() + rolling

@@ -1,4 +1,4 @@
-"""What was understood of each photo of a set, and what became of it."""
+"""Facts and outcome of each photo of a set."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Any
 
 @dataclass(frozen=True)
 class PhotoFacts:
-    """One photo, as its tags say."""
+    """Facts on one photo, from its tags."""
 
     name: str
     size: tuple[int, int]  # width, height, pixels
     camera: str  # maker and model
     focal_px: float | None = None
-    focal_from: str = ""  # which tags it came from
+    focal_from: str = ""  # tags that it came from
     place: tuple[float, float] | None = None  # latitude, longitude, degrees
     position_from: str = ""  # kind of fix
     altitude: float | None = None  # metres, as the maker counts them
     altitude_kind: str = ""
-    attitude_from: str = ""  # which tags say where the camera looked
+    attitude_from: str = ""  # tags that hold the camera's attitude
     taken: str = ""  # time of capture
     group: str = ""  # flight and camera
     t_ns: int | None = None  # of the exposure; None: it is not used
-    left_out: str = ""  # why
+    left_out: str = ""  # reason
 
 
 @dataclass(frozen=True)
 class PhotoOutcome:
-    """What the pictures made of one photo's tags."""
+    """Outcome of one photo: whether the pictures agree with its tags."""
 
     t_ns: int
     attitude: str = ""  # believed, turned back, overruled or ignored; empty where there was none
     position: str = ""
-    left_out: str = ""  # why it could not be registered
+    left_out: str = ""  # reason why it could not be registered
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class PhotoRow:
         return "  ".join(cell for cell in self.cells if cell)
 
     def as_json(self) -> dict[str, Any]:
-        """Numbers and text, as in run.json."""
+        """The row as in run.json, numbers and text."""
         f, o = self.facts, self.outcome
         tree = {k: v for k, v in asdict(f).items() if k not in ("t_ns", "left_out")}
         tree |= {"attitude": "" if o is None else o.attitude, "position": "" if o is None else o.position}

@@ -12,7 +12,7 @@ from alight.geometry import Grid
 
 @dataclass(frozen=True, eq=False)
 class PriorHeights:
-    """A DEM in the world. What its heights are counted from need not be known: the pictures give its offset."""
+    """A DEM in the world. Its vertical datum need not be known: the pictures give its offset."""
 
     name: str
     grid: Grid
@@ -23,7 +23,7 @@ class PriorHeights:
         return self.grid.nearest_at(self.height, east, north).astype(np.float64)
 
     def over(self, grid: Grid) -> F64:
-        """(R, C) its heights on another grid."""
+        """Its heights on another grid, (R, C) metres."""
         return self.grid.nearest_on(grid, self.height).astype(np.float64)
 
 
@@ -34,11 +34,11 @@ class PriorComparison:
     name: str
     bias: float  # metres, median
     nmad: float  # metres
-    area: float  # m^2 that both know
+    area: float  # m^2 where both have heights
 
     @property
     def line(self) -> str:
-        """In words."""
+        """The comparison in words."""
         return (
             f"{self.name}: the map lies {self.bias:+.2f} m above it (median), NMAD {self.nmad:.2f} m "
             f"over {self.area:,.0f} m²"

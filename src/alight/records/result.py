@@ -1,4 +1,4 @@
-"""Everything one run found out."""
+"""All results of one run."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from alight.settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """Everything one run found out: what the output folder and the report are made of.
+    """All results of one run: the content of the output folder and the report.
 
-    Whatever a run could not make is None or empty; `not_written` then says why, by file name.
+    A result that a run could not make is None or empty; `not_written` has the reason, by file name.
     """
 
     source_name: str  # the folder or file, as a person would call it
@@ -41,7 +41,7 @@ class RunResult:
     warnings: Sequence[str] = ()
     photos: Sequence[PhotoRow] = ()  # of a set of photos, those that were not used included
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
-    not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why
+    not_written: Mapping[str, str] = field(default_factory=dict)  # file name: reason
 
     @property
     def terrain_as_mapped(self) -> TerrainMap | None:

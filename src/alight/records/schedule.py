@@ -1,4 +1,4 @@
-"""What was done when: a live run writes it down, and a replay does the same again."""
+"""Schedule of a live run, which writes it down so that a replay can repeat it."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ Spot = tuple[float, float]  # east, north, metres in the map's frame
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which exposures of a flight each lane used, by their stamps in ns; the rest was left out, the lane being busy.
+    """Exposures of a flight that each lane used, by their stamps in ns; it left out the others because it was busy.
 
-    A lane that was lost begins anew with an exposure: what it knew is gone, in a replay too.
+    A lane that was lost begins anew with an exposure: its state is gone, in a replay too.
     """
 
-    tracked: tuple[int, ...] = ()  # that the navigation lane took
-    mapped: tuple[int, ...] = ()  # that the mapping lane took
-    effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 all of it, higher numbers less
-    judged: tuple[int, ...] = ()  # whose map was judged
+    tracked: tuple[int, ...] = ()  # exposures that the navigation lane took
+    mapped: tuple[int, ...] = ()  # exposures that the mapping lane took
+    effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 full, higher numbers less
+    judged: tuple[int, ...] = ()  # exposures whose map was judged
     about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none was asked for
-    navigation_anew: tuple[int, ...] = ()  # before which the navigation lane began anew
-    mapping_anew: tuple[int, ...] = ()  # before which the mapping lane began anew
+    navigation_anew: tuple[int, ...] = ()  # exposures before which the navigation lane began anew
+    mapping_anew: tuple[int, ...] = ()  # exposures before which the mapping lane began anew
 
     def to_json(self) -> str:
-        """As text."""
+        """Encode the schedule as JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> Schedule:
-        """The way back."""
+        """Decode the schedule from JSON."""
         tree = parse_json(text)
         return cls(**{f.name: tuple(_entry(v) for v in tree[f.name]) for f in fields(cls)})
 

@@ -16,7 +16,7 @@ from alight.geometry import Grid
 
 @dataclass(frozen=True, eq=False)
 class Datum:
-    """What all heights of a map share: how far its plane may be off, beside the sigma of each cell."""
+    """Common error of all heights of a map, beside the sigma of each cell: covariance of offset and tilt."""
 
     east: float  # metres, of the centre about which it tilts
     north: float
@@ -24,31 +24,31 @@ class Datum:
 
     @property
     def offset_sigma(self) -> float:
-        """Of the height of the centre, metres."""
+        """1-sigma of the height of the centre, metres."""
         return float(np.sqrt(self.covariance[0, 0]))
 
     @property
     def tilt_sigma(self) -> float:
-        """Of the tilt towards where it is known worst, rad."""
+        """1-sigma of the tilt in the direction in which it is largest, rad."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1]))
 
 
 class PlaceSigma(NamedTuple):
     """1-sigma of the place of a whole map on Earth, metres."""
 
-    horizontal: float  # towards where it is known worst
+    horizontal: float  # in the direction in which it is largest
     vertical: float
 
     @classmethod
     def of(cls, covariance: F64) -> PlaceSigma:
-        """From a covariance, (3, 3) m^2, east north up."""
+        """Sigmas from a covariance, (3, 3) m^2, east north up."""
         variance = np.linalg.eigvalsh(covariance[:2, :2])[-1], covariance[2, 2]
         horizontal, vertical = (float(np.sqrt(max(v, 0.0))) for v in variance)
         return cls(horizontal, vertical)
 
 
 class Flag(IntFlag):
-    """Why a height is missing or doubtful; bits of flags.tif."""
+    """Reason why a height is missing or doubtful; bits of flags.tif."""
 
     UNSEEN = 1  # fewer than two views see the cell
     TEXTURE = 2  # too little texture to match
@@ -56,18 +56,18 @@ class Flag(IntFlag):
     SATURATED = 8  # the pixels are at an end of their range
     MOVING = 16  # the views disagree although the geometry fits: water, swaying plants, moving shadow
     STEP = 32  # within a window of a height step: the height may be that of the neighbour
-    INCONSISTENT = 64  # fewer than two of the views that see the cell agree on what is there
+    INCONSISTENT = 64  # fewer than two of the views that see the cell agree
     RANGE = 128  # the height is at an end of the searched range
     UNSURE = 256  # the evidence together makes a wrong match likely
     FEW = 512  # seen by two views only: a note, not a reason
-    WATER = 1024  # water: what was matched is the bed, below the surface
+    WATER = 1024  # water: the match is the bed, below the surface
 
 
 class MissingVeto(IntFlag):
-    """What could have refused ground, and was not there, beside colour (`TerrainMap.coloured`)."""
+    """Vetoes that could have refused ground and were missing, beside colour (`TerrainMap.coloured`)."""
 
-    SECOND_CAMERA = 1  # no two views of one moment: nothing tells what moves (`Flag.MOVING`)
-    ATTITUDE = 2  # no attitude was measured: nothing tells whether the map is level
+    SECOND_CAMERA = 1  # no two views of one moment: moving things are not found (`Flag.MOVING`)
+    ATTITUDE = 2  # no attitude was measured: the level of the map is not checked
 
 
 NOTHING_MISSING = MissingVeto(0)
@@ -88,12 +88,12 @@ REFUSED = (
 
 
 def is_measured(flags: U16) -> NDArray[np.bool_]:
-    """Where there is a height, be it in doubt."""
+    """True where there is a height, even a doubtful one."""
     return np.asarray((flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0)
 
 
 def is_trusted(flags: U16) -> NDArray[np.bool_]:
-    """Where no flag refuses the height."""
+    """True where no flag refuses the height."""
     return np.asarray((flags & np.uint16(REFUSED)) == 0)
 
 
@@ -111,20 +111,20 @@ class Terrain(IntEnum):
     STRUCTURE = 8
 
 
-NEARLY = 0.9  # of a width asked for, that counts as that width
+NEARLY = 0.9  # share of a wanted pixel width that counts as that width
 LANDABLE = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)  # kinds of ground that may be landed on
 
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """What one parallax step found on one grid."""
+    """Heights of one parallax step on one grid."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin (world up); NaN = unseen
     sigma: F32  # (R, C) metres, 1-sigma relative to the map
     flags: U16  # (R, C) bits of Flag
     views: U8  # (R, C) views that saw the cell
-    rgb: U8  # (R, C, 3) what the cameras saw
+    rgb: U8  # (R, C, 3) colours from the cameras
     residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
     sampling: F32  # (R, C) metres of ground that one sample of the match covers: its cell or, if larger, its pixel
     gauge: Datum | None = None  # None: not known, as for poses that came without covariance
@@ -143,20 +143,20 @@ class ElevationMap:
     residual: F32
     sampling: F32
     gauge: Datum | None = None
-    warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from what the poses bend and turn beside the gauge
-    fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
+    warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from bend and turn by pose errors, beside the gauge
+    fine: U8 | None = None  # (f R, f C, 3) orthophoto on finer pixels, the mean of several views; None: not known
     fine_sampling: F32 | None = None  # (R, C) metres of ground that a pixel of these views covers; None: as the heights
     frame_id: int = 0  # of the poses that it was made with (`Motion.frame_id`)
     position_covariance: F64 | None = None  # (3, 3) m^2, of the whole map's place on Earth; None: not known
 
     @property
     def finest(self) -> tuple[U8, int]:
-        """The finest picture of the ground that there is, (f R, f C, 3), and its pixels a cell, f."""
+        """The finest picture of the ground, (f R, f C, 3), and its pixels a cell, f."""
         picture = self.rgb if self.fine is None else self.fine
         return picture, picture.shape[0] // self.grid.rows
 
     def pixels_a_cell(self, pixel: float) -> int:
-        """Pixels a cell of `picture`, each way."""
+        """Pixels a cell of `picture`, along each axis; `pixel` in metres."""
         n = self.finest[1]
         while n % 2 == 0 and self.grid.cell / n < NEARLY * pixel:
             n //= 2
@@ -176,7 +176,7 @@ class ElevationMap:
 
     @property
     def relative_sigma(self) -> F32:
-        """(R, C) metres, 1-sigma of a height relative to the map's plane: of the match, and of what the poses bend."""
+        """(R, C) metres, 1-sigma of a height relative to the map's plane: that of the match and the warp."""
         return self.sigma if self.warp is None else np.hypot(self.sigma, self.warp)
 
     @property
@@ -188,26 +188,26 @@ class ElevationMap:
 
 @dataclass(frozen=True, eq=False)
 class TerrainMap:
-    """What covers the ground."""
+    """Land cover of every cell."""
 
     grid: Grid
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
     water: F32 | None = None  # (R, C) probability of water; NaN = nothing seen
-    enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
-    raised: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface above the ground about it
-    novelty: F32 | None = None  # (R, C) how unlike all known ground: 1 at the rim of what is known; NaN = unseen
+    enclosed: F32 | None = None  # (R, C) 0 to 1: degree to which it is part of a level surface below both its banks
+    raised: F32 | None = None  # (R, C) 0 to 1: degree to which it is part of a level surface above the ground about it
+    novelty: F32 | None = None  # (R, C) novelty (T6): above 1, the ground is unlike all known ground; NaN = unseen
     bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
     coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything
 
     def with_roofs(self, raised: F32) -> TerrainMap:
-        """Add structures that nothing may land on where `raised` (R, C), 0 to 1, is above a half."""
+        """Add structures, which are not landable, where `raised` (R, C), 0 to 1, is above a half."""
         roof = (raised > 0.5) & ~np.isnan(self.landable)
         label = np.where(roof, np.uint8(Terrain.STRUCTURE), self.label)
         return replace(self, label=label, landable=np.minimum(self.landable, 1 - raised), raised=raised)
 
     def on(self, grid: Grid) -> TerrainMap:
-        """The same on another grid, each cell with the value of the nearest one; unknown outside."""
+        """The land cover on another grid, each cell with the value of the nearest one; unknown outside."""
         if grid == self.grid:
             return self
 

@@ -1,4 +1,4 @@
-"""What an autopilot reports: its state and what happened to it. ENU, FLU, SI; altitudes above sea level say so."""
+"""Reports of an autopilot: its state and its notices. ENU, FLU, SI; altitudes above sea level are named `msl`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DOUBTFUL = 1024 | 32768  # not initialised, or GPS glitches
 
 
 class FlightMode(Enum):
-    """What the autopilot is doing, whatever it calls it."""
+    """Mode of the autopilot, by one name for all firmwares."""
 
     GUIDED = "guided"  # follows our set-points (ArduPilot GUIDED, PX4 Offboard)
     MISSION = "mission"
@@ -34,7 +34,7 @@ class FlightMode(Enum):
 
 
 class Landed(Enum):
-    """MAV_LANDED_STATE."""
+    """Landed state of the vehicle, as MAV_LANDED_STATE."""
 
     UNKNOWN = 0
     GROUND = 1
@@ -45,7 +45,7 @@ class Landed(Enum):
 
 @dataclass(frozen=True)
 class Place:
-    """A position as the autopilot knows it; altitudes of one place belong together."""
+    """A position from the autopilot; altitudes of one place belong together."""
 
     latitude: float  # degrees
     longitude: float  # degrees
@@ -55,7 +55,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Home:
-    """Where the vehicle is armed: the zero of the heights that it flies by."""
+    """Place where the vehicle is armed: the zero of the heights that it flies by."""
 
     latitude: float  # degrees
     longitude: float  # degrees
@@ -64,7 +64,7 @@ class Home:
 
     @property
     def height(self) -> float:
-        """Metres above the WGS84 ellipsoid, which all our heights are; NaN without a separation."""
+        """Height above the WGS84 ellipsoid as all our heights, metres; NaN without a separation."""
         return self.altitude_msl + self.separation
 
     @classmethod
@@ -88,13 +88,13 @@ class Home:
         return cls(*numbers)
 
     def with_separation(self, separation: float) -> Home:
-        """The same place with this separation, where it has none of its own."""
+        """The home with this `separation`, metres, unless it has one of its own."""
         return self if math.isfinite(self.separation) else replace(self, separation=separation)
 
 
 @dataclass(frozen=True)
 class GpsQuality:
-    """How well the receiver knows its place, 1-sigma; NaN: it does not report that."""
+    """Accuracy of the receiver's position, 1-sigma; NaN: it does not report that."""
 
     fix: int = 0  # GPS_FIX_TYPE: 3 is 3D, 5 and 6 are RTK
     satellites: int = 0
@@ -106,14 +106,14 @@ class GpsQuality:
 
 @dataclass(frozen=True)
 class Battery:
-    """What is left; NaN: not reported."""
+    """Remaining charge and voltage of the battery; NaN: not reported."""
 
     share: float = _NAN  # 0 to 1
     voltage: float = _NAN  # V
 
 
 def is_absolute(estimator_flags: int) -> bool:
-    """Whether these flags of the estimator say that it has a position on Earth and no doubt about it."""
+    """Whether the estimator's flags report a position on Earth that is not in doubt."""
     return bool(estimator_flags & _ABSOLUTE) and not estimator_flags & (_CONSTANT | _DOUBTFUL)
 
 
@@ -147,7 +147,7 @@ class Telemetry:
 
     @property
     def has_position(self) -> bool:
-        """Whether the estimator has an absolute position that it believes in."""
+        """Whether the estimator reports an absolute position that is not in doubt."""
         return self.estimator_flags is not None and is_absolute(self.estimator_flags)
 
     @property
@@ -162,23 +162,23 @@ class Telemetry:
 
 
 class NoticeKind(Enum):
-    """What a notice is about."""
+    """Subject of a notice."""
 
     FOUND = "found"  # the vehicle was heard for the first time
     LINK_LOST = "link lost"
     LINK_BACK = "link back"
     REBOOT = "reboot"
-    TAKEOVER = "takeover"  # somebody else flies now: nothing of ours is sent any more until we are told to
-    MODE = "mode"  # a change that we asked for, or that follows from it
+    TAKEOVER = "takeover"  # somebody else flies now: we send nothing more until we are ordered to
+    MODE = "mode"  # a change on our request, or one that follows from it
     COMMAND = "command"  # a command was accepted, refused or never answered
     UPLOAD = "upload"  # a mission was accepted, refused or never answered
     REACHED = "reached"  # a mission item
-    TEXT = "text"  # what the autopilot says
+    TEXT = "text"  # a message of the autopilot
 
 
 @dataclass(frozen=True)
 class Notice:
-    """Something that happened to the vehicle or to what we asked of it."""
+    """One event on the vehicle, or the answer to a request of ours."""
 
     t_ns: int  # our clock
     kind: NoticeKind
@@ -186,4 +186,4 @@ class Notice:
     ok: bool = True
     mode: FlightMode | None = None
     item: int | None = None  # of REACHED
-    ticket: int | None = None  # of COMMAND and UPLOAD: what the request returned
+    ticket: int | None = None  # of COMMAND and UPLOAD: the number that the request returned

@@ -24,7 +24,7 @@ _TEMPLATES = jinja2.Environment(
 
 
 def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
-    """The overview, what stands beside it and what below."""
+    """The overview, the pictures beside it and the pictures below."""
     elevation = result.elevation
     places = [(s.east, s.north) for s in result.sites.listed]
     window = canvas.whole(elevation, places) if elevation is not None else None

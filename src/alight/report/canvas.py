@@ -32,7 +32,7 @@ class Canvas:
 
     @property
     def height(self) -> float:
-        """Page units."""
+        """Height of the picture, page units."""
         return WIDTH * self.grid.rows / self.grid.cols
 
     @property
@@ -41,7 +41,7 @@ class Canvas:
         return WIDTH / (self.grid.cols * self.grid.cell)
 
     def xy(self, east: float, north: float) -> tuple[float, float]:
-        """World to page."""
+        """Page units of a position in the world, metres."""
         row, col = self.grid.index(np.asarray(east), np.asarray(north))
         unit = WIDTH / self.grid.cols
         return round(float(col + 0.5) * unit, 2), round(float(row + 0.5) * unit, 2)
@@ -61,7 +61,7 @@ class Canvas:
 
 
 def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -> Canvas | None:
-    """The canvas that shows what was seen, thin fringes left out, and every place; None where nothing was seen."""
+    """The canvas of all cells seen, thin fringes left out, and of every place; None if no cell was seen."""
     seen = elevation.views > 0
     if not seen.any():
         return None

@@ -29,7 +29,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Row:
-    """One place in a table: its numbers, and below them what stands behind them."""
+    """One place in a table: its numbers, and below them a note."""
 
     cells: Sequence[str]
     note: str
@@ -58,7 +58,7 @@ class Time:
 
 
 def answer(result: RunResult) -> Answer:
-    """The answer in one sentence: the site, or the candidates, or why there is neither."""
+    """The answer in one sentence: the site, or the candidates, or the reason why there is neither."""
     if result.sites.sites:
         return _land(result, result.sites.sites[0])
     if result.sites.candidates:
@@ -67,7 +67,7 @@ def answer(result: RunResult) -> Answer:
 
 
 def _reason(result: RunResult) -> str:
-    """Why there is no site, as a sentence of its own."""
+    """Reason why there is no site, as a sentence."""
     reason = result.sites.reason.removeprefix("no safe site: ") or "no reason was given"
     return reason[:1].upper() + reason[1:].rstrip(".") + "."
 
@@ -123,7 +123,7 @@ def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
 
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
-    """The numbers of the first place with the limits they are held against, and both accuracies."""
+    """The numbers of the first place with their limits, and both accuracies."""
     lander = result.settings.lander
     look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []
     return [
@@ -140,7 +140,7 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
 
 
 def _place_chips(result: RunResult) -> list[tuple[str, str]]:
-    """How well the place of the whole map on Earth is known."""
+    """Accuracy of the place of the whole map on Earth."""
     if not result.georeferenced:
         return [("Place on Earth", words.UNKNOWN)]
     covariance = None if result.elevation is None else result.elevation.position_covariance
@@ -218,7 +218,7 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
 
 
 def diary_rows(result: RunResult) -> list[tuple[str, str, str]]:
-    """What happened in a landing that was flown: second, what, why."""
+    """Diary of a landing that was flown: second, event, reason."""
     if result.diary is None:
         return []
     rows = []
@@ -242,7 +242,7 @@ def run_facts(result: RunResult) -> list[tuple[str, str]]:
 
 
 def details(result: RunResult) -> list[tuple[str, str]]:
-    """The notes that are numbers: for who wants to know."""
+    """The notes that are no text, such as numbers, for the details of the page."""
     return [(words.name(k), words.value(v)) for k, v in result.notes.items() if not isinstance(v, str)]
 
 

@@ -50,7 +50,7 @@ class Mark:
     rank: int
     place: str
     kind: Kind
-    look: str = ""  # of a candidate: from where to look again
+    look: str = ""  # of a candidate: height of the next view
     aside: tuple[float, float] = (0.0, -1.0)  # direction of the number from the disc
 
 
@@ -116,7 +116,7 @@ def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
 
 
 def _hidden(x: float, y: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
-    """Cost of a number at (x, y): its overlap with other marks, and how far it leaves the picture."""
+    """Cost of a number at (x, y): its overlap with other marks, and its length outside the picture."""
     outside = sum(max(BADGE - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
     return 4 * outside + sum(max(r + BADGE - math.hypot(x - a, y - b), 0.0) for a, b, r in others)
 
@@ -126,7 +126,7 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
 
 
 def _explain(result: RunResult) -> list[str]:
-    """Sentences for what is drawn on the overview, and for nothing else."""
+    """Sentences for the marks that are drawn on the overview, and for no others."""
     lines = []
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")

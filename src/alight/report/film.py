@@ -1,4 +1,4 @@
-"""What every look of a landing saw: the film strip of the page."""
+"""The film strip of the page: one picture of the ground a look of the landing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The maps behind the answer: why not here, how probable, how high, how sure, what kind, and what is missing."""
+"""The maps behind the answer: reasons, P(safe), heights, sigma, land cover, and missing heights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _shares(index: NDArray[Any], seen: NDArray[np.bool_], count: int) -> list[fl
 
 
 def _keys(labels: Iterable[str], colours: Iterable[str], shares: Iterable[float]) -> list[Key]:
-    """Those that occur in the map."""
+    """Legend of the kinds that occur in the map."""
     return [
         Key(colour, label, words.percent(share))
         for label, colour, share in zip(labels, colours, shares, strict=True)
@@ -30,7 +30,7 @@ def _keys(labels: Iterable[str], colours: Iterable[str], shares: Iterable[float]
 
 
 def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
-    """Why not here: one colour a reason."""
+    """Map of the reasons of refusal, one colour a reason."""
     order = list(paint.HAZARD_COLOURS)
     index = paint.first_reason(hazards.reasons, [int(h) for h in order])
     colours = list(paint.HAZARD_COLOURS.values())
@@ -48,7 +48,7 @@ def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Fi
 
 
 def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
-    """Probability of a safe touchdown."""
+    """Map of the probability of a safe touchdown."""
     return Figure(
         title="Probability of a safe touchdown",
         alt="Map of the probability that a touchdown is safe",
@@ -60,8 +60,8 @@ def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
 
 
 def heights_figure(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
-    """Hillshaded heights."""
-    low, high = paint.span(elevation.height[elevation.trusted], 1, 96)  # what stands on the ground may saturate
+    """Map of the heights, hillshaded."""
+    low, high = paint.span(elevation.height[elevation.trusted], 1, 96)  # objects on the ground may saturate
     up = result.local.height if result.georeferenced else 0.0
     reference = "above the WGS84 ellipsoid" if result.georeferenced else "above the origin"
     low_t, mid_t, high_t = (f"{up + h:.1f} m" for h in (low, (low + high) / 2, high))
@@ -76,7 +76,7 @@ def heights_figure(result: RunResult, elevation: ElevationMap, c: Canvas) -> Fig
 
 
 def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
-    """1-sigma of the heights."""
+    """Map of the 1-sigma of the heights."""
     high = paint.span(elevation.sigma[elevation.trusted], 0, 98)[1]
     return Figure(
         title="How sure the heights are",
@@ -110,7 +110,7 @@ def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> F
 
 
 def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
-    """Why heights are missing."""
+    """Map of the reasons why heights are missing."""
     order = list(paint.FLAG_COLOURS)
     index = paint.first_reason(elevation.flags, [int(f) for f in order])
     colours = list(paint.FLAG_COLOURS.values())
@@ -128,7 +128,7 @@ def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
-    """Every map below the answer, in the order in which a person asks."""
+    """Every map below the answer, in the order of a reader's questions."""
     figures = []
     if (hazards := result.hazards_as_mapped) is not None:
         figures += [reasons_figure(hazards, elevation, c), p_safe_figure(hazards, c)]

@@ -21,7 +21,7 @@ SIGMA_RAMP: Ramp = ("#fff3dc", "#fdc58a", "#ee7b4c", "#b6272c", "#5c0a24")
 SAFE_RAMP: Ramp = ("#7d3c05", "#c58a3d", "#f2e3bd", "#7cc4b4", "#02655c")
 
 SAFE_COLOUR = "#12a37a"
-HAZARD_COLOURS: Mapping[Hazard, str] = {  # in order of telling: the first that holds is shown
+HAZARD_COLOURS: Mapping[Hazard, str] = {  # in order of precedence: the first that holds is shown
     Hazard.TERRAIN: "#2878b5",
     Hazard.STEP: "#d1495b",
     Hazard.SLOPE: "#ed8b2f",
@@ -74,7 +74,7 @@ def colour_ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) ->
 
 
 def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
-    """Colours (R, C, 3) with what is not `shown` transparent."""
+    """Picture of colours (R, C, 3), transparent where not `shown` (R, C)."""
     out = np.empty((*shown.shape, 4), np.uint8)  # one after the other: maps have millions of cells
     for k in range(3):
         out[..., k] = np.clip(colours[..., k], 0, 255)
@@ -83,7 +83,7 @@ def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
 
 
 def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
-    """The range a colour scale covers: percentiles, so that one wild cell does not flatten the picture."""
+    """The range of a colour scale: percentiles, so that one outlier does not flatten the picture."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
@@ -133,7 +133,7 @@ def paint_ortho(elevation: ElevationMap) -> U8:
 def over_ground(
     colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
 ) -> U8:
-    """Colours laid over the grey of the ground where `painted`, so that a person knows the place again."""
+    """Colours laid over the grey of the ground where `painted`, so that a person recognises the place."""
     grey = cv2.cvtColor(elevation.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
     ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)

@@ -1,4 +1,4 @@
-"""Numbers as people say them."""
+"""Numbers and names as text for people."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from alight.records import Doubt, Flag, Hazard, RunResult, Site
 
 UNKNOWN = "unknown"
-# of names and texts from outside: what steers a terminal, is no HTML, or turns the direction of a line
+# of names and texts from outside: characters that steer a terminal, are no HTML, or turn the direction of a line
 _UNPRINTABLE = (*range(0x09), *range(0x0B, 0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
 _SPELT_OUT = {code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" for code in _UNPRINTABLE}
 
@@ -67,7 +67,7 @@ def bearing(value: float) -> str:
 
 
 def percent(value: float) -> str:
-    """A share; never rounded up to all, nor down to nothing."""
+    """A share in percent; never rounded up to 100 %, nor down to 0 %."""
     if not math.isfinite(value):
         return UNKNOWN
     if 0 < value < 0.0005:
@@ -113,7 +113,7 @@ def doubt(site: Site) -> str:
 
 
 def look_from(site: Site) -> str:
-    """From where to look again: 12 m above it."""
+    """Height of the next view, in words: 12 m above it."""
     return "no nearer view settles it" if site.look is None else f"{site.look.height:.0f} m above it"
 
 
@@ -129,7 +129,7 @@ def place(result: RunResult, site: Site) -> str:
 
 
 def position(result: RunResult, east: float, north: float, up: float) -> str:
-    """A position as `place` says it; its height is left out."""
+    """A position in the form of `place`; its height is left out."""
     if not result.georeferenced:
         ew, ns = ("east" if east >= 0 else "west"), ("north" if north >= 0 else "south")
         return f"{abs(east):.1f} m {ew}, {abs(north):.1f} m {ns} of the origin"

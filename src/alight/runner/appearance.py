@@ -24,10 +24,10 @@ class TrainedAppearance(NamedTuple):
 def train_to_file(
     folder: Path, out: Path, sampling: float, progress: Callable[[str, float], None]
 ) -> TrainedAppearance:
-    """Train on pictures by class, once `out` is known to be a file that can be written, and write the model.
+    """Train on pictures by class and write the model; `out` is tested first.
 
     Args:
-        sampling: metres a pixel, where no index.csv says it.
+        sampling: metres a pixel, where no index.csv gives it.
 
     Raises:
         InputError: the pictures cannot be used.

@@ -1,4 +1,4 @@
-"""The home that the heights of `route.plan` are counted from: what the user and the autopilot say of it."""
+"""The home to which the heights of `route.plan` refer, from the user or from the autopilot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEEPEST = 1000.0  # metres above or below the site
 
 
 def wanted_home(text: str | None, geoid: Path | None = None) -> Home | None:
-    """Read the home that a user names; its separation is his own number, or that of a geoid grid, or NaN.
+    """Read the home that a user names; its separation is the user's number, or that of a geoid grid, or NaN.
 
     Raises:
         InputError: it is no home, the grid cannot be used, or there is a grid and no home.
@@ -30,7 +30,7 @@ def wanted_home(text: str | None, geoid: Path | None = None) -> Home | None:
 
 
 def known_home(text: str | None, geoid: Path | None = None) -> Home | None:
-    """As `wanted_home`, for recordings, where nothing else tells the separation.
+    """As `wanted_home`, for recordings, which give no separation.
 
     Raises:
         InputError: as there, or the separation is missing.
@@ -45,12 +45,12 @@ def known_home(text: str | None, geoid: Path | None = None) -> Home | None:
 
 
 def flown_home(wanted: Home | None, heard: Telemetry | None, separation: float | None) -> Home | None:
-    """Return the home of a vehicle on a link, with what is known of its separation; None: nobody names one.
+    """Return the home of a vehicle on a link, with its separation (NaN: unknown); None: there is no home.
 
     Args:
         wanted: by the user; None: the autopilot's own.
         heard: the newest telemetry.
-        separation: metres, ellipsoid minus sea level, as the user states it; None: as the receiver reports it.
+        separation: metres, ellipsoid minus sea level, of the user; None: the receiver's.
     """
     reported = math.nan if heard is None else heard.gps.separation
     if wanted is None and heard is not None and heard.home is not None:
@@ -61,7 +61,7 @@ def flown_home(wanted: Home | None, heard: Telemetry | None, separation: float |
 
 
 def with_home(result: RunResult, home: Home | None) -> RunResult:
-    """Return the result with the home of its route; a warning says what speaks against it."""
+    """Return the result with the home of its route; a warning is added if the home is not used or is implausible."""
     if home is not None and (told := _of_no_use(result, home)):
         return replace(result, warnings=[*result.warnings, f"the home is not used: {told}"])
     if home is None or result.route is None or not result.route.waypoints:
@@ -80,7 +80,7 @@ def with_home(result: RunResult, home: Home | None) -> RunResult:
 
 
 def _of_no_use(result: RunResult, home: Home) -> str:
-    """Why heights cannot be counted from the home; empty: they can."""
+    """Reason why heights cannot refer to the home; empty: they can."""
     if not result.georeferenced:
         return f"{result.source_name} says nothing about its place on Earth"
     if not math.isfinite(home.separation):

@@ -1,4 +1,4 @@
-"""Judge heights that were made elsewhere: sharpen them with an image, assess hazards, choose sites."""
+"""Judge heights from another source: sharpen them with an image, assess hazards, choose sites."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from alight.records import RunResult
 from alight.settings import Settings, load_settings
 from alight.sources.raster import GroundRaster
 
-# surveyed heights show every obstacle and lie level, unless the user's settings say otherwise
+# surveyed heights show every obstacle and lie level, unless the user's settings differ
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
 IMAGE_UNUSED = "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
 
@@ -45,7 +45,7 @@ class Judgement:
 
 
 def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
-    """Judge a height raster: where this lander may touch down, with what probability, and why not elsewhere.
+    """Judge a height raster: P(safe) and reasons of each cell, and the landing sites of this lander.
 
     Args:
         ground: heights, their sigma, and an image of the same ground where there is one.

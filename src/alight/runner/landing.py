@@ -31,8 +31,8 @@ JUDGE_EVERY = {  # s between two judgements
     FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
     FlightState.COMMIT: 0.5,
 }  # fmt: skip
-CROSSING = 2.0  # s, the same while a look leg is flown
-LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
+CROSSING = 2.0  # s between two judgements while a look leg is flown
+LATENCY = 0.5  # s from a map to its verdict, which the loop may not use before
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
@@ -47,7 +47,7 @@ class Landing:
     seconds: float = 0.0
     p_at_commit: float | None = None
     verdicts: int = 0
-    decision: Decision | None = None  # of the whole flight, where it was asked for
+    decision: Decision | None = None  # of the whole flight, if requested
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging
 
@@ -63,11 +63,11 @@ def fly_landing(
     """Search, look, look again, and land or give up.
 
     Args:
-        vehicle: is steered.
-        settings: all of them; the map is built recursively, whatever they say.
-        appearance: what ground looks like.
-        happening: is told of the time and the state before every order; it may let things happen.
-        keep_pictures: keep what every look saw.
+        vehicle: the simulated vehicle that is steered.
+        settings: all settings; the map is always built recursively.
+        appearance: model of the appearance of ground; None: there is none.
+        happening: called with the time (s) and the state before every order; it may act on the vehicle.
+        keep_pictures: keep a picture of the ground at every look.
         map_all: make and judge the map of the whole flight at its end.
     """
     loop = _Loop(vehicle, settings, appearance, keep_pictures)
@@ -138,11 +138,11 @@ class _Loop:
 
     @property
     def over(self) -> bool:
-        """Landed, given up, or too long."""
+        """True once the vehicle has landed, the landing is given up, or it has taken too long."""
         return self.executive.state in ENDS or self.t > self._most
 
     def step(self) -> None:
-        """Let the vehicle fly for `TICK` seconds, take what it sensed, and obey the next order."""
+        """Let the vehicle fly for `TICK` seconds, process its events, and set the next order."""
         with self._costs.of("simulator"):
             events = self._vehicle.step(TICK, self._wanted)
         for event in events:
@@ -154,7 +154,7 @@ class _Loop:
             if motion is not None:
                 self._motion = motion
                 self._tie_to_autopilot(motion)
-        if self._motion is None:  # nothing is known before the first exposure
+        if self._motion is None:  # there is no motion before the first exposure
             return
         self._judge()
         diary = self.executive.diary
@@ -176,7 +176,7 @@ class _Loop:
         )  # fmt: skip
 
     def _judge(self) -> None:
-        """Judge the map as often as the state asks for; the verdict is known a little later."""
+        """Judge the map as often as the state needs; the verdict is used `LATENCY` seconds later."""
         if self._pending is not None and self.t >= self._pending[0]:
             _, self._seen = self._pending
             self._pending = None
@@ -192,7 +192,7 @@ class _Loop:
             self._pending = (self.t + LATENCY, as_seen(verdict, self._number, self.t))
 
     def _tie_to_autopilot(self, motion: Motion) -> None:
-        """Commands are relative to the autopilot's own estimate of the same instant: the error of GPS cancels."""
+        """Tie commands to the autopilot's own estimate of the same instant: the error of GPS cancels."""
         if len(self._rows) < 2 or motion.state in (MotionState.LOST, MotionState.INITIALISING):
             return
         t = np.array([r[0] for r in self._rows], np.float64)
@@ -250,7 +250,7 @@ def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 2
 
 
 def as_seen(verdict: Verdict, number: int, t: float) -> Seen:
-    """Return a verdict in the frame of its map, as the executive wants it.
+    """Return a verdict in the frame of its map, for the executive.
 
     Args:
         verdict: in the world.

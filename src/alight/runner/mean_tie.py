@@ -20,11 +20,11 @@ class MeanTie:
 
     def __init__(self) -> None:
         self._differences = deque[F64](maxlen=COUNT)
-        self.frame_id = -1  # of our positions; -1: nothing is known
+        self.frame_id = -1  # of our positions; -1: there is no difference yet
 
     @property
     def mean(self) -> F64:
-        """(3,) metres, to be added to a position in our frame; 0 where nothing is known."""
+        """(3,) metres, to be added to a position in our frame; 0 without a difference."""
         return np.asarray(np.mean(self._differences, axis=0)) if self._differences else np.zeros(3)
 
     def add(self, difference: F64, frame_id: int) -> None:

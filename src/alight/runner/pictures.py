@@ -1,4 +1,4 @@
-"""Cameras that have frozen: a picture that repeats the one before of its camera, bit for bit, is none."""
+"""Detection of frozen cameras: a picture that repeats its camera's last one bit for bit is left out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPARSE = 4  # pixels, step in which two pictures are compared
 
 
 class PictureWatch:
-    """Tells when a new picture came last, and leaves out those that only repeat the one before.
+    """Keeps the time of the newest picture, and leaves out pictures that only repeat the one before.
 
     The noise of a sensor makes every picture a little different, so one that is the same to the bit comes from a
     camera or a driver that hangs. A motion that is estimated from it stands still while the vehicle flies.
@@ -27,7 +27,7 @@ class PictureWatch:
         self.stuck: tuple[int, ...] = ()  # cameras whose newest picture repeats the one before
 
     def fresh(self, frame: Frame, now_ns: int) -> Frame | None:
-        """Take an exposure that has come; the exposure with its new pictures, None where there is none."""
+        """Take an exposure; return it with its new pictures only, or None if there is none."""
         repeated = {cam for cam, image in enumerate(frame.images) if image is not None and self._repeats(cam, image)}
         given = {cam for cam, image in enumerate(frame.images) if image is not None}
         self.stuck = tuple(sorted((set(self.stuck) - given) | repeated))

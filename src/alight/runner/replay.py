@@ -1,4 +1,4 @@
-"""Run the whole way over a recording: a source in, everything that was found out."""
+"""Run all stages over a recording: a source in, a `RunResult` out."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["Find", "find", "given_poses", "replay", "write_run"]
 
 log = logging.getLogger(__name__)
 
-Tell = Callable[[str, float], None]  # what is being done, share done
+Tell = Callable[[str, float], None]  # stage, share done
 
 
 def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
@@ -61,15 +61,15 @@ def replay(
 
     Args:
         source: the recording.
-        settings: all of them.
+        settings: all settings.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
         tell: called with the stage and the share of it that is done.
-        far: where the map puts what the flight has left behind; None: memory.
-        jobs: who does the work of photos and maps at the end; None: this process.
-        prior: heights from elsewhere, that the search for heights begins with and the map is compared with.
+        far: tile store for the part of the map that the flight has left behind; None: memory.
+        jobs: workers for photos and for maps at the end; None: this process.
+        prior: heights from another source; the search for heights begins with them, and the map is compared with them.
 
     Raises:
-        InputError: nothing in the recording can be used.
+        InputError: no part of the recording can be used.
     """
     pipeline = Pipeline(
         source.rig,
@@ -104,10 +104,10 @@ def replay(
 
 
 def appearance_of(settings: Settings) -> Model | None:
-    """Read the model of appearance that the settings ask for; None: they ask for none.
+    """Read the model of appearance that the settings name; None: they name none.
 
     Raises:
-        InputError: its file is none.
+        InputError: its file is no model.
     """
     name = settings.terrain.model
     if name is None or not settings.terrain.enabled:
@@ -116,10 +116,10 @@ def appearance_of(settings: Settings) -> Model | None:
 
 
 def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
-    """Read a DEM from elsewhere for the map of a source.
+    """Read a DEM from another source for the map of a recording.
 
     Args:
-        source: what the map is made of.
+        source: the recording that the map is made from.
         settings: of the run; the map is made at its end.
         dem: file of the raster; None: there is none.
 
@@ -147,14 +147,14 @@ def result_of(
     timings: Mapping[str, Sequence[float]],
     photos: Sequence[PhotoRow] = (),
 ) -> RunResult:
-    """Collect everything that the output folder and the report are made of.
+    """Collect the contents of the output folder and the report.
 
     Args:
-        source: the recording, or what the events of a flight came from.
-        settings: all of them.
-        d: the answer.
+        source: the recording, or the source of a flight's events.
+        settings: all settings.
+        d: the decision.
         timings: seconds of every step, by stage.
-        photos: what became of each.
+        photos: outcome of each photo.
     """
     return RunResult(
         source_name=source.name,
@@ -179,19 +179,19 @@ def result_of(
 
 @dataclass(frozen=True)
 class Find:
-    """The wishes of a user for one run over a recording."""
+    """Options of one run over a recording."""
 
     settings: Settings
     poses: str | None = None  # as for `replay`
     overwrite: bool = False  # write into a folder that holds other files
-    resume: bool = False  # go on with what an interrupted run of photos left in the folder
-    prior: Path | None = None  # DEM from elsewhere
+    resume: bool = False  # continue from the saved work of an interrupted run of photos in the folder
+    prior: Path | None = None  # DEM from another source
     scheduler: str | None = None  # address of a Dask cluster that does the work of photos
     home: Home | None = None  # of the vehicle that is to fly the route
 
 
 def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: None) -> RunResult:
-    """Find a landing site in a flight log, a recording or a folder of photos, once `out` is known to take the results.
+    """Find a landing site in a flight log, a recording or a folder of photos; write the results to `out`, tested first.
 
     A recording is replayed with the settings of its flight where no others are given, and then gives the same bits.
     The work of photos is saved in the folder piece by piece, until the results are written.
@@ -208,7 +208,7 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
         raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")
     if how.resume and is_finished(out):
         raise InputError(f"--resume: {out} holds a finished run; run without it to begin anew")
-    given_poses(source, how.poses)  # wrong ones are told before any work
+    given_poses(source, how.poses)  # wrong ones are reported before any work
     if how.home is not None and not source.georeferenced:
         raise InputError(f"--home: {source.name} says nothing about its place on Earth; run it without")
     prior = prior_heights(source, settings, how.prior)

@@ -1,4 +1,4 @@
-"""Settings: what a user sets, the tuned constants of the stages, and how both are read."""
+"""Settings: the keys of a user, the tuned constants of the stages, and the reading of both."""
 
 from alight.settings.imu import ImuNoise
 from alight.settings.loading import load_settings, settings_of_run

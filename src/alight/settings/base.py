@@ -1,4 +1,4 @@
-"""What all settings models share: frozen, unknown keys refused; and the kinds of numbers."""
+"""Base of all settings models (frozen, unknown keys refused), and the kinds of numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-MOST = 1e9  # no length, time or weight of ours is larger: beyond it arithmetic overflows somewhere
+MOST = 1e9  # no length, time or weight in a setting is larger: beyond it arithmetic overflows somewhere
 Positive = Annotated[float, Field(ge=1e-9, le=MOST, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
@@ -16,7 +16,7 @@ Incline = Annotated[float, Field(ge=1e-9, le=1.5707964, allow_inf_nan=False)]  #
 Offset = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]  # metres, within a vehicle
 Part = Annotated[float, Field(ge=0, le=100.0, allow_inf_nan=False)]  # metres, of a part that may be none
 Gap = Annotated[float, Field(ge=0, le=5.0, allow_inf_nan=False)]  # metres, across which heights are bridged
-Seconds = Annotated[float, Field(ge=0, le=10.0, allow_inf_nan=False)]  # between two clocks that meet
+Seconds = Annotated[float, Field(ge=0, le=10.0, allow_inf_nan=False)]  # between two clocks that overlap
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -28,7 +28,7 @@ class FrozenModel(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_truth_for_a_number(cls, tree: Any) -> Any:
-        """Refuse `true` where no yes or no is asked for: it would count as 1."""
+        """Refuse `true` for a key that is no boolean: it would count as 1."""
         given = tree if isinstance(tree, dict) else {}
         asked = {
             name: field.annotation for name, field in cls.model_fields.items() if isinstance(given.get(name), bool)

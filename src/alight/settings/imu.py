@@ -1,4 +1,4 @@
-"""The noise of an IMU, as a recording states it."""
+"""Noise of an IMU that a recording states."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class ImuNoise:
     accelerometer_random_walk: float | None = None  # m/s^3 per sqrt(Hz)
 
     def stated(self) -> dict[str, float]:
-        """What is stated, by field."""
+        """The stated numbers, by field."""
         return {k: v for k, v in asdict(self).items() if v is not None}
 
     def in_flight(self, margin: float) -> dict[str, float]:
-        """Noise by key of the filter: `margin` times what is stated. A number that is not above zero states nothing."""
+        """Noise by key of the filter: `margin` times the stated number; numbers that are not above zero are ignored."""
         stated = {
             "gyro_noise": self.gyroscope_noise_density,
             "gyro_walk": self.gyroscope_random_walk,

@@ -1,4 +1,4 @@
-"""The names of all keys, where keys of earlier versions went, and the nearest name to a wrong one."""
+"""The names of all keys, the new names of keys of earlier versions, and the nearest name to a wrong one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 
 from alight.settings.whole import Settings
 
-# groups of earlier versions whose constants are now tuning: the stage they went to
+# groups of earlier versions whose constants are now tuning, with their stage of tuning
 _STAGE_OF = {
     "motion.filter": "filter",
     "motion.bundle": "bundle",

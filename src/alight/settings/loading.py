@@ -15,7 +15,7 @@ Tree = dict[str, Any]
 
 
 def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
-    """Make settings of YAML text and `key=value` assignments, the latter winning.
+    """Make settings from YAML text and `key=value` assignments; the latter win.
 
     Raises:
         ValueError: the text is no YAML, a key is unknown or moved, or a value is out of range; the message names the
@@ -33,7 +33,7 @@ def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
 
 
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
-    """The settings in a run.json, also of another version: moved keys are moved, unknown ones left out.
+    """Read the settings of a run.json, also of another version: moved keys are renamed, unknown ones left out.
 
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
@@ -87,7 +87,7 @@ def _explain(error: ValidationError) -> str:
         if e["type"] != "extra_forbidden":
             lines.append(f"{key}: {e['msg']} (got {e['input']!r})")
         elif isinstance(e["input"], dict) and any(moved_to(f"{key}.{name}") for name in e["input"]):
-            lines += [_refusal(f"{key}.{name}") for name in e["input"]]  # a group that is no longer there
+            lines += [_refusal(f"{key}.{name}") for name in e["input"]]  # a group that does not exist any more
         else:
             lines.append(_refusal(key))
     return "; ".join(lines) + "; 'alight settings' lists every key"

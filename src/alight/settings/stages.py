@@ -1,4 +1,4 @@
-"""What each stage works with: the keys of a user and the tuned constants in one record."""
+"""Settings of each stage: the keys of a user and the tuned constants in one record."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TracksSettings(TracksTuning):
 
 
 class FilterSettings(FilterTuning, FilterKeys):
-    """The filter and its smoother; the noise of the IMU is known here."""
+    """The filter and its smoother, with the noise of the IMU."""
 
     gyro_noise: Positive = Field(5e-4, description="rad/s per sqrt(Hz)")
     gyro_walk: Positive = Field(3e-5, description="rad/s^2 per sqrt(Hz)")
@@ -53,7 +53,7 @@ class BundleSettings(BundleTuning, BundleKeys):
 
 
 class MotionSettings(MotionKeys):
-    """How the poses are found."""
+    """Estimation of the poses."""
 
     filter: FilterSettings = FilterSettings()
     bundle: BundleSettings = BundleSettings()

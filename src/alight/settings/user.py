@@ -1,4 +1,4 @@
-"""What a user sets: few keys, each with a description and its unit; none is needed to run."""
+"""Keys of a user: few, each with a description and its unit; none is needed to run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from alight.settings.base import (
 
 
 class SourcesKeys(FrozenModel):
-    """How the recording is read."""
+    """Reading of the recording."""
 
     calibration: str | None = Field(
         None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
@@ -59,7 +59,7 @@ class BundleKeys(FrozenModel):
 
 
 class MotionKeys(FrozenModel):
-    """How the poses of the cameras are found."""
+    """Estimation of the poses of the cameras."""
 
     method: Literal["auto", "filter", "bundle"] = Field(
         "auto",
@@ -78,12 +78,12 @@ class MotionKeys(FrozenModel):
 
 
 def _batch_for_auto(method: Any) -> Any:
-    """`auto` of earlier versions means `batch`."""
+    """Replace `auto` of earlier versions by `batch`."""
     return "batch" if method == "auto" else method
 
 
 class ParallaxKeys(FrozenModel):
-    """How heights are measured."""
+    """Measurement of heights."""
 
     method: Annotated[Literal["batch", "ring"], BeforeValidator(_batch_for_auto)] = Field(
         "batch",
@@ -128,7 +128,7 @@ class ElevationKeys(FrozenModel):
 
 
 class TerrainKeys(FrozenModel):
-    """What covers the ground."""
+    """Land cover."""
 
     enabled: bool = Field(True, description="Classify the ground and refuse water, plants, trees and structures")
     model: str | None = Field(
@@ -201,12 +201,12 @@ class Lander(FrozenModel):
 
     @property
     def tallest_obstacle(self) -> float:
-        """Height of an obstacle that the lander just stands, metres: the limit of roughness, or of a belly on gear."""
+        """Largest height of an obstacle under the lander, metres: the limit of roughness, or of a belly on gear."""
         return self.belly_clearance if self.has_gear and self.belly_clearance is not None else self.max_roughness
 
     @property
     def judging_cell(self) -> float:
-        """Largest cell on which the ground is judged for it, metres: finer cells cost and decide nothing."""
+        """Largest cell on which the ground is judged for it, metres: finer cells cost time and change no verdict."""
         return 0.7 * self.tallest_obstacle
 
     @model_validator(mode="after")
@@ -221,7 +221,7 @@ class Lander(FrozenModel):
 
 
 class HazardsKeys(FrozenModel):
-    """How strictly the ground is judged."""
+    """Strictness of the hazard judgement."""
 
     p_safe: Fraction = Field(0.95, description="Least probability of a safe touchdown at a site")
     alpha: NonNegative = Field(1.0, description="Weight of flatness in the quality Q of a site (paper, eq. 5)")
@@ -232,7 +232,7 @@ class HazardsKeys(FrozenModel):
 
 
 class SitesKeys(FrozenModel):
-    """Which sites are listed."""
+    """Listing of sites."""
 
     count: int = Field(8, ge=1, le=10_000, description="Most sites listed")
     margin: NonNegative = Field(0.5, description="Least distance between the footprint and the nearest hazard, m")
@@ -267,7 +267,7 @@ class RouteKeys(FrozenModel):
 
 
 class ExecutiveKeys(FrozenModel):
-    """How a landing is flown: search, look, look closer, land or go around."""
+    """Flight of a landing: search, look, look closer, land or go around."""
 
     search_height: Positive = Field(30.0, description="Height above the ground at which a place is searched, m")
     search_speed: Positive = Field(7.0, description="Speed over the ground while a place is searched, m/s")

@@ -1,4 +1,4 @@
-"""All settings: what a user sets, and the tuned constants."""
+"""All settings: the keys of a user, and the tuned constants."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Settings(FrozenModel):
     tuning: Tuning = Field(Tuning(), description="Tuned constants by stage; not meant to be changed")
 
     def stages(self, imu: ImuNoise | None = None) -> StageSettings:
-        """What each stage works with.
+        """Return the settings of every stage.
 
         Args:
             imu: noise that the recording states for its IMU; constants that are set here win over it.
@@ -101,5 +101,5 @@ def _filter_settings(keys: FilterKeys, tuning: FilterTuning, imu: ImuNoise) -> F
 
 
 def _joined(kind: type[Stage], *parts: FrozenModel) -> Stage:
-    """One record of parts that are valid already."""
+    """Join parts that are valid already into one record."""
     return cast(Stage, kind.model_construct(**{key: value for part in parts for key, value in part}))

@@ -9,19 +9,19 @@ from contextlib import suppress
 
 from alight.records import Event
 
-_ASK = 0.2  # s between two looks whether the events are still wanted, where there is no room for one
+_ASK = 0.2  # s between two tests whether the events are still wanted, while the queue is full
 
 
 def as_they_arrive(last: Iterator[Event], *others: Iterator[Event], most: int = 0) -> Iterator[Event]:
-    """Yield the events of all sources; the end of one of them ends it.
+    """Yield the events of all sources, until `last` ends.
 
     Args:
-        last: the source whose end ends it.
-        others: may end before.
+        last: the source whose end ends the iteration.
+        others: sources that may end before.
         most: events that are read ahead; 0: any number.
 
     Raises:
-        Exception: what reading a source has failed with.
+        Exception: the one that a source raised while it was read.
     """
     arrived: queue.Queue[Event | BaseException | None] = queue.Queue(most)
     over = threading.Event()

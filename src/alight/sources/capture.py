@@ -1,4 +1,4 @@
-"""Cameras as they film: one, or several matched by stamp, through OpenCV (V4L2, RTSP, GStreamer where it has them)."""
+"""Live cameras: one, or several matched by stamp, through OpenCV (V4L2, RTSP, GStreamer where it has them)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class StampedImage:
 
 
 class SensorClock:
-    """Puts a camera's own time on the clock of this machine: the smallest delay seen is the delay.
+    """Converts a camera's own time to the clock of this machine, by the smallest delay so far.
 
-    A driver's stamps have no zero of their own, but they are even; arrivals have the zero, but are late by what the
-    system makes of them. The stamp of a frame is its own time plus the smallest difference of both so far.
+    A driver's stamps have an unknown zero, but are regular. Arrivals are on this machine's clock, but have a varying
+    delay. The stamp of a frame is its own time plus the smallest difference of both so far.
     """
 
     def __init__(self) -> None:
@@ -45,8 +45,8 @@ class SensorClock:
         self._last = 0.0
 
     def stamp(self, own: float, arrival: float) -> int:
-        """Ns of this machine's clock, of an image with its own time in s that arrived at a time in s."""
-        if own <= 0 or (self._offset is not None and own < self._last):  # the driver gives none, or began again
+        """Return an image's time on this machine's clock, ns, from its own time and its arrival, both in s."""
+        if own <= 0 or (self._offset is not None and own < self._last):  # the driver gives no time, or began again
             self._offset, self._last = None, own
             return round(arrival * 1e9)
         offset = arrival - own
@@ -91,7 +91,7 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
     """Open a camera by its name: `camera:0`, `camera:/dev/video2`, `rtsp://...`, `gst:PIPELINE`, `video:FILE`.
 
     Raises:
-        InputError: it cannot be opened, or gives pictures of another size.
+        InputError: it cannot be opened, or its pictures have another size.
     """
     kind, _, rest = name.partition(":")
     if kind == DEVICE:
@@ -116,7 +116,7 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
 
 
 class Cameras(CalibratedFolder):
-    """Cameras as they film, with the calibration of a folder in the layout of a flight log.
+    """Live cameras, with the calibration of a folder in the layout of a flight log.
 
     Args:
         names: one a camera of the rig, in its order.
@@ -177,8 +177,8 @@ class Cameras(CalibratedFolder):
 
 
 class ExposureMatcher:
-    """Puts the images of several cameras together by their stamps; an image without partner goes alone if it is the
-    first camera's, and not at all otherwise."""
+    """Groups the images of several cameras by their stamps; an image without partner is an exposure of its own if it
+    is the first camera's, and is dropped otherwise."""
 
     def __init__(self, cameras: int) -> None:
         self._images: list[list[StampedImage]] = [[] for _ in range(cameras)]
@@ -186,7 +186,7 @@ class ExposureMatcher:
         self._last = 0
 
     def take(self, camera: int, image: StampedImage) -> list[Frame]:
-        """Take an image; the exposures that are complete with it."""
+        """Take an image; return the exposures that it completes."""
         self._images[camera].append(image)
         if camera == 0:
             step = 1e-9 * (image.t_ns - self._last)

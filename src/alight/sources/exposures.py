@@ -1,4 +1,4 @@
-"""Which images of a rig were exposed together."""
+"""Grouping of a rig's images that were exposed together."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class Exposure:
 
 
 def group_exposures(streams: Sequence[Sequence[tuple[int, str]]]) -> tuple[list[Exposure], int]:
-    """Put together what the cameras saw at one time: exact times first, then the nearest within half a frame period.
+    """Group the images of one time: equal times first, then the nearest within half a frame period.
 
     Args:
         streams: for each camera its (time ns, file name), in order of time.
 
     Returns:
-        Exposures in order of time, those that only one camera saw included, and the largest difference in ns
+        Exposures in order of time, exposures of one camera alone included, and the largest difference in ns
         between images that were paired although their times differ.
     """
     found: dict[int, list[str | None]] = {t: [name] + [None] * (len(streams) - 1) for t, name in streams[0]}

@@ -41,10 +41,10 @@ NO_NAV = "nav0 is missing: there is no GPS/INS, so heights and places are relati
 
 
 class CalibratedFolder(RecordedSource):
-    """What a folder in the layout of a flight log says of the aircraft: cameras, IMU, the origin of the world.
+    """Calibration in a folder in the layout of a flight log: cameras, IMU, the origin of the world.
 
     Raises:
-        InputError: no cam0, or a calibration that is none.
+        InputError: no cam0, or an invalid calibration.
     """
 
     kind: Literal["flight"] = "flight"
@@ -61,13 +61,13 @@ class CalibratedFolder(RecordedSource):
         self.rig = self._read_rig(settings, self._body_from_imu)
 
     def locate(self, local: LocalFrame) -> None:
-        """Take over where the world lies, from GPS/INS that comes from elsewhere."""
+        """Set the world's origin from GPS/INS of another source."""
         self.local, self.georeferenced = local, True
         self.notes["nav"] = True
 
     @property
     def warnings(self) -> list[str]:
-        """What could not be read and why."""
+        """Items that could not be read, with the reasons."""
         return [*(() if self.georeferenced else [NO_NAV]), *self._findings.warnings]
 
     def _note(self, nav: bool, imu: bool) -> None:
@@ -122,7 +122,7 @@ class FlightLog(CalibratedFolder):
     """One flight on disk.
 
     Raises:
-        InputError: no cam0, no image of it, or a calibration that is none.
+        InputError: no cam0, no image of it, or an invalid calibration.
     """
 
     def __init__(self, root: Path, settings: Settings) -> None:
@@ -163,7 +163,7 @@ class FlightLog(CalibratedFolder):
         return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
 
     def _check_origin(self, nav: Table) -> None:
-        """Refuse an origin that is not that of this flight."""
+        """Refuse an origin that is farther than `FARTHEST` from this flight."""
         place = nav.values[np.isfinite(nav.values[:, :3]).all(axis=1), :3]
         if not len(place):
             return
@@ -205,14 +205,14 @@ class FlightLog(CalibratedFolder):
         return exposures
 
     def _meeting(self, table: Table | None, name: str, stamps: I64) -> Table | None:
-        """A stream, unless it shares no moment with the images; then that is said, and by how much."""
+        """Return a stream, or None, with a warning, if it does not overlap with the images in time."""
         if table is None or not (gap := apart(table.t_ns, stamps)):
             return table
         self._findings.say(said_apart(name, gap, "the images"))
         return None
 
     def _images(self, cam: str) -> list[tuple[int, str]]:
-        """The images of a camera that exist; rows without image at the ends are an excerpt's, and no loss."""
+        """The images of a camera that exist; rows without image at the ends mean an excerpt, not a loss."""
         table, group = self._root / cam / "data.csv", f"{cam} images"
         if not table.is_file():
             raise InputError(f"{table}: missing, or no plain file; write lines of 'timestamp [ns],filename'")
@@ -229,7 +229,7 @@ class FlightLog(CalibratedFolder):
         return [row for row, here in zip(rows, there, strict=True) if here]
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:
-        """Refuse a calibration that is for other images; the first readable one tells."""
+        """Refuse a calibration for images of another size; the first readable image is compared."""
         for _, name in stream:
             try:
                 real = image_size(self._root / cam / "data" / name)

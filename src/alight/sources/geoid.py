@@ -36,7 +36,7 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
         corners = read.astype(np.float64).filled(np.nan) * geoid.scales[0] + geoid.offsets[0]
     v, u = row - top, col - left
     weights = np.outer([1.0 - v, v], [1.0 - u, u])
-    counts = weights > 0.0  # a hole that the place does not lie in does no harm
+    counts = weights > 0.0  # an unknown cell of weight 0 does no harm
     height = float(np.sum(corners[counts] * weights[counts]))
     if not abs(height) <= FARTHEST_FROM_SEA:
         raise InputError(f"--geoid {grid}: holds no geoid's height at {latitude:g}, {longitude:g} ({height:g} m)")

@@ -16,7 +16,7 @@ from alight.sources.images import read_image
 from alight.sources.streams import IMU_COLUMNS, NAV_COLUMNS, Table, imu_samples, nav_samples, usable_imu, usable_nav
 from alight.sources.tables import Row, named, numbers_of, rows_of
 
-POLL = 0.01  # s between two looks
+POLL = 0.01  # s between two reads of the folder
 PARTNER = 0.15  # s that an image waits for that of another camera
 WRITTEN = 1.0  # s that an image may take from its row until it is whole
 
@@ -43,14 +43,14 @@ class GrowingTable:
 
 
 class GrowingLog(CalibratedFolder):
-    """A folder in the layout of a flight log that something else fills.
+    """A folder in the layout of a flight log that another program fills.
 
     Args:
-        root: has the calibration from the start: `cam0/sensor.yaml`, and others that there are.
-        idle: s without anything new after which it is over.
+        root: has the calibration from the start: `cam0/sensor.yaml`, and those of other sensors.
+        idle: s without new rows or pictures, after which it is complete.
 
     Raises:
-        InputError: the calibration is missing, or is none.
+        InputError: the calibration is missing or invalid.
     """
 
     def __init__(self, root: Path, settings: Settings, idle: float) -> None:
@@ -63,7 +63,7 @@ class GrowingLog(CalibratedFolder):
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-        """Yield what appears, in the order of its appearance; what appears at once, in order of time."""
+        """Yield events in the order in which they appear; those that appear together, in order of time."""
         last = time.monotonic()
         while not stopped():
             found = [*self._new_rows(), *self._new_exposures()]
@@ -108,7 +108,7 @@ class GrowingLog(CalibratedFolder):
         for t_ns in sorted(self._waiting):
             names = self._waiting[t_ns]
             if None in names and now - self._since[t_ns] < PARTNER:
-                return  # in order: what comes later waits as well
+                return  # in order: later exposures wait as well
             images = self._images(names, now - self._since[t_ns] > WRITTEN)
             if images is None:
                 return

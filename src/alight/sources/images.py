@@ -18,9 +18,9 @@ UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.De
 
 
 def open_image(path: Path) -> Image.Image:
-    """Open an image without decoding it; pillow's own warnings are silenced, what it cannot read raises.
+    """Open an image without decoding it; pillow's own warnings are silenced, but its errors are raised.
 
-    A pipe would be waited for, and a device has no end.
+    Pipes and devices are refused: they may block, or have no end.
 
     Raises:
         One of `UNREADABLE`.
@@ -43,7 +43,7 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def stored_size(image: Image.Image) -> tuple[int, int]:
-    """(width, height) as the pixels lie in the file: pillow turns a TIFF by its EXIF orientation, and nothing else."""
+    """(width, height) as stored in the file: pillow turns only TIFF images by their EXIF orientation."""
     if isinstance(image, TiffImageFile):
         return int(image.tag_v2[IMAGEWIDTH]), int(image.tag_v2[IMAGELENGTH])
     return image.size
@@ -54,7 +54,7 @@ def _is_turned(image: Image.Image) -> bool:
 
 
 def _not_turned(tiff: bytes) -> bytes:
-    """The same file with an EXIF orientation of 1: pillow scrambles some that it turns.
+    """Return the file with an EXIF orientation of 1: pillow scrambles some images that it turns.
 
     Raises:
         ValueError: it is a BigTIFF.
@@ -83,7 +83,7 @@ _END = 0xD9
 
 
 def has_end(jpeg: bytes) -> bool:
-    """Tell whether a JPEG has its end marker: a file system that fills a cut with zeros fools every decoder."""
+    """Whether a JPEG has its end marker: no decoder notices a file system that fills a cut with zeros."""
     at = 2
     while marker := _MARKER.search(jpeg, at):
         at = marker.end()
@@ -97,7 +97,7 @@ def has_end(jpeg: bytes) -> bool:
 def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Decode a whole image as it is stored, (H, W) when the file is grey, else (H, W, 3) RGB.
 
-    OpenCV decodes a truncated JPEG without a word and leaves its lower part grey: hence pillow, which refuses it.
+    OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses it.
 
     Raises:
         ValueError: cut off, damaged, or not of the (width, height) that the calibration is for.

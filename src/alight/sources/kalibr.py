@@ -13,7 +13,7 @@ HINT = "write four rows of four numbers, as Kalibr does"
 
 
 def read_camchain(path: Path, rig: Rig, body_from_imu: Pose) -> Rig:
-    """Replace a rig's lenses, and as far as the file knows them its mountings.
+    """Replace a rig's lenses, and the mountings that the file holds.
 
     `T_cam_imu` gives the mounting in the body (through `body_from_imu`). Without it camera 0 keeps the mounting it had
     and `T_cn_cnm1` places each next camera behind the one before.

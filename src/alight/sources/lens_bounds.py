@@ -1,4 +1,4 @@
-"""What no lens of a camera is: numbers that only a slip of the pen or a damaged tag gives."""
+"""Limits of a lens's parameters: beyond them lie only typing errors and damaged tags."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LARGEST_COEFFICIENT = 1e4
 
 
 def why_no_lens(camera: Camera) -> str | None:
-    """Why a lens cannot be meant; None: it may be."""
+    """Reason why a lens is impossible; None: it is possible."""
     wide = max(camera.width, camera.height)
     for f in (camera.fu, camera.fv):
         if not FOCAL[0] * wide <= f <= FOCAL[1] * wide:

@@ -1,4 +1,4 @@
-"""Distortions that makers write and our camera models have not, fitted by those they have."""
+"""Makers' distortion models that our cameras do not have, fitted by those that they have."""
 
 from __future__ import annotations
 

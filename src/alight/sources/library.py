@@ -24,7 +24,7 @@ from alight.training.patches import LabelledPatch
 
 DEFAULT_MODEL = table_path("appearance")
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
-SAMPLING = 0.05  # metres a pixel, where nothing says otherwise
+SAMPLING = 0.05  # metres a pixel, where no other value is given
 TILE = 4.8  # metres: larger pictures are cut into tiles of this side
 LARGEST, LARGEST_INDEX = 64_000_000, 100_000_000  # bytes of a model, of index.csv
 LONGEST_PROVENANCE = 20_000  # characters
@@ -43,7 +43,7 @@ CODES = {name: kind for kind, known in KINDS.items() for name in known.split()}
 
 
 def kind_of(folder: str) -> Terrain | None:
-    """The class that a folder's name says: `water`, `5_water` or `5`; None when it says none."""
+    """The class in a folder's name: `water`, `5_water` or `5`; None if it names none."""
     name = folder.lower().replace("-", "_").replace(" ", "_")
     number, _, rest = name.partition("_")
     if number.isdigit():
@@ -110,11 +110,11 @@ def _pictures(folder: Path) -> list[Path]:
 def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
     """Patches of a folder that has one folder a class.
 
-    A picture's site is what index.csv says, else the folder between it and its class's folder, else one for all.
+    A picture's site is that of index.csv, else the folder between it and its class's folder, else one site for all.
 
     Args:
         folder: `bare/`, `water/`, ... or with their codes, `5_water/`; index.csv (file, site, gsd_m) is optional.
-        usual: metres a pixel where index.csv does not say.
+        usual: metres a pixel where index.csv gives none.
 
     Raises:
         InputError: no folder is named for a class, one has no pictures, or a picture cannot be read.
@@ -181,7 +181,7 @@ def model_bytes(model: Model) -> bytes:
 
 
 def read_model(path: Path | None = None) -> Model:
-    """A model from its file; without a name the one that comes with the package.
+    """Read a model from its file; without a name, the model of the package.
 
     Raises:
         InputError: it is missing, is no model, or was trained for other features.
@@ -210,7 +210,7 @@ def _model_of(path: Path) -> Model:
 
 
 def _classes(codes: NDArray[Any]) -> U8:
-    """The classes of a model, refused as a ValueError where they are no codes of land cover."""
+    """The classes of a model; a ValueError where they are no codes of land cover."""
     if codes.ndim != 1 or codes.dtype.kind not in "ui" or not 1 < codes.size == np.unique(codes).size:
         raise ValueError("its classes are no list of different codes")
     if codes.min() < 1 or codes.max() > max(Terrain):
@@ -233,7 +233,7 @@ def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | Non
 
 
 def _check(head: Head, classes: int, features: int) -> None:
-    """Refuse a head of other shapes, or with numbers that are not finite, as a ValueError."""
+    """Raise a ValueError for a head of other shapes, or with numbers that are not finite."""
     wanted = {
         "mean": (features,), "spread": (features,), "weights": (classes, features), "bias": (classes,),
         "centres": (classes, features), "metric": (features, features), "reach": (), "temperature": (),

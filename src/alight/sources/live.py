@@ -1,4 +1,4 @@
-"""What a live run can fly from: the one place that takes the name of such a source."""
+"""Sources of a live run: the only module that takes the name of such a source."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from alight.sources.opening import open_source
 from alight.sources.paced import paced
 from alight.sources.source import Source
 
-IDLE = 10.0  # s without anything new, after which a folder is taken to be complete
+IDLE = 10.0  # s without new rows or pictures, after which a folder counts as complete
 PATIENCE = 30.0  # s that a folder may take to get its calibration
 
 
 @dataclass(frozen=True)
 class LiveSource:
-    """A source, its events as they come, and whether they come from sensors as they happen."""
+    """A source, its events as they come, and whether they come from sensors in real time."""
 
     source: Source
     events: Iterator[Event]
@@ -29,7 +29,7 @@ class LiveSource:
 
 
 def never() -> bool:
-    """Never stopped."""
+    """Return False: never stopped."""
     return False
 
 
@@ -41,17 +41,17 @@ def open_live(
     rig: Path | None = None,
     stopped: Callable[[], bool] = never,
 ) -> LiveSource:
-    """Open what a live run flies from.
+    """Open the source of a live run.
 
     Args:
         name: a flight log or a recording, a folder that is being filled, or cameras with commas between them.
-        speed: of a recording: 2 is twice as fast as it was.
+        speed: of a recording: 2 is twice as fast as the flight.
         follow: the folder is being filled.
         rig: folder with the calibration of cameras.
-        stopped: asked now and then; True ends the events.
+        stopped: called now and then; True ends the events.
 
     Raises:
-        InputError: it is none, or cannot be used; the message says what was looked for.
+        InputError: it is no source, or cannot be used; the message names what was looked for.
     """
     if name.startswith(PREFIXES):
         if rig is None:

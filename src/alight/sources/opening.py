@@ -1,4 +1,4 @@
-"""The one place that takes the name of an input and decides what it is."""
+"""The only module that takes the name of an input and decides its kind."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def open_source(path: str | Path, settings: Settings | None = None) -> Source:
     """Open a flight log, a recording of a live run, or a folder of photos.
 
     Raises:
-        InputError: it is neither, or cannot be used; the message says what was looked for.
+        InputError: it is none of them, or cannot be used; the message names what was looked for.
     """
     path = Path(path)
     try:

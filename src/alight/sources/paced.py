@@ -1,4 +1,4 @@
-"""A recording at its own speed: each event comes when it came in flight."""
+"""A recording at its own speed: each event comes at its time in flight."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ AHEAD = 64  # events that are read, and their pictures decoded, before they are 
 
 
 def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-    """Yield events by their stamps; what comes late is not waited for.
+    """Yield events at the times of their stamps; an event whose time has passed comes at once.
 
     Args:
-        speed: 2 is twice as fast as it was.
-        stopped: asked before each event; True ends it.
+        speed: 2 is twice as fast as the flight.
+        stopped: called before each event; True ends the iteration.
     """
     begin, first = time.perf_counter(), None
     for event in as_they_arrive(events, most=AHEAD):

@@ -26,15 +26,15 @@ Base = ExifTags.Base
 
 LONGEST_READOUT = 0.5  # s
 SQUARE = 0.003  # largest relative difference of fx and fy that a real sensor has
-TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a slip, not a lens
+TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a maker's error, not a lens
 GUESSED = "a guess: no focal length in the tags"
-GUESS = 0.85  # focal length over the longer side, where no tag tells it; most cameras have 0.65 to 1.05
+GUESS = 0.85  # focal length over the longer side, where no tag gives it; most cameras have 0.65 to 1.05
 _SKYDIO_FOCAL = "FocalLengthX", "FocalLengthY"
 _SKYDIO_CENTRE = "OpticalCenterX", "OpticalCenterY"
 
 
 def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
-    """The camera of a photo and where its numbers came from.
+    """Return the camera of a photo, and notes on the source of its numbers.
 
     Raises:
         InputError: the photo carries no focal length in any form.
@@ -63,7 +63,7 @@ def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
 
 
 def photo_readout(tags: PhotoTags) -> float | None:
-    """Seconds from the exposure of the first row to that of the last, where the maker tells it (`LineReadoutTime`)."""
+    """Seconds from the exposure of the first row to that of the last, by `LineReadoutTime`; None without that tag."""
     line = tags.xmp_number("camera:LineReadoutTime")  # nanoseconds a row of the sensor
     if line is None:
         return None
@@ -77,9 +77,9 @@ def dewarp_text(tags: PhotoTags) -> str:
 
 
 def _dewarp_numbers(tags: PhotoTags) -> list[float] | None:
-    """`date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre.
+    """Numbers of `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre.
 
-    `DewarpDataK6` of the Matrice 4 goes on with `k4,k5,k6`, by which the radial term is divided.
+    `DewarpDataK6` of the Matrice 4 adds `k4,k5,k6`, the denominator of the radial term.
     """
     numbers = comma_numbers(dewarp_text(tags).rpartition(";")[2])
     if len(numbers) == 12 and min(numbers[:2]) > 0:
@@ -91,7 +91,7 @@ def _dewarp_numbers(tags: PhotoTags) -> list[float] | None:
 
 
 def _nominal(tags: PhotoTags) -> float | None:
-    """The focal length of the lens's design, in pixels of the factory calibration."""
+    """Nominal focal length of the lens, in pixels of the factory calibration; None without a tag for it."""
     if nominal := tags.xmp_number("dji:CalibratedFocalLength"):
         return nominal
     film = _film_focal(tags)
@@ -99,10 +99,10 @@ def _nominal(tags: PhotoTags) -> float | None:
 
 
 def _one_focal(fx: float, fy: float, nominal: float | None) -> tuple[float, str]:
-    """One focal length of two that a calibration of square pixels should have found equal, and what to say of it.
+    """One focal length from the two of a calibration, which are equal for square pixels, and a note; empty: none.
 
-    Of two that differ by more than a sensor can, the one nearer to the lens's design: a calibration that went astray
-    in one direction did not do so towards the design. Height scales with the choice. On an FC6360 (fx 1973.1,
+    If they differ by more than those of a sensor can, the one nearer to the lens's design is chosen: a calibration that
+    is wrong in one direction is not wrong towards the design. Height scales with the choice. On an FC6360 (fx 1973.1,
     fy 1955.7, design 1913.3), against an independent self-calibration and up to a rotation: fy 0.96 px RMS over the
     image, their mean 2.8, fx 5.5; with the tangential terms as written, 4.8.
     """
@@ -138,7 +138,7 @@ def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
 
 
 def _from_skydio(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    """Pixels, the centre counted from the centre of the first pixel, and k1, k2, k3."""
+    """Camera by Skydio's tags: pixels, the centre counted from the centre of the first pixel, and k1, k2, k3."""
     fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in (*_SKYDIO_FOCAL, *_SKYDIO_CENTRE))
     if fx is None or fy is None or min(fx, fy) <= 0:
         return None

@@ -9,8 +9,8 @@ from alight.sources.lens_fits import fisheye_lens
 from alight.sources.photo_scale import Notes, camera_of, comma_numbers, photo_scale, pixels_a_millimetre
 from alight.sources.photo_tags import PhotoTags
 
-LONGEST_FOCAL = 100.0  # mm; without unit and sensor, what is longer is pixels
-SKEW = 0.01  # largest part of a fisheye's affine matrix that is taken for none
+LONGEST_FOCAL = 100.0  # mm; without unit and sensor, a larger number is in pixels
+SKEW = 0.01  # largest relative skew of a fisheye's affine matrix that is neglected
 
 
 def perspective_camera(tags: PhotoTags) -> tuple[Camera, Notes] | None:
@@ -25,7 +25,7 @@ def perspective_camera(tags: PhotoTags) -> tuple[Camera, Notes] | None:
 
 
 def _factory_focal(tags: PhotoTags) -> float | None:
-    """Pixels, from pixels or millimetres: without the unit's name, the size of the number tells."""
+    """Focal length in pixels, from pixels or millimetres; without a unit, the size of the number decides."""
     focal, pixels = tags.xmp_number("camera:PerspectiveFocalLength"), pixels_a_millimetre(tags)
     unit = tags.xmp.get("camera:PerspectiveFocalLengthUnits", "").lower()
     if not focal:
@@ -44,7 +44,7 @@ def _factory_offset(tags: PhotoTags) -> tuple[float, float]:
 
 
 def fisheye_camera(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    """The fisheye model, as the bands of a Parrot Sequoia have it, by the equidistant one; None without it."""
+    """The fisheye model (as of the bands of a Parrot Sequoia), fitted by the equidistant model; None without it."""
     affine, polynomial = (comma_numbers(tags.xmp.get(f"camera:Fisheye{k}", "")) for k in ("AffineMatrix", "Polynomial"))
     if tags.xmp.get("camera:ModelType", "").lower() != "fisheye" or len(affine) != 4 or len(polynomial) < 3:
         return None

@@ -1,4 +1,4 @@
-"""Pictures of photos: read when they are asked for, and the last ones kept, so that memory does not grow with a set."""
+"""Pictures of photos: read on demand, and the last ones kept, so that memory does not grow with a set."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from alight.sources.images import read_image
 
 
 class PictureMemory:
-    """The pictures that were asked for last.
+    """Cache of the pictures that were used last.
 
     Args:
-        most_bytes: of memory that they take; the newest one is kept however large.
+        most_bytes: limit of its memory; the newest picture is kept however large.
     """
 
     def __init__(self, most_bytes: float) -> None:
@@ -53,7 +53,7 @@ class PictureMemory:
 
 
 class PhotoPixels:
-    """The picture of one photo, which has been read whole once."""
+    """The picture of one photo, read on demand; it has been read as a whole before."""
 
     nbytes = 0
 

@@ -1,4 +1,4 @@
-"""Where a photo was taken from and where it looked, as GPS/INS measurements."""
+"""Position and attitude of a photo from its tags, as GPS/INS measurements."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.
 CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
 
 RTK_FIXED, RTK_FLOAT, SINGLE = 50, range(32, 50), 16  # DJI's kinds of fix
-SIGMA_FLOOR = {"RTK fixed": 0.01, "RTK float": 0.5}  # m, of what a receiver says of itself
+SIGMA_FLOOR = {"RTK fixed": 0.01, "RTK float": 0.5}  # m, lower limit of a receiver's own sigma
 SKYDIO_ACCURACY = "skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"
-ACCURACY_FLOOR = np.array([0.02, 0.02, 0.03])  # m, of what other makers say
+ACCURACY_FLOOR = np.array([0.02, 0.02, 0.03])  # m, lower limit of other makers' accuracies
 GIMBALS = (
     "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
     "yuneec:Gimbal{}", "Camera{}",  # the last one of Yuneec's CGO3+
@@ -32,10 +32,10 @@ GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
 
 
 def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
-    """`world_from_body` (3, 3) of the gimbal, and which tags it came from ("" without any).
+    """`world_from_body` (3, 3) of the gimbal, and the kind of tags that it came from ("" without any).
 
-    None where the EXIF orientation turns the picture: nobody says whether the angles are of the turned one or of the
-    pixels as they are stored.
+    None where the EXIF orientation turns the picture: it is not documented whether the angles belong to the turned
+    picture or to the pixels as they are stored.
 
     Makers' own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
     Pitch, Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others): zero is a camera that looks down with the
@@ -68,7 +68,7 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """1-sigma of east, north, up in metres: what the receiver says, else that of a consumer receiver."""
+    """1-sigma (3,) of east, north, up in metres: the receiver's, else that of a consumer receiver."""
     said = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
     floor = SIGMA_FLOOR.get(rtk_fix(tags))
     if floor is not None and all(s is not None and s > 0 for s in said):
@@ -83,7 +83,7 @@ def position_sigma(tags: PhotoTags) -> F64:
 
 
 def rtk_fix(tags: PhotoTags) -> str:
-    """The kind of fix by DJI's flag; empty where the photo does not say."""
+    """The kind of fix by DJI's flag; empty without it."""
     flag = tags.xmp_number("dji:RtkFlag")
     if flag is None:
         return ""
@@ -93,9 +93,9 @@ def rtk_fix(tags: PhotoTags) -> str:
 
 
 def with_supposed_altitudes(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], str]:
-    """Altitudes for a set in which no photo says one, and what they are; empty: nothing had to be supposed.
+    """Assume altitudes for a set in which no photo has one; return their kind as well, empty if none was assumed.
 
-    The altitude above take-off, where all photos have it, else one altitude for all.
+    They are altitudes above take-off, where all photos have them, else one altitude for all.
     """
     placed = [p for p in photos if p.place is not None]
     if not placed or any(p.position is not None for p in placed):
@@ -110,7 +110,7 @@ def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
     """The world's origin: the median place, at the height of take-off.
 
     The height of take-off is the first photo's absolute less its relative altitude; without one, 50 m below the
-    lowest photo. It only keeps the numbers small: nothing measures from it.
+    lowest photo. It only keeps the numbers small: no measurement depends on it.
     """
     places = np.array([p for t in photos if (p := t.position) is not None])
     latitude, longitude = np.round(np.median(places[:, :2], axis=0), 7)
@@ -121,7 +121,7 @@ def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
 
 
 def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
-    """One photo's place and attitude; what it does not say is None."""
+    """One photo's position and attitude; each is None where the tags do not give it."""
     place = tags.position
     world_from_body, source = photo_attitude(tags)
     sigma = FLIGHT_SIGMA if source == "flight" else GIMBAL_SIGMA

@@ -1,4 +1,4 @@
-"""Pixels of a photo by its tags: of a millimetre of the sensor, of a pixel of the factory calibration."""
+"""Scale of a photo by its tags: pixels a millimetre of the sensor, and pixels a pixel of the factory calibration."""
 
 from __future__ import annotations
 
@@ -27,14 +27,17 @@ def calibrated_width(tags: PhotoTags) -> float:
 def camera_of(
     tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = (), model: str = ""
 ) -> Camera:
-    """Makers count the image's centre from the corner, at (w/2, h/2); our (0, 0) is the centre of the first pixel."""
+    """Make a camera from a focal length and an offset of the principal point from the image's centre, pixels.
+
+    Makers put the image's centre at (w/2, h/2), counted from the corner; our (0, 0) is the centre of the first pixel.
+    """
     w, h = tags.size
     model = model or ("radial-tangential" if any(lens) else "none")
     return Camera(w, h, f, f, w / 2 + offset[0] - 0.5, h / 2 + offset[1] - 0.5, model, () if model == "none" else lens)
 
 
 def pixels_a_millimetre(tags: PhotoTags) -> float | None:
-    """Pixels of the photo a millimetre of the sensor, a digital zoom counted in."""
+    """Pixels of the photo a millimetre of the sensor, a digital zoom included; None without the tags."""
     resolution = tags.number(Base.FocalPlaneXResolution)
     unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
     return None if not resolution or unit is None else resolution / unit * photo_scale(tags)

@@ -1,4 +1,4 @@
-"""Which photos of a folder show the ground as the eye sees it: thermal pictures and further bands stand aside."""
+"""Selection of the photos of a folder that are used: thermal pictures and further bands are left out."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from alight.sources.photo_tags import PhotoTags
 
 THERMAL_SIZES = ((640, 512), (640, 480), (336, 256), (160, 120))  # of microbolometers, longer side first
 BANDS = ("green", "red")  # the first ones among as many photos of each: most like a grey picture, the sharpest lenses
-LEAST_OTHERS = 3  # other photos from which the size alone tells a thermal picture
+LEAST_OTHERS = 3  # other photos from which a thermal picture is recognised by its size alone
 
 
 def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
-    """Thermal pictures of a set that has others as well; empty where there is nothing else.
+    """Thermal pictures of a set that has others as well; empty where there are no others.
 
-    The tags or the file's name tell them. The size alone does so only beside enough others, since photos that were
-    made smaller may have it too.
+    They are recognised by the tags or the file's name. The size alone decides only beside enough others, since photos
+    that were made smaller may have it too.
     """
     told = [p for p in photos if _told_thermal(p)]
     rest = [p for p in photos if not _told_thermal(p)]
@@ -28,9 +28,10 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
 
 
 def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
-    """The band of a multispectral camera that stands for all; empty: the colour pictures; None: there are no bands.
+    """The band of a multispectral camera that is used alone; empty: the colour pictures; None: there are no bands.
 
-    Each band has a lens and a place of its own. Colour pictures count where they are about as many as those of a band.
+    Each band has a lens and a place of its own. Colour pictures are used if they are at least half as many as those of
+    a band.
     """
     counts = Counter(p.band for p in photos)
     colour = counts.pop("", 0)

@@ -1,4 +1,4 @@
-"""What a drone writes into its photos: EXIF (pillow) and XMP."""
+"""Tags of a drone's photos: EXIF (pillow) and XMP."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
 
 
 class PhotoCamera(NamedTuple):
-    """What makes two photos be of one camera."""
+    """Identity of a camera: photos with equal values are of one camera."""
 
     make: str
     model: str
@@ -31,7 +31,7 @@ class PhotoCamera(NamedTuple):
 
     @property
     def title(self) -> str:
-        """For a reader."""
+        """Name of the camera for a reader."""
         width, height = self.size
         focal = f", {self.focal:g} mm" if self.focal else ""
         band = f", {self.band}" if self.band else ""
@@ -40,14 +40,14 @@ class PhotoCamera(NamedTuple):
 
 @dataclass(frozen=True)
 class PhotoTags:
-    """The tags of one photo, as written: degrees, metres, nothing derived."""
+    """The tags of one photo, as written: degrees, metres, no derived values."""
 
     path: Path
     size: tuple[int, int]  # width, height of the file's pixels
     exif: Mapping[int, Any]  # main and photo directory, by tag number
     gps: Mapping[int, Any]
     xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
-    supposed_altitude: float | None = None  # metres, where the photo says none itself
+    supposed_altitude: float | None = None  # metres, where the photo itself has none
 
     def text(self, tag: int) -> str:
         """An EXIF text, padding removed; empty when absent."""
@@ -64,14 +64,14 @@ class PhotoTags:
 
     @property
     def camera(self) -> PhotoCamera:
-        """Of which camera the photo is."""
+        """The camera of the photo."""
         focal = self.number(Base.FocalLength)
         zoomed = None if focal is None else round(focal * self.digital_zoom, 2)
         return PhotoCamera(self.text(Base.Make), self.text(Base.Model), self.size, zoomed, self.band)
 
     @property
     def band(self) -> str:
-        """The one band of light that the picture is of; empty: colour, or not said.
+        """The spectral band of the picture; empty: colour, or not given.
 
         Pix4D's names. Cameras that write all bands of a colour picture (Red, Green, Blue) are no multispectral ones.
         """
@@ -80,16 +80,16 @@ class PhotoTags:
 
     @property
     def digital_zoom(self) -> float:
-        """By how much the photo shows less than the sensor; 1 where the tags do not say, or say what cannot be."""
+        """Factor of the digital zoom; 1 where the tags do not give it, or give an impossible one."""
         zoom = self.number(Base.DigitalZoomRatio)
         return zoom if zoom is not None and 1 < zoom <= MOST_ZOOM else 1.0
 
     @property
     def altitude_kind(self) -> str:
-        """What the altitude is counted from, as far as the photo says.
+        """Vertical datum of the altitude, as far as the photo gives it.
 
         EXIF 3 has values of its own for the ellipsoid; DJI names a fused or an RTK altitude; Parrot documents its
-        own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D's and Skydio's `VertCS` says it.
+        own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
         """
         if self._told_altitude() is None:
             return "not said"
@@ -108,13 +108,13 @@ class PhotoTags:
 
     @property
     def turned(self) -> int:
-        """EXIF orientation of a picture that is to be turned before it is looked at; 0: upright, or not said."""
+        """EXIF orientation (2 to 8) of a picture that must be turned for display; 0: upright, or not given."""
         orientation = int(self.number(Base.Orientation) or 0)
         return orientation if 2 <= orientation <= 8 else 0
 
     @property
     def time_ns(self) -> int | None:
-        """Capture time in ns since 1970, a time without zone taken as UTC: it only puts photos in order."""
+        """Capture time in ns since 1970, a time without zone taken as UTC: it only serves to sort photos."""
         for tag, part in ((Base.DateTimeOriginal, Base.SubsecTimeOriginal), (Base.DateTime, Base.SubsecTime)):
             try:
                 whole = datetime.strptime(self.text(tag), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
@@ -127,7 +127,7 @@ class PhotoTags:
 
     @property
     def position(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude (degrees), altitude (metres as the maker counts them); None without a fix."""
+        """Latitude, longitude (degrees), altitude (metres above the maker's datum); None without a fix."""
         place, altitude = self.place, self._told_altitude()
         altitude = self.supposed_altitude if altitude is None else altitude
         return None if place is None or altitude is None else (*place, altitude)
@@ -149,7 +149,7 @@ class PhotoTags:
 
     @property
     def relative_altitude(self) -> float | None:
-        """Metres above the place of take-off, as far as the photo says."""
+        """Metres above the place of take-off; None where the photo does not give them."""
         said = (
             self.xmp_number(k) for k in ("dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude")
         )
@@ -157,7 +157,7 @@ class PhotoTags:
 
     @property
     def half_said(self) -> bool:
-        """Whether EXIF has a place without the half of the globe: north and east are taken then."""
+        """Whether EXIF has a place without its hemisphere: north and east are assumed then."""
         references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
         return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
 
@@ -181,7 +181,7 @@ def finite(value: Any) -> float | None:
 
 
 def _angle(dms: Any, ref: Any, negative: str) -> float | None:
-    """Degrees; minutes and seconds may be undefined (0/0), as of a maker that writes decimal degrees."""
+    """Signed degrees from degrees, minutes, seconds; the latter two may be undefined (0/0) beside decimal degrees."""
     if not isinstance(dms, tuple) or len(dms) != 3:
         return None
     d, m, s = (finite(v) for v in dms)
@@ -192,7 +192,7 @@ def _angle(dms: Any, ref: Any, negative: str) -> float | None:
 
 def _exif(image: Image.Image) -> tuple[dict[int, Any], dict[int, Any]]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, which is what we want
+        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, as intended
         exif = image.getexif()
         return dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif)), dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
 
@@ -201,7 +201,7 @@ def read_tags(path: Path) -> tuple[PhotoTags, str]:
     """Read one photo's tags, not its pixels.
 
     Returns:
-        The tags, and what is wrong with them (empty when nothing is).
+        The tags, and their fault in words (empty: none).
 
     Raises:
         One of `images.UNREADABLE`.

@@ -1,4 +1,4 @@
-"""The XMP packet of a photo as names and values: what DJI, Parrot, Autel, Skydio, Yuneec and Pix4D's `Camera` write."""
+"""The XMP packet of a photo as names and values: tags of DJI, Parrot, Autel, Skydio, Yuneec and Pix4D's `Camera`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SPACES = {  # parts of XMP namespaces: DJI, Pix4D (also Autel, senseFly, Sentera
 }  # fmt: skip
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 ITEM = f"{RDF}li"
-FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # what holds values and names none
+FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # tags that enclose values and name none
 MOST_TEXT = 1_000_000  # characters of a damaged packet that are searched
 _META = re.compile(r"<(\w{1,40}):xmpmeta\b")
 _NAME = r"([\w-]{1,40}):(\w{1,80})"
@@ -32,7 +32,7 @@ def parse_xmp(packet: bytes | str) -> dict[str, str]:
         ValueError: the packet is no XML.
     """
     text = _text(packet)
-    if "<!" in text.replace("<!--", ""):  # a document type: nothing that a camera writes, and a known way to do harm
+    if "<!" in text.replace("<!--", ""):  # a document type: no camera writes one, and it is a known attack
         raise ValueError("its XMP has a document type")
     try:
         root = ET.fromstring(text.strip("\0\ufeff \r\n\t"))
@@ -56,7 +56,7 @@ def parse_xmp(packet: bytes | str) -> dict[str, str]:
 
 
 def salvage_xmp(packet: bytes | str) -> dict[str, str]:
-    """Values that can be picked out of a packet that is no XML, such as one with a prefix that nobody declared."""
+    """Extract values from a packet that is no valid XML, such as one with an undeclared prefix."""
     text = _text(packet)[:MOST_TEXT]
     spaces = dict(_DECLARED.findall(text))
 

@@ -37,7 +37,7 @@ from alight.sources.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
+GENERIC = ("images", "photos", "dcim", "jpg")  # folder names without information; the parent's is used instead
 DEEPEST = 3  # levels of sub-folders in which photos are looked for
 SECOND = 1_000_000_000
 HELD = 0.5  # of the memory for images, by pictures that were read
@@ -48,7 +48,7 @@ BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
 def find_photos(folder: Path, depth: int = DEEPEST) -> list[Path]:
     """Pictures of a folder and of its sub-folders (as `DCIM/100MEDIA` of a card), sorted.
 
-    Hidden ones are left out, as are thumbnails and what programs wrote there, Alight too.
+    Hidden files are left out, as are thumbnails and the output of programs, Alight's included.
     """
     found, inside = list[Path](), sorted(folder.iterdir())
     for path in inside:
@@ -115,11 +115,11 @@ class Photos(RecordedSource):
 
     @property
     def photos(self) -> list[PhotoFacts]:
-        """What was understood of each photo, those that are not used included; complete after `events`."""
+        """Facts about each photo, unused ones included; complete after `events`."""
         return [self._facts[path] for path in sorted(self._facts)]
 
     def digest(self) -> str:
-        """Of the names and the bytes of all photos that are used."""
+        """Digest of the names and the bytes of all photos that are used."""
         of = blake2b()
         for (_, tags), name in zip(self._photos, self._names, strict=True):
             with tags.path.open("rb") as file:
@@ -211,7 +211,7 @@ class Photos(RecordedSource):
         return [p for p in photos if p.camera not in out or p.camera == first]
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
-        """By time of capture, then name; photos of one second share it out, so that time rises strictly."""
+        """Photos sorted by time of capture, then name; photos of one second are spread over it, so that time rises."""
         times = {p.path: p.time_ns for p in photos}
         if any(t is None for t in times.values()):
             n = sum(t is None for t in times.values())
@@ -263,12 +263,12 @@ class Photos(RecordedSource):
             return lens, notes
 
     def _readout(self, camera: PhotoCamera) -> float | None:
-        """The readout that most photos of a camera tell, in seconds."""
+        """The most frequent readout time in the tags of a camera's photos, in seconds."""
         told = Counter(photo_readout(p) for _, p in self._photos if p.camera == camera)
         return told.most_common(1)[0][0]
 
     def _understand(self) -> None:
-        """Fill in what only the whole set tells: exposure, flight and camera, focal length in use."""
+        """Complete the facts that depend on the whole set: exposure, flight and camera, focal length in use."""
         flight, before = 0, None
         for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             taken = tags.time_ns
@@ -330,7 +330,7 @@ class Photos(RecordedSource):
 
 
 def facts_of(tags: PhotoTags) -> PhotoFacts:
-    """What one photo says by itself."""
+    """Facts about one photo from its own tags."""
     make, model, size, *_ = tags.camera
     focal, focal_from = None, ""
     with suppress(InputError):
@@ -347,12 +347,12 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
 
 
 def has_focal_length(tags: PhotoTags) -> bool:
-    """Whether a photo says how long its lens is."""
+    """Whether the focal length follows from a photo's tags."""
     return facts_of(tags).focal_px is not None
 
 
 def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
-    """File names; where two folders have the same one, with the folder."""
+    """File names; with the folder where two folders have the same one."""
     taken = Counter(p.path.name for p in photos)
     return [p.path.name if taken[p.path.name] == 1 else p.path.relative_to(root).as_posix() for p in photos]
 

@@ -1,4 +1,4 @@
-"""A DEM from elsewhere, read about the world's origin and put on the world's grid."""
+"""A DEM from another source, read about the world's origin and resampled to the world's grid."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
         local: the world.
 
     Raises:
-        InputError: it is no raster, says nothing about where it lies, lies elsewhere, or holds no heights.
+        InputError: it is no raster, has no coordinate system, lies elsewhere, or holds no heights.
     """
     with open_raster(path) as dem:
         if dem.crs is None:

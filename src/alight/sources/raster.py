@@ -1,4 +1,4 @@
-"""Heights that somebody else made: a raster, its sigma and an image of the same ground."""
+"""Heights from another source: a raster, its sigma and an image of the same ground."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ MOST_CELLS = 100_000_000
 CELL_SIZES = (1e-3, 1e3)  # metres
 FARTHEST = 1e8  # metres, of a coordinate: beyond it a float32 image of the Earth's maps ends as well
 LARGEST_SIGMA = 1000.0  # metres
-SEEN_BY = 9  # views that a height made elsewhere counts as: more than doubt asks for
+SEEN_BY = 9  # nominal number of views of a height from another source
 
 
 @dataclass(frozen=True, eq=False)
 class GroundRaster:
-    """What was read. East and north of the grid are the raster's own coordinates."""
+    """Heights, sigma and image as read. East and north of the grid are the raster's own coordinates."""
 
     elevation: ElevationMap
-    crs: CRS | None  # None: the raster does not say, metres are assumed
+    crs: CRS | None  # None: the raster has none, metres are assumed
     image: U8 | None  # (f R, f C) or (f R, f C, 3), f = 1, 2, 4, ... pixels a cell
     warnings: tuple[str, ...]
 
@@ -40,14 +40,14 @@ def open_raster(path: Path) -> Any:
     """Open a raster with rasterio.
 
     Raises:
-        InputError: it is none.
+        InputError: it is no raster.
     """
     if not path.exists():
         raise InputError(f"{path}: there is no such file; name a raster such as a GeoTIFF")
     if not path.is_file():
         raise InputError(f"{path}: not a plain file; name a raster such as a GeoTIFF")
     try:
-        with warnings.catch_warnings():  # what has no coordinates is said by us, once and in words
+        with warnings.catch_warnings():  # we report missing coordinates ourselves, once and in words
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.open(path)
     except UnicodeEncodeError as e:
@@ -101,7 +101,7 @@ def _band(path: Path, dataset: Any, band: int) -> F32:
 
 
 def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None]:
-    """Sigma of every cell: a number, a raster, the heights' own second band, or what is usual, with a warning."""
+    """Sigma of every cell: a number, a raster, the heights' own second band, or the usual one, with a warning."""
     if given is None and own is not None:
         return _sensible_sigma(own), None
     if given is None:
@@ -129,7 +129,7 @@ def _sigma_raster(path: Path, grid: Grid) -> F32:
 
 
 def _sensible_sigma(sigma: F32) -> F32:
-    """Sigma with what is no 1-sigma of a height taken for unknown."""
+    """Sigma with NaN where a value is no possible 1-sigma of a height."""
     return np.where((sigma >= 0) & (sigma < LARGEST_SIGMA), sigma, np.float32(np.nan))
 
 
@@ -160,11 +160,11 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
         path: heights in metres, band 1; a second band named `sigma` is theirs.
         sigma: raster of 1-sigma or one number, metres.
         image: of the same ground, 8 bit.
-        usual_sigma: metres, where nobody says.
+        usual_sigma: metres, where no sigma is given.
 
     Raises:
-        InputError: it is no raster, its cells are no square metres with north up, nothing is known, or sigma or image
-            are on another grid.
+        InputError: it is no raster, its cells are not square in metres with north up, no height is known, or sigma or
+            image are on another grid.
     """
     with open_raster(path) as d:
         grid, crs = _grid(path, d), d.crs

@@ -1,4 +1,4 @@
-"""Are these heights? No-data that is not declared, classes and pictures must not be judged as flat ground."""
+"""Test of a band for heights: undeclared no-data, classes and pictures must not be judged as flat ground."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from alight.arrays import F32, F64
 from alight.records import InputError
 
 LOWEST, HIGHEST = -12_000.0, 12_000.0  # metres: no ground of the Earth lies outside
-NO_DATA = (-9999.0, -999.0, 9999.0)  # metres: values that programs write where nothing is known
+NO_DATA = (-9999.0, -999.0, 9999.0)  # metres: values that programs write for unknown heights
 FEW = 32  # different whole numbers: more classes than any map of land cover has
-OFTEN = 0.02  # share of the cells that hold one value exactly, from which it may be a filling
+OFTEN = 0.02  # share of the cells with exactly one value, from which it may stand for no-data
 TELLING = 0.2  # share of different values among the others, from which a repeated one is no accident
 
 
 def doubt_of_heights(path: Path, height: F32, dataset: Any) -> str | None:
-    """Whether a band may be taken for heights: None, or a doubt in words.
+    """Test whether a band may be taken for heights; return None, or a doubt in words.
 
     Args:
         path: of the raster, for messages.

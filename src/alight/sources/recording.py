@@ -33,7 +33,7 @@ BOUNDS = {  # shapes, and the largest number of each measurement
 
 
 def why_unusable(event: Event, rig: Rig) -> str:
-    """What is wrong with an event out of a recording; empty: nothing."""
+    """Reason why an event of a recording cannot be used; empty: it can."""
     if not 0 <= event.t_ns < LATEST:
         return "its time is out of range"
     if isinstance(event, Frame):
@@ -58,7 +58,7 @@ def why_unusable(event: Event, rig: Rig) -> str:
 
 
 def _check_head(head: FlightHead, path: Path) -> None:
-    """Refuse cameras, a place or a noise that are none."""
+    """Refuse impossible cameras, an impossible origin, or noise of the IMU that is out of range."""
     place, noise = head.local, head.imu_noise.stated().values()
     try:
         wrong = [why for c in head.rig.cameras if (why := why_no_lens(c.camera))]
@@ -80,7 +80,7 @@ def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
         ValueError, KeyError, TypeError, IndexError, OverflowError: it is damaged.
     """
     t_ns, value = int(entry["t_ns"]), int(entry["value"])
-    place = entry.get("about")  # recordings of before 2026-11-23 do not say
+    place = entry.get("about")  # missing in recordings from before 2026-11-23
     about = None if place is None else (float(place[0]), float(place[1]))
     entries[kind].append(t_ns)
     entries["effort"] += [value] * (kind == "mapped")
@@ -118,7 +118,7 @@ class Recording(RecordedSource):
             raise InputError(f"{path}: holds no exposure; there is nothing to replay")
 
     def events(self) -> Iterator[Event]:
-        """Yield what came in, in the order of arrival."""
+        """Yield the events in the order of their arrival."""
         exposure = -1
         for topic, data in self._messages():
             if topic not in (CAMERAS, NAV, IMU):
@@ -159,7 +159,7 @@ class Recording(RecordedSource):
         return head, entries, frames, notes
 
     def _messages(self) -> Iterator[tuple[str, bytes]]:
-        """Topic and bytes of every message; a file that ends early gives what it has, and this is said."""
+        """Topic and bytes of every message; a file that ends early gives the messages before, and this is noted."""
         topics: dict[int, str] = {}
         try:
             with self._path.open("rb") as file:
@@ -172,7 +172,7 @@ class Recording(RecordedSource):
                         yield topics[record.channel_id], record.data
         except OSError as e:
             raise InputError(f"{self._path}: cannot be read ({e.strerror or e}); check the permissions") from e
-        except Exception as e:  # the library raises whatever the damaged bytes lead to
+        except Exception as e:  # damaged bytes can make the library raise any exception
             if not topics:
                 raise InputError(f"{self._path}: no recording (MCAP); give one that 'alight live' made") from e
             self._findings.say("the recording ends early, as after a loss of power: what came before it is used")

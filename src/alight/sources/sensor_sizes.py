@@ -1,4 +1,4 @@
-"""Sensor sizes of cameras that map, and focal lengths by them."""
+"""Sensor sizes of mapping cameras, and focal lengths from them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def sensor_pixels_a_millimetre(make: str, model: str, size: tuple[int, int]) -> 
 
 
 def sensor_shape(make: str, model: str, size: tuple[int, int]) -> float:
-    """Width over height of the sensor: by the table, 4:3 of DJI's wide pictures, else that of the photo."""
+    """Width over height of the sensor: from the table, 4:3 for DJI's wide pictures, else that of the photo."""
     found = _sensor(make, model)
     own = max(size) / min(size)
     if found is not None:
@@ -82,7 +82,7 @@ def sensor_width(size: tuple[int, int], shape: float) -> float:
 
 
 def film_focal_px(film: float, width: float, shape: float) -> float:
-    """The focal length in pixels by that for 35 mm film: makers compare the diagonals of film and whole sensor.
+    """Focal length in pixels from the 35 mm equivalent: makers compare the diagonals of film and whole sensor.
 
     Args:
         film: mm.
@@ -93,7 +93,7 @@ def film_focal_px(film: float, width: float, shape: float) -> float:
 
 
 def _sensor(make: str, model: str) -> tuple[float, float] | None:
-    """Width in mm, and width over height."""
+    """Width of the sensor in mm, and width over height; None: the camera is not in the table."""
     for maker, start, width, shape in SENSORS:
         if maker in make.lower() and model.lower().startswith(start):
             return width, shape

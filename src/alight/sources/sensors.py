@@ -1,4 +1,4 @@
-"""`sensor.yaml` of a flight log: calibrations are checked number by number, and refused by file and key."""
+"""`sensor.yaml` of a flight log: calibrations are checked number by number; an error names file and key."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alight.geometry import Camera, LocalFrame, Pose
 from alight.records import InputError, RigCamera
 from alight.sources.lens_bounds import why_no_lens
 
-MODELS = {  # what the field calls them -> what we call them
+MODELS = {  # common names of the models -> our names
     "radial-tangential": "radial-tangential",
     "radtan": "radial-tangential",
     "plumb_bob": "radial-tangential",
@@ -71,7 +71,7 @@ def numbers(tree: Mapping[str, Any], key: str, counts: Sequence[int], path: Path
 
 
 def rigid(matrix: Any, key: str, path: Path, hint: str = MATRIX_HINT) -> Pose:
-    """Make a pose of a 4x4 matrix given as rows, as 16 numbers, or as EuRoC's `{rows, cols, data}`.
+    """Make a pose from a 4x4 matrix given as rows, as 16 numbers, or as EuRoC's `{rows, cols, data}`.
 
     Raises:
         InputError: it is no rigid motion; the message names file and key.

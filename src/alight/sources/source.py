@@ -1,4 +1,4 @@
-"""What every source offers, and the notebook in which it writes down what it could not read."""
+"""Interface of every source, and its record of data that could not be read."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_f
 
 
 class Described(Protocol):
-    """What results say of what they came from: its name, its place on Earth, what was read and lost."""
+    """Description of a source in results: its name, its place on Earth, the counts of read and lost items."""
 
     @property
     def name(self) -> str:
-        """What a person calls it: the folder's name."""
+        """Name for a reader: the folder's name."""
 
     @property
     def kind(self) -> Literal["flight", "photos"]:
-        """A flight is continuous in time; photos are single exposures far apart."""
+        """Kind: a flight is continuous in time, photos are single exposures far apart."""
 
     @property
     def local(self) -> LocalFrame:
-        """Where the world's origin lies; meaningless unless `georeferenced`."""
+        """The world's origin on Earth; meaningless unless `georeferenced`."""
 
     @property
     def georeferenced(self) -> bool:
-        """False where the log says nothing about its place on Earth."""
+        """False where the recording has no place on Earth."""
 
     @property
     def counts(self) -> dict[str, int]:
-        """How much was read and lost; complete once `events` has been exhausted."""
+        """Numbers of read and lost items; complete once `events` has been exhausted."""
 
     @property
     def warnings(self) -> list[str]:
-        """What could not be read and why, one sentence each; complete once `events` has been exhausted."""
+        """Items that could not be read, with reasons, one sentence each; complete once `events` has been exhausted."""
 
     @property
     def notes(self) -> dict[str, Any]:
-        """Facts for the report: camera, focal length and where it came from, kind of GPS."""
+        """Facts for the report: camera, focal length and its source, kind of GPS."""
 
 
 class Source(Described, Protocol):
-    """One recording: what its cameras are, where its world lies, and its events in order of time."""
+    """One recording: its cameras, the origin of its world, and its events in order of time."""
 
     @property
     def rig(self) -> Rig:
@@ -56,11 +56,11 @@ class Source(Described, Protocol):
 
     @property
     def photos(self) -> Sequence[PhotoFacts]:
-        """What was understood of each photo, of a set of photos; complete once `events` has been exhausted."""
+        """Facts about each photo of a set of photos; complete once `events` has been exhausted."""
 
     @property
     def truth_trajectory(self) -> Trajectory | None:
-        """True body poses in the world, where the recording has them."""
+        """True body poses in the world; None: the recording has none."""
 
     @property
     def imu_noise(self) -> ImuNoise:
@@ -68,18 +68,18 @@ class Source(Described, Protocol):
 
     @property
     def schedule(self) -> Schedule | None:
-        """Of a live run that was recorded: which exposures each lane used."""
+        """Exposures that each lane used, of a live run that was recorded; None: it is no such recording."""
 
     @property
     def flown_with(self) -> Settings | None:
-        """The settings of a live run that was recorded."""
+        """Settings of a live run that was recorded; None: it is no such recording."""
 
     @property
     def length(self) -> int:
         """Exposures that `events` will try to yield."""
 
     def digest(self) -> str:
-        """Of everything that is read, where work is saved by it (photos); else empty."""
+        """Digest of all input, as the key of saved work (photos); else empty."""
 
     def events(self) -> Iterator[Event]:
         """Yield frames, navigation and inertial samples in order of time, images decoded one at a time.
@@ -89,7 +89,7 @@ class Source(Described, Protocol):
 
 
 class Findings:
-    """What a source could not read: losses are gathered into one sentence a group, however often they are met."""
+    """Record of items that a source could not read: losses are gathered into one sentence a group."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
@@ -102,7 +102,7 @@ class Findings:
         self._sentences[sentence] = None
 
     def expect(self, group: str, total: int) -> None:
-        """Say how many items a group ("cam0 images") has, lost ones included."""
+        """Note the number of items of a group ("cam0 images"), lost ones included."""
         self._totals[group] = self.counts[group] = total
 
     def lose(self, group: str, item: str, why: str) -> None:
@@ -111,7 +111,7 @@ class Findings:
         self.counts[f"{group} left out"] = len(self._lost[group])
 
     def loss(self, group: str) -> str:
-        """How many items of a group could not be used, and the first with its reason; empty: none."""
+        """Number of items of a group that could not be used, and the first with its reason; empty: none."""
         lost, total = self._lost.get(group, {}), self._totals.get(group)
         if not lost:
             return ""
@@ -126,7 +126,7 @@ class Findings:
 
 
 class RecordedSource:
-    """What both kinds of source tell of themselves, from the notebook `_findings`."""
+    """Common part of all sources: counts and warnings from `_findings`, and defaults."""
 
     _findings: Findings
     length: int
@@ -135,19 +135,19 @@ class RecordedSource:
 
     @property
     def photos(self) -> Sequence[PhotoFacts]:
-        """None."""
+        """Empty: the source is no set of photos."""
         return ()
 
     def digest(self) -> str:
-        """Nothing is saved."""
+        """Empty: no work is saved."""
         return ""
 
     @property
     def counts(self) -> dict[str, int]:
-        """How much was read and lost."""
+        """Numbers of read and lost items, and of exposures."""
         return {**self._findings.counts, "exposures": self.length}
 
     @property
     def warnings(self) -> list[str]:
-        """What could not be read and why."""
+        """Items that could not be read, with reasons, one sentence each."""
         return self._findings.warnings

@@ -15,7 +15,7 @@ from alight.sources.source import Findings, Trajectory
 from alight.sources.tables import read_numbers
 from alight.sources.tum import FAR
 
-# no aircraft moves or turns like that; a sigma this small makes a matrix singular, one this large says nothing
+# no aircraft moves or turns like that; a sigma this small makes a matrix singular, one this large has no information
 HIGHEST, FASTEST, QUICKEST, STRONGEST = 100_000.0, 3_000.0, 200.0, 5_000.0  # m, m/s, rad/s, m/s^2
 SIGMAS = (1e-6, 1e6)  # of whatever unit; 0 is "not known"
 NAV_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS = (23,), (7,), (17, 8)  # 8: truth without velocity and biases
@@ -40,7 +40,7 @@ def _read(root: Path, stream: str, columns: tuple[int, ...], findings: Findings)
 
 
 def _without(table: Table, lines: list[int], bad: dict[int, str], stream: str, findings: Findings) -> Table | None:
-    """The rows that are not bad, the others noted with their line; None when nothing is left."""
+    """The rows that are not bad; the others are noted with their line. None when no row is left."""
     for i, why in sorted(bad.items()):
         findings.lose(f"{stream} rows", f"line {lines[i]}", why)
     keep = np.setdiff1d(np.arange(len(lines)), list(bad)).astype(np.intp)
@@ -102,7 +102,7 @@ def usable_imu(table: Table, lines: list[int], body_from_imu: Pose, findings: Fi
 
 
 def median_force(imu: Table) -> float:
-    """Of all rows of `imu0`, m/s^2: about gravity."""
+    """Median specific force of all rows of `imu0`, m/s^2: about gravity."""
     return float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
 
 

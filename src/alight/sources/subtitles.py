@@ -18,7 +18,7 @@ _UP = re.compile(rf"\bBAROMETER\s*[:(]\s*{_NUMBER}|,\s*H\s+{_NUMBER}\s*m\b", re.
 
 @dataclass(frozen=True)
 class Subtitle:
-    """What one subtitle says."""
+    """Content of one subtitle."""
 
     seconds: float  # from the start of the video
     taken: datetime | None

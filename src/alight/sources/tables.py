@@ -1,4 +1,4 @@
-"""CSV streams of a flight log: a bad row is left out and named, never guessed at."""
+"""CSV streams of a flight log: a bad row is left out and named, never guessed."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _split(path: Path, columns: tuple[int, ...], group: str, findings: Findings)
 
 
 def rising(times: list[int]) -> list[bool]:
-    """Mark the longest strictly rising part of a list, so that one wild time does not cost all that follow it."""
+    """Mark the longest strictly rising subsequence of a list, so that one wrong time does not cost all later ones."""
     tails: list[int] = []  # smallest last time of a rising part of each length
     length = []
     for t in times:
@@ -58,7 +58,7 @@ def rising(times: list[int]) -> list[bool]:
 
 
 def _in_order(rows: list[Row], group: str, findings: Findings) -> list[Row]:
-    """The rows by time; of repeated times the first, of times that go backwards those that only came late."""
+    """Rows sorted by time: of repeated times the first one, of times that go backwards only late rows."""
     times = [t for _, t, _ in rows]
     if all(a < b for a, b in pairwise(times)):
         return rows
@@ -102,7 +102,7 @@ def named(row: Row, group: str, findings: Findings) -> bool:
 
 
 def numbers_of(row: Row, group: str, findings: Findings) -> list[float] | None:
-    """The numbers of a row, NaN for an empty field; None where one of them is none."""
+    """The numbers of a row, NaN for an empty field; None if a field is no finite number."""
     out = []
     for field in row[2]:
         try:

@@ -19,7 +19,7 @@ HINT = "each line needs: seconds x y z qx qy qz qw"
 
 def _line(text: str) -> tuple[int, Pose]:
     stamp, *rest = text.replace(",", " ").split()
-    # decimal: a float64 of seconds since 1970 has a grain of 240 ns, and poses are found by their exact time
+    # decimal: a float64 of seconds since 1970 has a resolution of 240 ns, and poses are found by their exact time
     t_ns = int((Decimal(stamp) * 1_000_000_000).to_integral_value())
     x, y, z, qx, qy, qz, qw = (float(v) for v in rest)
     if not np.isfinite([x, y, z]).all() or abs(t_ns) >= 2**63:

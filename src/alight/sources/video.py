@@ -27,15 +27,15 @@ from alight.sources.subtitles import Subtitle, read_srt
 SUFFIXES = (".mp4", ".mov", ".m4v")
 OVERLAP = 0.8  # of one frame with the next, along the flight
 LEAST_STEP = 0.5  # metres
-USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not say
-USUAL_FIELD = 0.56  # of a frame's height over its distance, where the focal length is not known
+USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not give it
+USUAL_FIELD = 0.56  # ground of a frame's height over the distance, where the focal length is unknown
 QUALITY = 95  # of the JPEGs
 COARSE_SIGMA = 11.0  # m, of a place with four decimals of a degree
 TENTHS = 200  # mm; whole numbers above are tenths of a millimetre
 
 
 def open_video(path: Path, settings: Settings) -> Photos:
-    """Take frames out of a video and open them as photos. They lie in a temporary folder as long as the source lives.
+    """Extract frames from a video and open them as photos, in a temporary folder that lives as long as the source.
 
     Raises:
         InputError: it cannot be decoded, or there is no telemetry with a place.
@@ -76,7 +76,7 @@ def _opened(path: Path, rows: Sequence[Subtitle], root: Path, settings: Settings
 
 
 def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[Path]:
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder talks on stderr of what we say ourselves
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder repeats our own messages on stderr
     film = cv2.VideoCapture(str(path))
     try:
         rate = film.get(cv2.CAP_PROP_FPS) or 30.0
@@ -99,7 +99,7 @@ def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[
 
 
 def _apart(a: Subtitle, b: Subtitle) -> float:
-    """Metres."""
+    """Distance in metres between the places of two subtitles."""
     assert a.place is not None
     assert b.place is not None
     north = 111_194.0 * (b.place[0] - a.place[0])
@@ -108,7 +108,7 @@ def _apart(a: Subtitle, b: Subtitle) -> float:
 
 
 def focal_px(row: Subtitle, width: float) -> float | None:
-    """The focal length by that for 35 mm film (DJI's 4:3 sensors, whose whole width is filmed)."""
+    """Focal length in pixels from the 35 mm equivalent (DJI's 4:3 sensors, whose whole width is filmed)."""
     film = row.said.get("focal_len")
     if not film or film <= 0:
         return None
@@ -118,7 +118,7 @@ def focal_px(row: Subtitle, width: float) -> float | None:
 
 
 def _step(row: Subtitle, film: Any) -> float:
-    """Metres from one frame to the next."""
+    """Distance in metres from one frame to the next, for the overlap `OVERLAP`."""
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     focal = focal_px(row, width)
     field = USUAL_FIELD if focal is None else height / focal
@@ -133,7 +133,7 @@ def _dms(degrees: float) -> tuple[float, float, float]:
 
 
 def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
-    """A JPEG with the tags that a photo of the same drone would have."""
+    """Write a JPEG with the tags that a photo of the same drone would have."""
     assert row.place is not None
     latitude, longitude, altitude = row.place
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)

@@ -1,4 +1,4 @@
-"""Colour and texture of each cell: ratios that a change of exposure leaves alone (docs/method/land-cover.md)."""
+"""Colour and texture of each cell: ratios that do not depend on the exposure (docs/method/land-cover.md)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from alight.arrays import F32, U8, Mask
 from alight.raster import block_mean, masked_gaussian, upsample
 from alight.records import ElevationMap, Flag
 
-PIXEL = 0.1  # metres: the finest detail that is looked at
+PIXEL = 0.1  # metres: the finest detail that is used
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Appearance:
     cool: F32  # (B - R) / (R + G + B): above about -0.06 grey or bluish, below it brown and green
     green: F32  # (2 G - R - B) / (R + G + B), the excess green index
     texture: F32  # root mean square of log brightness about its 0.5 m mean
-    coloured: bool  # False: grey images, colour says nothing
+    coloured: bool  # False: grey images, colour is no evidence
 
 
 def seen(elevation: ElevationMap) -> Mask:
@@ -37,13 +37,13 @@ def seen(elevation: ElevationMap) -> Mask:
 
 
 def black_ground(elevation: ElevationMap) -> Mask:
-    """Cells that are black in the map, and plain in every view: others have no colour yet."""
+    """Cells that are black in the map, and plain in every view: other black cells have no colour yet."""
     plain = (elevation.flags & np.uint16(Flag.SATURATED | Flag.TEXTURE)) != 0
     return np.asarray((elevation.views > 0) & ~lit(elevation.rgb) & plain)
 
 
 def lit(picture: U8) -> Mask:
-    """Pixels that show something: black is no picture, and the orthophoto has no black where a camera looked."""
+    """Pixels with a picture: black means none, and the orthophoto has no black where a camera looked."""
     return np.asarray((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0)
 
 
@@ -52,7 +52,7 @@ def appearance(elevation: ElevationMap, scale: float = PIXEL) -> Appearance:
 
     Args:
         elevation: its `finest` picture and `views` are used.
-        scale: metres, the finest detail looked at, so that maps of any cell size compare.
+        scale: metres, the finest detail that is used, so that maps of any cell size compare.
     """
     rgb, n = elevation.picture(scale)
     known = lit(rgb) & upsample(elevation.views > 0, n)

@@ -24,7 +24,7 @@ def fill_basins(surface: F64, outlet: Mask, water: F64) -> None:
     """Flood the surface from its outlets: morphological reconstruction by erosion (G13).
 
     Sweeps from opposite corners until nothing sinks any more; each cell ends at the lowest level from which its water
-    finds a way out over the 8 neighbours.
+    runs off over the 8 neighbours.
 
     Args:
         surface: (R, C) heights; +inf is a wall.

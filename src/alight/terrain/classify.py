@@ -23,11 +23,11 @@ from alight.terrain.water import ponds, wetness
 
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
-TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
-APART = 3  # cells between those whose likeness to known ground is judged
+TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this is too narrow to stand in
+APART = 3  # cells between those whose novelty is computed
 ANYTHING = 0.5  # probability of black ground that no finer picture shows
 UNLIKE = 20.0  # its novelty: 1 % of a footprint refuses it
-PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
+PIT = 0.15  # metres: refused ground narrower than twice this is left to the geometry
 ROWS_AT_A_TIME = 64
 WATER = Terrain.WATER - 1
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
@@ -35,14 +35,14 @@ BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
 
 class Tables(NamedTuple):
-    """What is fitted to the evidence of maps."""
+    """Tables that are fitted to the evidence of maps."""
 
     net: Net
     known: KnownGround
 
 
 def package_tables() -> Tables:
-    """Those of the package."""
+    """Read the tables of the package."""
     return Tables(read_net("land_cover"), read_known())
 
 
@@ -66,7 +66,7 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
 def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
     """Log odds (8, R, C) that the model of appearance adds; None for grey pictures or cells too coarse for it.
 
-    They are 0 for classes that the model does not know, and where the ground is unlike every patch it was trained on.
+    They are 0 for classes that the model does not have, and where the ground is unlike every patch it was trained on.
     """
     if model is None or not colours.coloured:
         return None
@@ -109,7 +109,7 @@ class _Shares(NamedTuple):
 
 
 def _shares(odds: F32) -> _Shares:
-    """Of log odds (8, R, C), some rows at a time: a map has millions of cells, and of each eight probabilities."""
+    """Shares from log odds (8, R, C), some rows at a time: a map has millions of cells, each with 8 probabilities."""
     out = _Shares(*(np.empty(odds.shape[1:], np.float32) for _ in _Shares._fields))
     for top in range(0, odds.shape[1], ROWS_AT_A_TIME):
         rows = slice(top, top + ROWS_AT_A_TIME)
@@ -119,9 +119,9 @@ def _shares(odds: F32) -> _Shares:
 
 
 def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
-    """The likeliest class; colour decides between open grounds, height between tall vegetation and tree.
+    """Most likely class; colour decides between open grounds, height between tall vegetation and tree.
 
-    The log odds are worn out by it.
+    Overwrites the log odds.
     """
     odds[OPEN] = -np.inf
     kind = (np.argmax(odds, axis=0) + 1).astype(np.uint8)
@@ -133,7 +133,7 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
 
 
 class _Found(NamedTuple):
-    """What `_classified` finds, (R, C) each."""
+    """Result of `_classified`, (R, C) each."""
 
     label: U8
     landable: F32
@@ -144,7 +144,7 @@ class _Found(NamedTuple):
 
 
 def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> _Found:
-    """The classes of one map, where it was seen and where not."""
+    """Classify all cells of one map, seen or not."""
     cell = elevation.grid.cell
     colours = appearance(elevation)
     wet = wetness(elevation, colours)
@@ -162,7 +162,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
 
     def surely(shares: list[F32]) -> F32:
-        """The smaller share, with and without appearance, which never permits (T5)."""
+        """The smaller of the shares with and without appearance, because appearance never permits (T5)."""
         share = fill_pits(np.minimum.reduce(shares), round(PIT / cell))
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
@@ -180,14 +180,14 @@ def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tu
 
 
 def _novelty(known: KnownGround, some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
-    """How unlike all known ground every cell is, (R, C), from the terms of some cells."""
+    """Novelty of every cell (T6), (R, C), from the terms of some cells."""
     values = np.stack([some[name].ravel() for name in known.terms], axis=1)
     found = known.novelty(values).reshape(some[known.terms[0]].shape)
     return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
-    """The evidence that the classes of a map rest on, in words."""
+    """The evidence behind the classes of a map, in words."""
     if not settings.enabled:
         return "not judged (terrain.enabled)"
     alone = "shape, matching and texture of the map alone: "
@@ -215,8 +215,8 @@ def classify(
 
     Returns:
         Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
-        never one to permit. Black ground of which no finer picture shows more is UNKNOWN too, but may be anything,
-        as a pit, and is unlike all that is known.
+        never one to permit. Black ground that no finer picture shows is UNKNOWN too, but may be anything, as a pit:
+        its probability is `ANYTHING`, its novelty `UNLIKE`.
     """
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:

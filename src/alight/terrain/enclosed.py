@@ -1,8 +1,8 @@
 """Level surfaces by their rims (docs/method/land-cover.md, G13b, G13c).
 
-Water is level along its length, and below both banks. So it is found under algae and floating plants, whose colour and
-texture are those of lawn or soil, and where the water leaves the map: what is not seen of the rim does not count. A
-flat roof is as bare and even as a yard, and the ground falls away about it; most of the rim must be seen for that.
+Water is level along its length, and below both banks. So it is found under algae and floating plants, which look like
+lawn or soil. It is found where it leaves the map, too: unseen parts of the rim do not count. A
+flat roof is as bare and even as a yard, and the ground about it is lower; most of the rim must be seen for that.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from alight.settings import TerrainSettings
 from alight.terrain.relief import ground_under
 
 INNER, OUTER = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
-ABOUT = 10  # the same to which the ground about a roof lies: beside a wall heights are in doubt
+ABOUT = 10  # blocks to which the rim of a roof reaches: beside a wall heights are in doubt
 
 
 @dataclass(frozen=True)
 class LevelSurfaces:
-    """The connected parts of a map that do not rise, seen in blocks."""
+    """The connected level parts of a map, in blocks."""
 
     elevation: ElevationMap
     settings: TerrainSettings
@@ -33,14 +33,14 @@ class LevelSurfaces:
     bed: F32  # (r, c) trusted heights of the blocks
     parts: I64  # (r, c) numbers of the parts, from 1; 0 is none
     areas: F64  # (parts + 1,) m^2; NaN for 0
-    tilt: float  # that the heights may share
+    tilt: float  # rad, 1-sigma of the tilt that all heights share
 
     @classmethod
     def of(cls, elevation: ElevationMap, settings: TerrainSettings) -> LevelSurfaces:
-        """The surfaces of a map.
+        """Find the level surfaces of a map.
 
         Args:
-            elevation: its trusted heights are surfaces, all its heights are rims; and the tilt that they may share.
+            elevation: its trusted heights are surfaces, all its heights are rims; its gauge gives their common tilt.
             settings: scales.
         """
         size = max(1, round(settings.block / elevation.grid.cell))
@@ -53,14 +53,14 @@ class LevelSurfaces:
         return cls(elevation, settings, size, bed, parts, areas, tilt)
 
     def enclosed(self) -> F32:
-        """How much every cell is part of a level surface below its banks, (R, C) 0 to 1."""
+        """Degree to which every cell is part of a level surface below its banks (G13b), (R, C) 0 to 1."""
         settings, block = self.settings, self.size * self.elevation.grid.cell
         ground = ground_under(self.bed, settings.ground_window / (2 * block))  # hedges and cars are no banks
         large = np.flatnonzero(self.areas >= settings.water_area)
         return self._marked(large, 0, lambda part: _enclosure(part, self.bed, ground, block, self.tilt, settings))
 
     def raised(self) -> F32:
-        """How much every cell is part of a level surface that the ground about it falls away from, (R, C) 0 to 1."""
+        """Degree to which every cell is part of a level surface above the ground about it (G13c), (R, C) 0 to 1."""
         settings = self.settings
         about = block_quantile(self.elevation.height, self.size, 0.5)
         about = np.pad(about, ABOUT, constant_values=np.nan)  # beyond the map: not seen
@@ -69,12 +69,12 @@ class LevelSurfaces:
         return self._marked(roofs, ABOUT, lambda part: _height_over_rim(part, about, settings))
 
     def _marked(self, numbers: Iterable[int], pad: int, measure: Callable[[Mask], float]) -> F32:
-        """A measure of some parts on every cell of them and of their feet, (R, C); 0 elsewhere.
+        """Write a measure of some parts to every cell of them and of their feet, (R, C); 0 elsewhere.
 
         Args:
             numbers: of the parts.
-            pad: blocks about the map that `measure` is given besides.
-            measure: of one part, from its mask.
+            pad: blocks that are added about the map for `measure`.
+            measure: function of the mask of one part.
         """
         out = np.zeros(self.bed.shape, np.float32)
         for number in numbers:
@@ -85,7 +85,7 @@ class LevelSurfaces:
 
 
 def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
-    """Connected parts (R, C) of ground that does not rise, numbered from 1, and their number plus 1."""
+    """Number of connected level parts plus 1, and the parts (R, C), numbered from 1."""
     known = np.isfinite(bed)
     filled = nearest_known(np.nan_to_num(bed), known)
     north, east = gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
@@ -101,7 +101,7 @@ def _rim(part: Mask, outer: int = OUTER) -> Mask:
 
 
 def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, settings: TerrainSettings) -> float:
-    """How much one part is level and lies below the ground of its rim, 0 to 1."""
+    """Degree to which one part is level and lies below the ground of its rim, 0 to 1."""
     rows, cols = np.nonzero(part)
     terms = np.column_stack([np.ones(len(rows)), cols * block, rows * block])
     plane = np.linalg.lstsq(terms, bed[rows, cols].astype(np.float64), rcond=None)[0]
@@ -118,7 +118,7 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
 
 
 def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
-    """How much of the rim of one part lies a wall's height below it, 0 to 1; 0 where half of the rim is not seen."""
+    """Degree to which the rim of one part lies a wall's height below it, 0 to 1; 0 where half of it is not seen."""
     rim = ground[_rim(part, ABOUT)]
     seen = np.isfinite(rim)
     if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):

@@ -1,7 +1,7 @@
 """Evidence for the land cover from the map itself: shape, matching and texture (docs/method/land-cover.md, T1).
 
-No colour and no library: this evidence is left when the pictures look like nothing known, and the model of appearance
-may only refuse what it permits. Widths are in metres, so that ground seen from far and from near compares.
+No absolute colour and no library: this evidence holds where the pictures are unlike all known ground. The model of
+appearance may only add refusals to it. Widths are in metres, so that ground seen from far and from near compares.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _pictured(elevation: ElevationMap) -> Iterator[tuple[str, F32]]:
 
 
 def _let_go(terms: dict[str, F32]) -> Iterator[tuple[str, F32]]:
-    """Each once, and not kept: all terms of millions of cells are gigabytes."""
+    """Yield each term once and release it: all terms of millions of cells are gigabytes."""
     for name in list(terms):
         yield name, terms.pop(name)
 
@@ -124,7 +124,7 @@ def surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -
 
 
 def _log_ratio(values: F32, usual: float) -> F32:
-    """Natural logarithm of values over what is usual; unknown ones count as usual."""
+    """Natural logarithm of values over the usual one; unknown values count as usual."""
     return log_at_least(np.where(np.isfinite(values), values / np.float32(usual), np.float32(1)), 1e-3)
 
 

@@ -1,7 +1,7 @@
-"""Appearance features that another camera, season and light leave alone (docs/method/land-cover.md, T3).
+"""Appearance features that do not depend on camera, season and light (docs/method/land-cover.md, T3).
 
 Every number is a ratio: of brightness at two scales in metres, of a picture and the frame that it belongs to, or a
-correlation. None is a colour, because a colour is the camera's and the season's as much as the ground's.
+correlation. None is a colour, because colour depends on the camera and the season as much as on the ground.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ PIXEL = 0.1  # metres, of the finest level; each further level doubles it
 LEVELS = 3
 BANDS = 4  # octaves of detail, from 0.1 - 0.2 m to 0.8 - 1.6 m; level n starts with the n-th
 WINDOW = 0.8  # metres, Gaussian 1-sigma over which detail is averaged
-BLOCK = 4  # pixels a side that share one answer
-STRETCH = 1.35  # a picture may be enlarged by so much to reach a level
+BLOCK = 4  # pixels a side of a block, which has one set of numbers
+STRETCH = 1.35  # largest factor by which a picture is enlarged to reach a level
 DARK = 4.0  # grey levels added, so that noise in the dark is no contrast
 NOISE = np.float32(1e-5)  # log brightness squared: below 0.3 % there is no detail
-TINT = np.float32(1e-6)  # the same of the ratio of two colours
+TINT = np.float32(1e-6)  # squared log ratio of two colours: below it there is no detail
 
 
 @dataclass(frozen=True, eq=False)
 class AppearanceFeatures:
-    """The numbers of every block of a picture."""
+    """Features of every block of a picture."""
 
     level: int
     values: F32  # (r, c, F) as `names(level)`; NaN where less than half of the window was seen
@@ -36,7 +36,7 @@ class AppearanceFeatures:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(r, c): blocks that have numbers."""
+        """(r, c): True for blocks that have features."""
         return np.isfinite(self.values[..., 0])
 
 
@@ -77,7 +77,7 @@ def _resized(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[F32, F32]
 
 
 class _Means:
-    """Means over the window at every block, of what was seen."""
+    """Means of the seen pixels over the window at every block."""
 
     def __init__(self, seen: F32, level: int) -> None:
         self._seen = seen
@@ -93,7 +93,7 @@ class _Means:
 
 
 def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
-    """Numbers of one octave of log brightness, log red over green and log blue over green."""
+    """Features of one octave of log brightness, log red over green and log blue over green."""
     power, tint = mean(light * light), mean(blue * blue)
     return {
         "detail": 0.5 * np.log(power + NOISE),
@@ -117,12 +117,12 @@ def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32]
 
 
 def _octaves(signals: list[F32], level: int, mean: _Means) -> dict[str, F32]:
-    """The numbers of all octaves by name; the signals are used up."""
+    """Features of all octaves by name; overwrites the signals."""
     found: dict[str, F32] = {}
     for n in range(level, BANDS):
         sigma = 2.0 ** (n + 1 - level)
         coarser = [_blur(s, sigma) for s in signals]
-        for s, c in zip(signals, coarser, strict=True):  # in place: all that is as fine as the picture is large
+        for s, c in zip(signals, coarser, strict=True):  # in place: arrays as fine as the picture are large
             s -= c
         light, red, blue = signals
         found |= {f"{k} {n}": v for k, v in _octave(light, red, blue, mean).items()}
@@ -136,10 +136,10 @@ def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None
     Args:
         rgb: (H, W, 3).
         sampling: metres a pixel.
-        seen: (H, W) pixels that show something; None: all.
+        seen: (H, W) pixels with a picture; None: all.
 
     Returns:
-        The features; those "against the frame" are as absolute as the others until `against`. None where the pixels
+        The features; those "against the frame" are absolute until `against` is applied. None where the pixels
         are too coarse.
     """
     level = level_of(sampling)
@@ -156,7 +156,7 @@ def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None
 
 
 def frame_of(values: F32, level: int) -> F32:
-    """The median detail of a frame, (octaves,), of its features (N, F); zeros of none."""
+    """The median detail of a frame, (octaves,), of its features (N, F); zeros if there are none."""
     octaves = BANDS - level
     known = values[np.isfinite(values[:, 0]), :octaves]
     return np.median(known, axis=0).astype(np.float32) if len(known) else np.zeros(octaves, np.float32)

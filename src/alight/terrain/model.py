@@ -29,17 +29,17 @@ class Head:
     bias: F32  # (K,)
     centres: F32  # (K, F) of the classes, standardised
     metric: F32  # (F, F) inverse covariance within the classes
-    reach: float  # squared distance to the nearest centre that is usual
-    temperature: float  # by which the evidence is too sure on places left out
+    reach: float  # usual squared distance to the nearest centre
+    temperature: float  # factor by which the evidence is too sure on places left out
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
     """A trained model of appearance: one head a level, None for levels that the library cannot fill."""
 
-    classes: U8  # (K,) Terrain codes that it knows
+    classes: U8  # (K,) Terrain codes of its classes
     heads: tuple[Head | None, ...]
-    provenance: str = ""  # what it was trained on and how well it does on places left out
+    provenance: str = ""  # its training data, and its accuracy on places left out
 
 
 def standardised(head: Head, features: F32) -> F32:
@@ -49,13 +49,13 @@ def standardised(head: Head, features: F32) -> F32:
 
 
 def distance(head: Head, z: F32) -> F32:
-    """Squared distance a feature to the nearest class, (N,), 1 for what is usual."""
+    """Squared distance a feature to the nearest class, (N,), 1 at the usual distance."""
     each = [np.einsum("nf,fg,ng->n", z - c, head.metric, z - c, optimize=True) for c in head.centres]
     return np.asarray(np.min(each, axis=0) / head.reach, dtype=np.float32)
 
 
 def scores(head: Head, features: F32) -> F32:
-    """Evidence for each class before the temperature, (N, K): it fades with the distance from what was learned (T4)."""
+    """Evidence for each class before the temperature, (N, K): it fades with the distance from the classes (T4)."""
     z = standardised(head, features)
     fading = 1 / (1 + np.maximum(distance(head, z) - 1, 0))
     out: F32 = ((z @ head.weights.T + head.bias) * fading[:, None]).astype(np.float32)

@@ -22,7 +22,7 @@ REACH = 0.4  # metres over which spots are looked for
 class PictureBands:
     """Each (R, C) float32, natural logarithms of brightness or of a ratio of two colours."""
 
-    below: F32  # variance within a pixel of about the narrowest width: what is finer than all bands
+    below: F32  # variance within a pixel of about the narrowest width: detail finer than all bands
     bands: tuple[F32, ...]  # of log brightness, fine to coarse
     dark: F32  # largest darkness of a spot within `REACH`, against its surroundings
     bright: F32
@@ -32,7 +32,7 @@ class PictureBands:
 
 
 def _filled(grey: F32, seen: F32, sigma: float) -> F32:
-    """Log brightness with what was not seen filled by its surroundings."""
+    """Log brightness, unseen pixels filled from their surroundings."""
     if seen.min() > 0.999:
         return grey
     share = np.maximum(gaussian_mean(seen, sigma), np.float32(1e-3))
@@ -47,8 +47,8 @@ def _difference(values: F32, narrow: float, wide: float, pixel: float) -> F32:
 def picture_bands(elevation: ElevationMap) -> PictureBands:
     """Measure the finest picture of the map, on pixels of about the narrowest width and wider.
 
-    Widths are in metres, so that maps of any cell compare; what the pixels do not show is weak. Exposure and white
-    balance cancel.
+    Widths are in metres, so that maps of any cell compare; detail that the pixels do not show is weak. Exposure and
+    white balance cancel.
     """
     rgb, factor = elevation.finest
     cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
@@ -56,7 +56,7 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
     below = block_mean(within, halves)
     pixel = cell / halves
     mean = _filled(mean, seen, 1.0 / pixel)
-    del seen, within  # large, as all that is as fine as the picture
+    del seen, within  # arrays as fine as the picture are large
     spot = block_mean(_difference(mean, *SPOT, pixel), halves)
     coarse = block_mean(mean, halves)
     red, blue = _tints(elevation)
@@ -73,7 +73,7 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
 
 
 def _bands(mean: F32, pixel: float, halves: int) -> Iterator[F32]:
-    """Mean square on each cell of what is wider than one width and narrower than the next."""
+    """Mean square on each cell of the detail that is wider than one width and narrower than the next."""
     smooth = (gaussian_mean(mean, s / pixel) if s / pixel > 0.3 else mean for s in WIDTHS)
     for one, wider in pairwise(smooth):
         yield block_mean((one - wider) ** 2, halves)

@@ -20,8 +20,8 @@ class Relief:
 
     height_above: F32  # above the surrounding ground, less the height that a hill of that width may have (G12)
     rough: F32  # root mean square height about its 0.5 m mean
-    depth: F32  # of water that would stand there before it ran off (G13)
-    walled: F32  # the same where only ground holds it: a rim that looks like water lets it out
+    depth: F32  # of the water that the basin holds (G13)
+    walled: F32  # depth where only ground closes a basin: a rim of the map that looks like water is an outlet
     level: F32  # height of that water's surface
     ground: F32  # height of the ground under everything, the nearest known one where it is unknown
 
@@ -51,7 +51,7 @@ def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSetti
 
 
 def open_to_rim(unknown: Mask) -> Mask:
-    """Unknown cells that reach the rim of the map; holes within are walls to water, not ways out."""
+    """Unknown cells connected to the rim of the map; holes within are walls to water, not outlets."""
     framed = np.pad(unknown, 1, constant_values=True).astype(np.uint8)
     labels = cv2.connectedComponents(framed, connectivity=4)[1]
     return np.asarray(labels == labels[0, 0])[1:-1, 1:-1]
@@ -60,8 +60,8 @@ def open_to_rim(unknown: Mask) -> Mask:
 def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
     """Depth and level of the water that the ground would hold (G13); NaN where it is unknown.
 
-    The map's rim and everything unknown that reaches it let water out: a basin must be closed by ground that was seen.
-    Only where the rim itself looks `wet` it does not: there a pond goes on beyond the map.
+    The map's rim and unknown cells connected to it are outlets: a basin must be closed by ground that was seen.
+    Only where the rim looks `wet` it is no outlet: there a pond goes on beyond the map.
     """
     unknown = np.isnan(ground)
     off = np.pad(open_to_rim(unknown), 1, constant_values=True).astype(np.uint8)
@@ -69,7 +69,7 @@ def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
     surface = np.where(unknown, np.float32(np.inf), ground)
     level = np.empty_like(surface)
     fill_basins(surface, beside & ~unknown & ~wet, level)
-    level = np.where(unknown | ~np.isfinite(level), ground, level)  # walled in by holes: nothing can be said
+    level = np.where(unknown | ~np.isfinite(level), ground, level)  # enclosed by holes: not known
     return level - ground, level
 
 
@@ -78,7 +78,7 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
 
     Args:
         elevation: its trusted heights are used.
-        wet: (R, C) 0 to 1, how much the cell looks like water.
+        wet: (R, C) 0 to 1, likeness of the cell to water.
         settings: scales.
     """
     cell = elevation.grid.cell

@@ -15,11 +15,11 @@ from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
-DRY = 0.2  # likeness to water below which ground is dry
+DRY = 0.2  # likeness to water, below which ground is dry
 CONTRADICTED = 2.0  # times the area of a pond, of dry ground that lies lower and is not shut off from it
-LOWER = 0.5  # metres, by which it must lie lower: more than heights are off
-RESTLESS = 0.5  # share of a pond that moves, from which heights say nothing of where it drains
-STILL = 0.2  # share that moves, below which the shape alone tells of water
+LOWER = 0.5  # metres, by which it must lie lower: more than the errors of heights
+RESTLESS = 0.5  # share of a pond that moves, from which its heights are no evidence of drainage
+STILL = 0.2  # share that moves, below which the shape alone decides
 SHALLOW = 0.25  # of the depth of a basin: ground with less water than that lies outside
 MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
 
@@ -67,28 +67,28 @@ def _grown(seed: Mask, into: Mask) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class WaterSigns:
-    """What speaks for water, (R, C) each."""
+    """Evidence of water, (R, C) each."""
 
     odds: F32  # log odds
-    walled_odds: F32  # the same where a rim that looks like water closes no basin
+    walled_odds: F32  # log odds where a rim that looks like water closes no basin
     wet: F32  # likeness to water, 0 to 1
     moving: F32  # share of the cells near by that move
     bed: F32  # metres, smoothed heights, NaN = unknown
-    outside: Mask  # of every basin
+    outside: Mask  # cells outside of every basin
 
 
 def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
-    """Grow water over the ground that must be wet too (G15).
+    """Grow water over the connected ground that must be wet too (G15).
 
-    First over connected cells that look like water; then over connected cells that lie lower, because the surface of a
-    pond is level: this closes the gaps where the bed looks like the shore. Where the second step would more than double
-    the water, it is left out. A patch that stands still and would run out over dry ground is no water at all. One that
-    stands still and lies mostly outside of any basin only looks like water: there its rim closes no basin either.
+    The first step adds connected cells that look like water. The second adds connected lower cells, because the surface
+    of a pond is level: this closes gaps where the bed looks like the shore. It is left out where it would more than
+    double the water. A still patch that would run out over dry ground is no water at all. A still patch that lies
+    mostly outside of any basin only looks like water: there the rim of the map closes no basin.
 
     Args:
         signs: of water.
         cell: metres.
-        least_share: of a patch that looks like water, that is water by itself: a slab looks like water, too.
+        least_share: share of a patch that looks like water that must be water by itself: a slab looks like water, too.
     """
     seed, walled = (without_specks(odds > 0, cell, 1.0) for odds in (signs.odds, signs.walled_odds))
     out = np.zeros_like(seed)
@@ -132,7 +132,7 @@ def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32,
 
 
 def open_water(land_cover: TerrainMap) -> Mask:
-    """(R, C): the patches labelled water that are water with P >= `MIN_MEDIAN`, whole.
+    """(R, C): whole patches labelled water with a median P(water) of at least `MIN_MEDIAN`.
 
     A cell that may not be landed on takes the name of its likeliest hazard, even an improbable one: a shadow beside a
     bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.

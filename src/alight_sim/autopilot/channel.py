@@ -1,4 +1,4 @@
-"""A bad link: loses, doubles, delays and reorders datagrams, the same for the same seed."""
+"""Model of a bad link: it loses, doubles, delays and reorders datagrams; equal seeds give equal results."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 @dataclass
 class LossyChannel:
-    """One direction of a link; times in seconds of whatever clock the caller has."""
+    """One direction of a link; times are seconds of the caller's clock."""
 
     loss: float = 0.0  # probability
     delay: float = 0.0  # s
-    jitter: float = 0.0  # s, uniform on top of the delay: what overtakes
+    jitter: float = 0.0  # s, uniform on top of the delay: datagrams overtake each other
     double: float = 0.0  # probability of a second copy
     damage: float = 0.0  # probability that a byte of the datagram is wrong
     seed: int = 0
@@ -25,7 +25,7 @@ class LossyChannel:
         self._rng = np.random.default_rng(self.seed)
 
     def put(self, data: bytes, t: float) -> None:
-        """Send a datagram."""
+        """Send a datagram at time `t`."""
         for _ in range(1 + int(self._rng.random() < self.double)):
             if self._rng.random() < self.loss:
                 continue
@@ -34,7 +34,7 @@ class LossyChannel:
             heapq.heappush(self._queue, (due, self._count, self._spoiled(data)))
 
     def get(self, t: float) -> list[bytes]:
-        """What has arrived by now."""
+        """Remove and return the datagrams that have arrived by time `t`, in order of arrival."""
         out = []
         while self._queue and self._queue[0][0] <= t:
             out.append(heapq.heappop(self._queue)[2])

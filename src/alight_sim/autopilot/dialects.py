@@ -1,4 +1,4 @@
-"""What differs between the autopilots that are simulated: numbers of modes, what they ask for and what they refuse."""
+"""Differences between the simulated autopilots: numbers of modes, requests and refusals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol
 
 
 class Doing(Enum):
-    """What the simulated autopilot does."""
+    """Flight modes of the simulated autopilot."""
 
     PILOT = "pilot"
     GUIDED = "guided"
@@ -21,31 +21,31 @@ class Doing(Enum):
 
 
 class Dialect(Protocol):
-    """An autopilot's habits."""
+    """Interface of a dialect: the properties in which autopilots differ."""
 
     autopilot: int  # MAV_AUTOPILOT
     estimator_message: int  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
     wind_message: int
-    first_item: int  # of the mission that is flown: ArduPilot's item 0 is the home
+    first_item: int  # number of the first item that is flown: ArduPilot's item 0 is the home
     asks_with_int: bool  # MISSION_REQUEST_INT instead of MISSION_REQUEST
     mission_commands: frozenset[int]
     needs_setpoints: bool  # leaves guided flight when they stop
-    turns_to_course: bool  # turns the nose to where it flies where no heading is named
-    speeds_by_command: bool  # guided flight keeps to DO_CHANGE_SPEED, until its controller starts anew
-    stores_at_once: bool  # each item of a mission as it comes, over the one that was there
-    returns_at_disarm: bool  # goes back to the last mode that may be armed in, as the motors stop
-    lands_in_guided: bool  # says that it stands on the ground under positions, and not under velocities alone
-    target_delay: float  # s of reports until LAND uses a target and waits for the first one; infinite: it uses none
+    turns_to_course: bool  # turns the nose along the course where no heading is commanded
+    speeds_by_command: bool  # guided flight obeys DO_CHANGE_SPEED until its controller starts anew
+    stores_at_once: bool  # stores each item of a mission on arrival, over the old one
+    returns_at_disarm: bool  # disarming restores the last mode that allows arming
+    lands_in_guided: bool  # detects the ground under position set-points too, not under velocities alone
+    target_delay: float  # s of reports before LAND uses a target; LAND waits for the first one; infinite: it uses none
 
     def number(self, doing: Doing) -> int:
         """The custom mode of a heartbeat."""
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """The mode that MAV_CMD_DO_SET_MODE asks for; None: there is no such mode."""
+        """The mode that MAV_CMD_DO_SET_MODE requests; None: there is no such mode."""
 
 
 class SpokenArduPilot:
-    """Copter."""
+    """ArduPilot's Copter."""
 
     autopilot = 3
     estimator_message = 193
@@ -75,7 +75,7 @@ class SpokenArduPilot:
         return self._numbers[doing]
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """By its number in the second parameter."""
+        """The mode by its number in the second parameter; None: there is no such mode."""
         wanted = {n: d for d, n in self._numbers.items() if d is not Doing.TAKE_OFF}
         return wanted.get(round(parameters[1]))
 
@@ -94,7 +94,7 @@ class SpokenPx4:
     speeds_by_command = False
     stores_at_once = False
     returns_at_disarm = True  # since 1.14
-    lands_in_guided = False  # its land detector wants a set-point of the velocity
+    lands_in_guided = False  # its land detector needs a set-point of the velocity
     target_delay = math.inf
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL
@@ -107,10 +107,10 @@ class SpokenPx4:
     }
 
     def number(self, doing: Doing) -> int:
-        """Main mode in the third byte, sub-mode in the fourth."""
+        """The custom mode of a heartbeat: main mode in the third byte, sub-mode in the fourth."""
         main, sub = self._numbers[doing]
         return main << 16 | sub << 24
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """By main mode and sub-mode."""
+        """The mode by main mode and sub-mode, the second and third parameters; None: there is no such mode."""
         return {pair: d for d, pair in self._numbers.items()}.get((round(parameters[1]), round(parameters[2])))

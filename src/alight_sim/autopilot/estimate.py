@@ -1,4 +1,4 @@
-"""What the autopilot believes of its place: the truth with an error of its own."""
+"""Position estimate of the simulated autopilot: the true position with an error of its own."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from alight.arrays import F64
 
 @dataclass
 class EstimateError:
-    """A constant offset and a random walk, (3,) metres east north up."""
+    """Error of the estimated position: constant offset plus random walk, (3,) metres east north up."""
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: float = 0.0  # metres per square root of a second
     seed: int = 0
-    error: F64 = field(init=False)  # (3,) metres, of now
+    error: F64 = field(init=False)  # (3,) metres, at present
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
         self.error = np.array(self.offset, dtype=np.float64)
 
     def step(self, dt: float) -> None:
-        """Let it wander."""
+        """Advance the random walk by `dt` seconds."""
         if self.walk > 0:
             self.error = self.error + self.walk * dt**0.5 * self._rng.standard_normal(3)

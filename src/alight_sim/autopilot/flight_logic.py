@@ -1,4 +1,4 @@
-"""Modes, missions and landing of the simulated autopilot, in its own estimate: ENU metres from its home."""
+"""Modes, missions and landing of the simulated autopilot. Positions are its own estimate: ENU metres from its home."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from alight_sim.autopilot.dialects import Dialect, Doing
 from alight_sim.point_mass import Wanted
 
 WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # MAV_CMD
-_SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how it lands
+_SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # landing: sink rate, m/s; that above _SLOW_BELOW, m/s; metres
 _ARRIVED = 0.4  # m
-_TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each is believed
-_TARGET_GAP, _TARGET_WAIT = 0.5, 7.0  # s between reports, at most; for which a landing waits for the first target
-_DISARM_AFTER, _DISARM_IDLE = 1.0, 10.0  # s on the ground, after a landing, and armed without a take-off
+_TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each stays valid
+_TARGET_GAP, _TARGET_WAIT = 0.5, 7.0  # s: longest gap between reports; longest wait of a landing for a target
+_DISARM_AFTER, _DISARM_IDLE = 1.0, 10.0  # s on the ground until it disarms: after a landing; without a take-off
 _STREAM = 0.5  # s of set-points that are needed before guided flight
-_RUN_UP = 4.0  # s, of a helicopter's rotor
-_COURSE = 1.0  # m, of a way that has a course
+_RUN_UP = 4.0  # s, run-up of a helicopter's rotor
+_COURSE = 1.0  # m or m/s: shorter ways and slower velocities have no course
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class FlightItem:
 
 @dataclass
 class FlightLogic:
-    """What the autopilot wants its vehicle to do."""
+    """State machine of the autopilot: mode, mission and set-points in, the vehicle's set-point out."""
 
     dialect: Dialect
     armed: bool = False
@@ -41,8 +41,8 @@ class FlightLogic:
     doing: Doing = Doing.PILOT
     items: list[FlightItem] = field(default_factory=list)
     current: int = 0
-    reached: list[int] = field(default_factory=list)  # items, since they were read last
-    spoken: list[str] = field(default_factory=list)  # texts, since they were read last
+    reached: list[int] = field(default_factory=list)  # items reached since the last reading
+    spoken: list[str] = field(default_factory=list)  # status texts since the last reading
 
     def __post_init__(self) -> None:
         self._wanted = Wanted()
@@ -54,17 +54,17 @@ class FlightLogic:
         self._target_since = math.inf
         self._target_seen = False
         self._landing_since: float | None = None
-        self._controller = ""  # of guided flight: for a take-off, positions, velocities, or both
+        self._controller = ""  # kind of guided flight: take-off, positions, velocities, or both
         self._stood_since: float | None = None
         self._arrived_at: float | None = None
         self._here = np.zeros(3)
         self._anchor = np.zeros(3)
         self._stands = True
-        self._armable = Doing.HOLD  # the last mode that may be armed in
+        self._armable = Doing.HOLD  # the last mode that allows arming
 
     @property
     def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
+        """MAV_LANDED_STATE: 1 on the ground, 2 in the air, 4 landing."""
         landing = self.doing is Doing.LAND or (self.doing is Doing.MISSION and self._item_command == LAND)
         if self._stands and not self._is_blind:
             return 1
@@ -72,7 +72,7 @@ class FlightLogic:
 
     @property
     def _is_blind(self) -> bool:
-        """Whether it flies to a position and does not notice the ground below it."""
+        """Whether it is guided by positions and, in its dialect, does not detect the ground below it."""
         guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
         return guided and not self.dialect.lands_in_guided
 
@@ -107,7 +107,7 @@ class FlightLogic:
         return True
 
     def take_off(self, height: float) -> bool:
-        """Climb to a height above the home."""
+        """Climb to a height above the home, metres; False: refused."""
         if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
             return False
         if self.interlock is False or not self._stands:
@@ -119,13 +119,13 @@ class FlightLogic:
         return True
 
     def start_mission(self) -> bool:
-        """From its start, unless it is under way."""
+        """Start the mission at its first item, unless it is under way; False: refused."""
         if self.doing is not Doing.MISSION:
             self.current = self.dialect.first_item
         return self.enter(Doing.MISSION, 0.0)
 
     def guide(self, wanted: Wanted, t: float) -> None:
-        """Take a set-point."""
+        """Take a set-point of guided flight."""
         if t - self._set_at > _STREAM:
             self._set_since = t
         self._set_at = t
@@ -135,19 +135,19 @@ class FlightLogic:
             self._heading = None
 
     def face(self, heading: float) -> None:
-        """Turn to a heading."""
+        """Turn to a heading, rad clockwise from north."""
         self._heading = heading
 
     def _control(self, kind: str) -> None:
-        """A controller that starts anew goes back to its own speeds."""
+        """Select the controller of guided flight; a new one resets the commanded speed limits."""
         if kind != self._controller:
             self._controller = kind
             self._speed = self._sink = math.inf
 
     def limit(self, kind: float, speed: float) -> bool:
-        """Fly no faster over the ground (SPEED_TYPE 0 and 1), or downwards (3); False: not in this mode.
+        """Limit the speed over the ground (SPEED_TYPE 0 and 1) or downwards (3), m/s; False: not in this mode.
 
-        PX4 takes every kind for the speed over the ground, of missions alone.
+        PX4 takes every kind as the speed over the ground and applies it in missions alone.
         """
         if not self.dialect.speeds_by_command:
             self._speed = speed
@@ -161,13 +161,13 @@ class FlightLogic:
         return True
 
     def aim_landing(self, target: F64, t: float) -> None:
-        """Take the place of a landing target, (3,) metres."""
+        """Take the reported position of a landing target, (3,) metres."""
         if self._target is None or t - self._target[0] > _TARGET_GAP:
             self._target_since = t
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
-        """What to do now; None: the motors stand still."""
+        """Return the vehicle's set-point at time `t`, seconds; None: the motors stand still."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):
@@ -181,7 +181,7 @@ class FlightLogic:
         return Wanted(wanted.position, wanted.velocity, heading, *limits)
 
     def _runs(self, t: float) -> bool:
-        """Whether the motors lift: ArduPilot waits for the order to take off, a helicopter for its rotor."""
+        """Whether the motors lift: ArduPilot waits for the command to take off, a helicopter for its rotor."""
         waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
         if waits and not self.dialect.needs_setpoints:
             return False
@@ -253,7 +253,7 @@ class FlightLogic:
         return Wanted(self._anchor)
 
     def _begin_leg(self) -> None:
-        """Do what precedes a way-point: the first item before its leg starts, which loses a heading; then the rest."""
+        """Run the speed and yaw items before a way-point; a leg that starts after the first one resets its heading."""
         ahead = self.items[self.current :]
         count = next((k for k, item in enumerate(ahead) if item.command not in (SPEED, YAW)), len(ahead))
         for k, item in enumerate(ahead[:count]):
@@ -277,7 +277,7 @@ class FlightLogic:
         return t - self._arrived_at >= hold
 
     def _landing(self, place: F64, t: float) -> Wanted:
-        """First over the place, then down, towards the target where one is reported."""
+        """Set-point of a landing: first over the place, then down, towards the target where one is reported."""
         seen = self._target is not None and t - self._target[0] < _TARGET_AGE
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen

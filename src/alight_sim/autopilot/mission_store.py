@@ -1,4 +1,4 @@
-"""The receiving end of a mission upload: asks for each item, asks again, gives up after a while."""
+"""Receiver of a mission upload: it requests each item, repeats a request, and gives up after a while."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MOST = 700
 
 
 class MissionStore:
-    """Holds the messages of a mission: that which was accepted last, or what has come of one that is stored at once."""
+    """Messages of a mission: of the last accepted one, or all items that arrived where they are stored at once."""
 
     def __init__(self, dialect: Dialect, send: Callable[[Any], None]) -> None:
         self._dialect, self._send = dialect, send
@@ -32,7 +32,7 @@ class MissionStore:
         return self._count > 0
 
     def announce(self, m: Any, sender: tuple[int, int], t: float) -> None:
-        """MISSION_COUNT."""
+        """Handle MISSION_COUNT: begin a transfer and request its first item, or refuse it."""
         if self._count and sender != self._peer:
             self._acknowledge(_DENIED, sender)
             return
@@ -47,7 +47,7 @@ class MissionStore:
         self._ask(t)
 
     def item(self, m: Any, sender: tuple[int, int], t: float) -> None:
-        """MISSION_ITEM_INT."""
+        """Handle MISSION_ITEM_INT: take the item, then request the next one or acknowledge the mission."""
         if not self._count:
             self._peer = sender
             self._acknowledge(_ERROR)
@@ -70,7 +70,7 @@ class MissionStore:
         self._acknowledge(_ACCEPTED)
 
     def clear(self, sender: tuple[int, int]) -> None:
-        """MISSION_CLEAR_ALL."""
+        """Handle MISSION_CLEAR_ALL: remove all items; an error during a transfer where items are stored at once."""
         if self._count and self._dialect.stores_at_once:
             self._acknowledge(_ERROR, sender)
             return
@@ -79,7 +79,7 @@ class MissionStore:
         self._acknowledge(_ACCEPTED)
 
     def step(self, t: float) -> None:
-        """Ask again, or give up."""
+        """Repeat an old request, or cancel a transfer that has been silent too long."""
         if self._count and t - self._heard_at > _GIVE_UP:
             self._count = 0
             self._acknowledge(_CANCELLED)

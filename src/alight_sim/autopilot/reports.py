@@ -1,4 +1,4 @@
-"""What the simulated autopilot streams: only what it was asked for, and its heartbeat."""
+"""Messages that the simulated autopilot sends: its heartbeat, and the streams that were requested."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ if TYPE_CHECKING:
     from alight_sim.autopilot.simulated import SimulatedHome, TrueVehicle
 
 _PRE_ARM = 0x10000000
-_GOOD_ESTIMATE, _NO_POSITION = 831, 165  # flags of the estimator; without GPS it assumes to stand still
+_GOOD_ESTIMATE, _NO_POSITION = 831, 165  # flags of the estimator; without GPS it assumes that it stands still
 _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED from ENU
 _FLIP = np.diag([1.0, -1.0, -1.0])  # FLU from FRD
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedState:
-    """The autopilot at one instant."""
+    """State of the autopilot at one instant."""
 
     logic: FlightLogic
     vehicle: TrueVehicle
-    degrees: tuple[float, float, float]  # latitude, longitude, altitude above sea level, as it believes
-    metres: F64  # (3,) from the home, as it believes
+    degrees: tuple[float, float, float]  # its estimate: latitude, longitude, metres above sea level
+    metres: F64  # its estimate: (3,) from the home
     home: SimulatedHome
     ready: bool
     boot: float  # s
-    middle: float  # s, of the interval that inertial measurements are of
-    battery: float  # share
+    middle: float  # s, middle of the interval of the inertial measurements
+    battery: float  # share of its full charge
     checks: bool = True  # whether it checks itself before arming
 
     @property
     def boot_ms(self) -> int:
-        """Its clock."""
+        """Its own clock, ms since boot."""
         return round(self.boot * 1e3)
 
     @property
     def ned_from_frd(self) -> F64:
-        """(3, 3) attitude."""
+        """(3, 3) attitude: rotation of FRD axes into NED."""
         return np.asarray(_SWAP @ self.vehicle.world_from_body.rotation @ _FLIP)
 
 
 class Reports:
-    """The streams of one start."""
+    """Message streams of the autopilot from one boot to the next."""
 
     def __init__(self, dialect: Dialect, send: Callable[[Any], None], kind: int) -> None:
         self._dialect, self._send, self._kind = dialect, send, kind
@@ -60,7 +60,7 @@ class Reports:
         self._heartbeat = 0.0
         self.sticks = [1500, 1500, 1100, 1500]
         self.lacks: set[int] = set()  # messages that this build cannot send
-        self.silent: set[int] = set()  # messages that it could send and has nothing to say in
+        self.silent: set[int] = set()  # messages that it could send but has no data for
         self._make: dict[int, Callable[[SimulatedState], Any]] = {
             1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 27: self._raw_imu,
             30: self._attitude, 31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission,
@@ -69,7 +69,7 @@ class Reports:
         }  # fmt: skip
 
     def ask(self, message: int, interval_us: float) -> bool:
-        """SET_MESSAGE_INTERVAL; False: there is no such message."""
+        """Handle SET_MESSAGE_INTERVAL, microseconds; False: there is no such message."""
         if message not in self._make or message in self.lacks:
             return False
         self._interval[message] = interval_us * 1e-6
@@ -77,7 +77,7 @@ class Reports:
         return True
 
     def step(self, t: float, now: SimulatedState) -> None:
-        """Send what is due."""
+        """Send the messages that are due at time `t`, seconds."""
         if t >= self._heartbeat:
             self._heartbeat = t + 1.0
             base = 1 | (128 if now.logic.armed else 0)

@@ -14,11 +14,11 @@ from typing import Any
 from alight_sim.autopilot.channel import LossyChannel
 from alight_sim.autopilot.simulated import SimulatedAutopilot
 
-OF_LATE = 10.0  # s
+OF_LATE = 10.0  # s since its last datagram, in which a sender counts as recent
 
 
 class UdpServer:
-    """Speaks to `to`, and to all who have spoken to its own port of late; `speed` times as fast as the clock.
+    """UDP server of the autopilot: it sends to `to` and to all recent senders, `speed` times as fast as the clock.
 
     `after_step` is called in its thread after every step.
     """
@@ -34,19 +34,19 @@ class UdpServer:
         after_step: Callable[[], None] = lambda: None,
     ) -> None:
         self.autopilot = autopilot
-        self._spoke: dict[Any, float] = {} if to is None else {to: math.inf}  # s of the steady clock; for ever: `to`
+        self._spoke: dict[Any, float] = {} if to is None else {to: math.inf}  # s, last datagram; `to`: for ever
         self._speed, self._step, self._after_step = speed, step, after_step
         self._outwards, self._inwards = outwards or LossyChannel(), inwards or LossyChannel()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self._stop = Event()
-        self.behind = 0.0  # s by the clock, at the most: a machine that is too slow
+        self.behind = 0.0  # s, largest delay against the clock: a machine that is too slow
         self._thread = Thread(target=self._run, daemon=True)
 
     @property
     def port(self) -> int:
-        """Its own port."""
+        """UDP port of the server itself."""
         return int(self._socket.getsockname()[1])
 
     def __enter__(self) -> UdpServer:
@@ -64,7 +64,7 @@ class UdpServer:
         pace = self._step / self._speed
         due = time.monotonic() + pace
         while not self._stop.wait(max(0.0, due - time.monotonic())):
-            while due <= (now := time.monotonic()) and not self._stop.is_set():  # all that is due, before it answers
+            while due <= (now := time.monotonic()) and not self._stop.is_set():  # all due steps before it answers
                 self.behind = max(self.behind, now - due)
                 self.autopilot.step(self._step)
                 self._after_step()

@@ -27,7 +27,7 @@ _HELICOPTER = 4  # MAV_TYPE
 
 
 class TrueVehicle(Protocol):
-    """What moves: a point with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
+    """Interface of the vehicle: a point with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
 
     @property
     def position(self) -> F64: ...
@@ -50,7 +50,7 @@ class TrueVehicle(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedHome:
-    """Where on Earth it stands: the origin of its vehicle's metres."""
+    """Home of the autopilot on Earth: the origin of its vehicle's metres."""
 
     latitude: float = 47.6
     longitude: float = 13.4
@@ -67,14 +67,14 @@ class SimulatedHome:
         )
 
     def metres(self, latitude: float, longitude: float, altitude_msl: float) -> F64:
-        """The other way round."""
+        """(3,) metres from the home, of latitude and longitude in degrees and altitude above sea level."""
         meridian, parallel = self._radii()
         north = math.radians(latitude - self.latitude) * meridian
         east = math.radians(longitude - self.longitude) * parallel
         return np.array([east, north, altitude_msl - self.altitude_msl])
 
     def _radii(self) -> tuple[float, float]:
-        """Radius along the meridian, and that of the parallel, on the WGS84 ellipsoid."""
+        """Radii along the meridian and of the parallel, metres, at the home's height above the WGS84 ellipsoid."""
         a, e2 = 6378137.0, 0.00669437999014
         height, s = self.altitude_msl + self.separation, math.sin(math.radians(self.latitude))
         w = math.sqrt(1 - e2 * s * s)
@@ -82,11 +82,10 @@ class SimulatedHome:
 
 
 class SimulatedAutopilot:
-    """One autopilot with its vehicle. `receive` bytes, `step` time, send what is `pending`.
+    """One autopilot with its vehicle. `receive` bytes, `step` time, send the `pending` datagrams.
 
-    It streams what it was asked for and nothing else but its heartbeat, forgets that at a reboot, and stamps messages
-    with its own clock. `drift` is that clock's error of rate; `shift` in metres is how far its home is from where its
-    vehicle's metres begin.
+    It streams its heartbeat and the requested messages alone, and forgets the requests at a reboot. It stamps messages
+    with its own clock; `drift` is the relative error of that clock's rate. `kind`: MAV_TYPE.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class SimulatedAutopilot:
 
     @property
     def boot_ns(self) -> int:
-        """Its clock."""
+        """Its own clock, ns since boot."""
         return round(self._boot * 1e9)
 
     @property
@@ -130,7 +129,7 @@ class SimulatedAutopilot:
 
     @property
     def estimated(self) -> F64:
-        """(3,) metres: where it believes to be."""
+        """(3,) metres: its estimate of its position."""
         return self.vehicle.position + self.estimate.error
 
     def reboot(self) -> None:
@@ -138,23 +137,23 @@ class SimulatedAutopilot:
         self._start()
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
-        """Be in the air where the vehicle is, as after a take-off."""
+        """Put it in the air at the vehicle's position, armed, as after a take-off."""
         self.logic.armed, self._boot = True, _START_UP + 1.0
         self.logic.step(self._boot, self.estimated, False)
         self.logic.doing = Doing.TAKE_OFF
         self.logic.enter(doing, self._boot)
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
-        """A person changes the mode."""
+        """Change the mode as a pilot does."""
         self.logic.enter(doing, self._boot)
 
     def pending(self) -> list[bytes]:
-        """Datagrams to send."""
+        """Remove and return the datagrams to send."""
         out, self._out = self._out, []
         return out
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds of true time pass."""
+        """Advance by `dt` seconds of true time."""
         self._middle = self._boot + 0.5 * dt * (1 + self._drift)
         self._boot += dt * (1 + self._drift)
         self.estimate.step(dt)
@@ -170,7 +169,7 @@ class SimulatedAutopilot:
         self.reports.step(self._boot, self._snapshot())
 
     def _in_truth(self, wanted: Wanted) -> Wanted:
-        """It steers by its estimate: the vehicle is off by the error."""
+        """The set-point in true coordinates: it steers by its estimate, so the vehicle is off by the error."""
         position = None if wanted.position is None else wanted.position - self.estimate.error
         return replace(wanted, position=position)
 
@@ -191,7 +190,7 @@ class SimulatedAutopilot:
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
 
     def receive(self, data: bytes) -> None:
-        """Take a datagram."""
+        """Take a datagram and handle its messages."""
         for m in self._mavlink.parse_buffer(data) or ():
             handler = getattr(self, f"_on_{m.get_type().lower()}", None)
             if handler is not None and getattr(m, "target_system", self._system) in (0, self._system):

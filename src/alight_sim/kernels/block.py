@@ -1,6 +1,6 @@
 """A block of pixels as vectors: one flat scratch array, cut into slots that all passes of the shading share.
 
-A pass is one branch-free loop over the block. Slots lie a fixed number of pixels apart in one array, so LLVM sees that
+A pass is one branch-free loop over the block. Slots lie a fixed number of pixels apart in one array. So LLVM finds that
 they do not overlap and turns the loop into vector code (texture noise: 27 -> 2.3 ns a sample with AVX-512).
 """
 
@@ -19,9 +19,9 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 f32, u32, i32 = np.float32, np.uint32, np.int32
-B = 64  # pixels of a block: half of a wider one went to waste at the right rim of 320, and all slots stay near
+B = 64  # pixels of a block: a wider one wasted half at the right rim of 320; all slots stay close in memory
 
-# where it is: relative to the block's base point, metres; unit vector to the camera; distance; ground a pixel covers
+# hit point from the block's base point, metres; unit vector to the camera; distance, metres; pixel footprint, metres
 X, Y, Z, VX, VY, VZ, DIST, FOOT = (k * B for k in range(8))
 # layers of light, then the place on the texture
 SLOPE_E, SLOPE_N, MARGIN, SKY, DEPTH, TX, TY = (k * B for k in range(8, 15))
@@ -30,7 +30,7 @@ U, V, N, DU, DV = (k * B for k in range(15, 20))
 # texture: detail and its slopes, weight of an octave; large and middle fields of the place; shadow of small things
 VALUE, BUMP_E, BUMP_N, WEIGHT, LARGE, MIDDLE, ASIDE, SHADE = (k * B for k in range(20, 28))
 RED, GREEN, BLUE, NX, NY, NZ, SUN, CLOUD = (k * B for k in range(28, 36))
-# water: is it; slopes of the waves that are seen, variance of those that are not; drifting scum
+# water: 1 where wet; slopes of resolved waves, variance of the others; drifting scum; factor on the slopes
 WATER, WAVE_E, WAVE_N, WAVE_VAR, SCUM, CALM = (k * B for k in range(36, 42))
 TINT_R, TINT_G, TINT_B = (k * B for k in range(42, 45))
 KEPT_X, KEPT_Y, ALONG, LEAF, FACE, BODY_R, BODY_G, BODY_B, DULL_R, DULL_G, DULL_B = (k * B for k in range(45, 56))
@@ -59,7 +59,7 @@ def fading(x: np.float32) -> np.float32:
 def noise_lattice(
     base: F64, wavelength: float, c: float, s: float, dx: float, dy: float
 ) -> tuple[float, float, int, int]:
-    """Return where a block's base lies on a turned lattice: fractions, then whole steps; `dx`, `dy`: a shift."""
+    """Return a block's base on a turned lattice: fractions, then whole steps; `dx`, `dy`: a shift, metres."""
     x, y = base[0] + dx, base[1] + dy
     u, v = (c * x - s * y) / wavelength, (s * x + c * y) / wavelength
     i, j = math.floor(u), math.floor(v)
@@ -123,7 +123,7 @@ def noise_at(
 def values_at(
     buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
 ) -> None:
-    """As `noise_at`, without the slopes: N alone."""
+    """Fill N as `noise_at` does, without the slopes."""
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _values(buf, i32(i), i32(j), seed32(seed))
@@ -131,7 +131,7 @@ def values_at(
 
 @kernel
 def fill(buf: F32, slot: int, value: float) -> None:
-    """Set one slot."""
+    """Set all pixels of one slot to a value."""
     for i in range(slot, slot + B):
         buf[i] = f32(value)
 

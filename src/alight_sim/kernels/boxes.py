@@ -24,9 +24,9 @@ MISS = -1.0
 
 @kernel
 def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
-    """Return where a ray enters a box and through which face (1 top, 2/3 front/back, 4/5 left/right, 0 below), or MISS.
+    """Return the parameter at which a ray enters a box, and the face, or MISS.
 
-    `origin`, `ray`: world. The slab method (Kay and Kajiya, 1986).
+    Faces: 1 top, 2/3 front/back, 4/5 left/right, 0 below. `origin`, `ray`: world. Slab method (Kay and Kajiya, 1986).
     """
     dx, dy = origin[0] - box[0], origin[1] - box[1]
     start = (box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx, origin[2] - box[2])
@@ -48,7 +48,7 @@ def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
 
 @kernel
 def _spheres(boxes: F64, origin: Three, out: F64) -> None:
-    """Fill `out` (M, 4) with where the spheres about the boxes are, from the origin, and the squared cosine's bound."""
+    """Fill `out` (M, 4): centres of the boxes' spheres from the origin, least squared projection on a unit ray."""
     for m in range(boxes.shape[0]):
         box = boxes[m]
         half = 0.5 * box[7]

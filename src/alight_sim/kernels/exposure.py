@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 LEVELS = 8192  # of the tone table, along the square root of the signal
-UNIT = 1.0 / math.sqrt(8 * (256**2 - 1) / 12)  # eight dice of 256 sides, brought to unit deviation
+UNIT = 1.0 / math.sqrt(8 * (256**2 - 1) / 12)  # scales the sum of eight random bytes to unit deviation
 STEP, MIX_A, MIX_B = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 S27, S30, S31, S8, S48 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(8), np.uint64(48)
 BYTES, SUM = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
@@ -41,8 +41,8 @@ def dice(key: np.uint64, number: np.uint64) -> float:
 def develop(light: F32, falloff: F32, gain: F64, shot: float, read: float, tone: U8, key: np.uint64, out: U8) -> None:
     """Fill `out` (H, W, 3) from linear light (H, W, 3).
 
-    `falloff` (H, W) is the share of light that gets through, `gain` (3,) brings it to full scale 1, the variance of
-    the noise is `shot * signal + read`, `tone` (LEVELS,) gives the grey value of the square root of the signal.
+    `falloff` (H, W): share of light that gets through. `gain` (3,) brings it to full scale 1. The variance of the noise
+    is `shot * signal + read`. `tone` (LEVELS,): grey value by the square root of the signal.
     """
     rows, cols, _ = light.shape
     for r in prange(rows):

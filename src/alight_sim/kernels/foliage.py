@@ -46,7 +46,7 @@ from alight_sim.kernels.texture import P_COARSE, P_DEEP, P_LIFT, P_OPEN, P_SWAY
 
 @kernel
 def sway(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Shift the texture of what the wind moves; gusts run over it with the wind. `wind` (2,): m/s east, north."""
+    """Shift the texture of plants in the wind; gusts run over it with the wind. `wind` (2,): m/s east, north."""
     if largest(buf, PARAM + P_SWAY * B) <= 0.0:
         return
     speed = math.hypot(wind[0], wind[1])
@@ -68,7 +68,7 @@ def _sift(buf: F32, wavelength: np.float32, coarse: np.float32) -> None:
 
 @kernel
 def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) -> None:
-    """Settle the pixels whose layer is opaque: where on the texture they look, and how little light comes there."""
+    """Fix the pixels whose layer is opaque: ALONG, depth below the surface over VZ, and SHADE, the light there."""
     for i in range(B):
         deep = part * buf[PARAM + P_DEEP * B + i]
         free = F1 if buf[SHADE + i] < F0 else F0
@@ -81,10 +81,10 @@ def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) ->
 
 @kernel
 def foliage(buf: F32, base: F64, seed: int) -> None:
-    """Look into crowns and grass: three layers of leaves, the first opaque one is seen; fills LEAF with its light.
+    """Draw crowns and grass as three layers of leaves; the first opaque one is seen, and fills LEAF with its light.
 
-    Leaves hang at several depths below the surface, so views from two places disagree, as with real plants; the
-    height that truth knows is the topmost layer.
+    Leaves hang at several depths below the surface, so views from two places disagree, as with real plants. The true
+    height is that of the topmost layer.
     """
     fill(buf, SHADE, 1.0)
     if largest(buf, PARAM + P_DEEP * B) > 0.0:
@@ -105,7 +105,7 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
             _choose(buf, f32(part), f32(gain), f32(opaque))
         _settle(buf)
     copy(buf, SHADE, LEAF)
-    for i in range(B):  # the flanks of a crown: the dark below it
+    for i in range(B):  # the flanks of a crown show the dark below it
         e, n = buf[SLOPE_E + i], buf[SLOPE_N + i]
         flank = smoothstep(f32(1.5), f32(5.0), np.sqrt(e * e + n * n)) if buf[PARAM + P_DEEP * B + i] > f32(0.2) else F0
         buf[LEAF + i] *= F1 - f32(0.85) * flank
@@ -115,7 +115,7 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
 def _hang(buf: F32) -> None:
     """Shift the place of the leaves by the parallax of their own height: clumps of two depths in a crown.
 
-    Less P_LIFT, by which the tips of short plants stand above the height that truth knows: the mean of what is seen.
+    P_LIFT is subtracted: the tips of short plants stand so far above the true height, the mean of the visible heights.
     """
     for i in range(B):
         deep = buf[PARAM + P_DEEP * B + i]

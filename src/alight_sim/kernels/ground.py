@@ -1,7 +1,7 @@
 """The layers of a patch at the places of a block of pixels: look, light, tint.
 
-Where the ground steps, the height of the hit says on which side of the step it is: the surface's contour is a straight
-line where a thing's edge is one (`alight_sim.kernels.stamps`), the border between two cells is a stair.
+At a step of the ground, the height of the hit decides its side of the step. The surface's contour is straight where a
+thing's edge is straight (`alight_sim.kernels.stamps`); the border between two cells is a stair.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from alight_sim.kernels.block import (  # fmt: skip
 
 U8 = NDArray[np.uint8]
 
-# codes of records.Terrain whose borders are edges of height: colours keep to them
+# codes of records.Terrain with sharp borders: colours keep to them
 TREE, ROCK, PAVED, STRUCTURE = 4, 6, 7, 8
 STEEP = 3.0  # slope of a side
-EDGE, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; up to here its side is the ground's
-STEP, PLAIN = 1, 2  # bits of a cell: the four from it on are an edge; all within WIDE cells have its class and look
+EDGE, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; its side is ground up to FOOT_OF
+STEP, PLAIN = 1, 2  # bits of a cell: the four from it on are an edge; all cells within WIDE have its class and look
 WIDE = 3
 FAR = 2.5  # cells: a border that wanders farther ends beyond WIDE
 SKIN = 8  # layers that are read at once
@@ -63,7 +63,7 @@ def _hard(kind: int) -> bool:
 
 @kernel
 def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]:
-    """Return the nearest cell on the point's own side of a step, and whether that is the upper."""
+    """Return row and column of the nearest cell on the point's side of a step, and whether that is the upper side."""
     ix, iy = int(gx), int(gy)
     top, low = height[iy, ix], height[iy, ix]
     for r in range(iy - 1, iy + 3):
@@ -85,14 +85,14 @@ def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]
 
 @kernel
 def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
-    """Return the cell whose look a place has. Borders between two kinds of ground wander, as real ones do."""
+    """Return the cell that gives a place its look. Borders between two kinds of ground wander, as real ones do."""
     east, north = float(buf[SLOPE_E + i]), float(buf[SLOPE_N + i])
     steep = math.sqrt(east * east + north * north)
     if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
         return _class_near(label, gx + east / steep, gy - north / steep)
     r, c = _class_near(label, gx, gy)
     q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
-    if label[r, c] == PAVED or label[q, p] == PAVED:  # what people lay has a border
+    if label[r, c] == PAVED or label[q, p] == PAVED:  # paving has a sharp border
         q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
     hard = _hard(label[r, c]) or _hard(label[q, p])
     return (r, c) if hard else (q, p)
@@ -104,7 +104,7 @@ def look_up_layers(
 ) -> None:
     """Fill look, light and tint; see `shade`.
 
-    TX, TY hold how far the borders of a class wander: see `wander_borders`.
+    TX, TY hold the wandering of class borders, cells: see `wander_borders`.
     """
     per, plain, far = 1.0 / place[2], PLAIN, False
     for i in range(B):
@@ -145,7 +145,7 @@ def _skin_at(buf: F32, i: int, skin: F32, gx: float, gy: float) -> None:
 
 @kernel
 def wander_borders(buf: F32, base: F64) -> None:
-    """Fill TX, TY with how far, in cells, the border of a class wanders: at 0.4 and 0.1 m."""
+    """Fill TX, TY with the wandering of class borders, cells: noise of 0.4 and 0.1 m."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     noise_at(buf, base, 0.4, 0.8, 0.6, 77)

@@ -62,7 +62,7 @@ SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: ha
 
 @kernel
 def face_normals(buf: F32, boxes: F64) -> None:
-    """Turn the normals of pixels that see a car to the face that they see."""
+    """Set the normals of pixels on a car to that of the visible face."""
     for i in range(B):
         code = int(buf[FACE + i])
         side = code & 7
@@ -78,7 +78,7 @@ def face_normals(buf: F32, boxes: F64) -> None:
 
 @kernel
 def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
-    """Take the sun from what lies behind a car."""
+    """Set SUN to 0 in the shadows of cars."""
     for m in range(boxes.shape[0]):
         box = boxes[m]
         reach = math.hypot(box[5], box[6]) + (box[7] + 1.0) * math.hypot(sun[0], sun[1]) / max(sun[2], 0.05)
@@ -101,7 +101,7 @@ def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
 
 @kernel
 def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
-    """Fill SUN: the share of the sun that comes past terrain and small things, and CLOUD: past the clouds."""
+    """Fill SUN, the share of the sun that passes terrain, small things and clouds, and CLOUD, the share clouds take."""
     for i in range(B):
         buf[SUN + i] = smoothstep(f32(SHADED), f32(LIT), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
     fill(buf, CLOUD, 0.0)
@@ -132,7 +132,7 @@ def slope_normals(buf: F32) -> None:
 
 @kernel
 def illuminate(buf: F32, lights: F32) -> None:
-    """Lambert's law under sun and sky, with the back-scatter of rough ground and the shine of smooth; dry pixels."""
+    """Apply Lambert's law under sun and sky to dry pixels, with back-scatter of rough and shine of smooth ground."""
     sx, sy, sz = lights[0], lights[1], lights[2]
     for i in range(B):
         nx, ny, nz = buf[NX + i], buf[NY + i], buf[NZ + i]
@@ -169,7 +169,7 @@ def dye(buf: F32) -> None:
 
 @kernel
 def haze(buf: F32, lights: F32) -> None:
-    """Dim what is far and add the light that the air scatters (Koschmieder, 1924); sky where nothing was hit."""
+    """Dim far points and add the light that the air scatters (Koschmieder, 1924); sky where nothing was hit."""
     for i in range(B):
         up = max(-buf[VZ + i], F0)
         low = (F1 - up) * (F1 - up)

@@ -46,7 +46,7 @@ def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, s
 
 @kernel
 def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """`add_fractal` on the calling thread alone: for a few places, where waking the others takes longer."""
+    """Do as `add_fractal` on the calling thread alone: faster for a few places."""
     for r in range(out.shape[0]):
         _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
 
@@ -64,7 +64,7 @@ def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, se
 
 @parallel_kernel
 def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
-    """Fill `out` (R, C, 3) with the way of each place from a line: aside (left is negative), along, height there.
+    """Fill `out` (R, C, 3) with each place's position against a line: aside (left is negative), along, height there.
 
     `line` (N, 4): east, north, metres along, height of each vertex. Places farther than `reach`: aside is `reach`.
     """
@@ -151,7 +151,7 @@ def tile_block_tops(height: F32, out: F32) -> None:
 
 @kernel
 def _to_leave(x: float, step: float) -> int:
-    """Return how many steps stay inside the block."""
+    """Return the number of steps that stay inside the block."""
     inside = x - BLOCK * math.floor(x / BLOCK)
     if step > 0.0:
         return int((BLOCK - inside) / step)
@@ -162,11 +162,11 @@ def _to_leave(x: float, step: float) -> int:
 def sun_margin(
     height: F32, tops: F32, row: int, col: int, top: float, step: F64, limit: float, out: F32
 ) -> None:  # fmt: skip
-    """Fill `out` (R, C) with how far, in metres, the sun's ray from each cell clears the ground (negative: shadow).
+    """Fill `out` (R, C) with the clearance of each cell's ray to the sun above the ground, metres (negative: shadow).
 
     Cell (0, 0) of `out` is (`row`, `col`) of `height`. `step` (3,): one step towards the sun in columns, rows, metres;
-    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. Blocks that lie so deep below the ray that
-    they cannot matter are leapt over, by `tops` of `block_tops`; the result is the same.
+    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. `tops` of `tile_block_tops` lets a ray skip
+    blocks that lie too deep below it to matter; the result is the same.
     """
     rows, cols = height.shape
     for r in prange(out.shape[0]):

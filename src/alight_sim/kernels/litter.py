@@ -1,4 +1,4 @@
-"""Small things on the ground, below the cell of the height layer: stones, leaves, tufts, each with its shadow."""
+"""Small things on the ground, smaller than a cell of the height layer: stones, leaves, tufts, each with its shadow."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _scatter(
 def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
     """Scatter stones, leaves, tufts below the cell: WEIGHT = gain of the colour, bump of their domes, SHADE = shadow.
 
-    One in some of the cells of a lattice, in four sizes; the shadow falls away from the sun, as its height says.
+    Some cells of a lattice hold one, in four sizes. The shadow falls away from the sun, in proportion to the height.
     """
     fill(buf, WEIGHT, 1.0)
     fill(buf, SHADE, 0.0)
@@ -93,7 +93,7 @@ def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
         if 2.0 * radius <= 0.5 * finest or largest(buf, slot) <= 0.0:
             continue
         u, v, i, j = noise_lattice(base, 5.5 * radius, 1.0, 0.0, 0.0, 0.0)
-        copy(buf, slot, N)  # a fixed slot: LLVM must see that what is read is not what is written
+        copy(buf, slot, N)  # a fixed slot: LLVM must see that input and output are apart
         for m in range(B):  # many here, none there
             buf[N + m] *= min(max(F1 + f32(0.9) * buf[ASIDE + m], f32(0.05)), F2)
         _scatter(buf, f32(radius), (f32(u), f32(v), i32(i), i32(j)), towards, seed32(seed + k))

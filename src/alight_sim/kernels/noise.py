@@ -91,7 +91,7 @@ def floor32(x: np.float32) -> np.int32:
 
 @pixelwise
 def column32(i: np.int32, seed: np.uint32) -> np.uint32:
-    """First half of the hash: what the points of one lattice column share; `seed` already multiplied (`seed32`)."""
+    """First half of the hash, common to all points of one lattice column; `seed` already multiplied (`seed32`)."""
     h = u32(u32(i) * _I + seed)
     h = u32(h ^ u32(h >> _16))
     h = u32(h * _FIRST)
@@ -111,7 +111,7 @@ def point32(column: np.uint32, j: np.int32) -> np.uint32:
 
 @pixelwise
 def seed32(seed: int) -> np.uint32:
-    """The seed as the 32-bit hash takes it."""
+    """The seed, multiplied for the 32-bit hash."""
     return u32(((seed & MASK) * 0x4B1AB31F) & MASK)
 
 
@@ -150,6 +150,6 @@ def blend32(u: np.float32, v: np.float32, corners: tuple[Two, Two, Two, Two]) ->
 def noise32(
     x: np.float32, y: np.float32, i0: np.int32, j0: np.int32, seed: np.uint32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """`gradient_noise` at (i0 + x, j0 + y), in single precision: whole lattice steps apart, so exact far from zero."""
+    """`gradient_noise` at (i0 + x, j0 + y) in single precision; whole steps are apart, so it is exact far from zero."""
     i, j = floor32(x), floor32(y)
     return blend32(x - f32(i), y - f32(j), corners32(i32(i + i0), i32(j + j0), seed))

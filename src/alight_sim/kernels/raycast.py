@@ -4,8 +4,8 @@ The surface is bilinear between cell centres, so along a ray its height is a qua
 patch is solved, not marched (error: rounding). Patch (r, c) spans the centres r..r+1, c..c+1. Pyramid of maxima after
 Tevs, Ihrke, Seidel, "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering" (I3D 2008).
 
-Grid coordinates: x = column, y = row, fractional, cell centres at integers; z in metres. Looking straight along a row
-or a column is safe: the boundary in the other direction is then never reached.
+Grid coordinates: x = column, y = row, fractional, cell centres at integers; z in metres. A ray along a row or a column
+is safe: it never reaches the boundary in the other direction.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Three = tuple[float, float, float]
 
 MISS = -1.0
 NEAR = 4  # the coarsest level of the pyramid by which rays fall freely
-FALLS = 6  # at most, at each level
+FALLS = 6  # at each level, at most
 STRIP = 16  # pixels of a row that start their rays together
 
 
@@ -109,7 +109,7 @@ def _walk(
             under = False
         if not under and t1 >= t_end:
             return MISS
-        # down a level or on to the next node, by choices instead of branches: nobody can predict them
+        # down a level or on to the next node, by selection: a branch would be unpredictable
         size, x0, y0, across = 1 << level, nx << level, ny << level, tx <= ty
         jx = min(max(int(ox + t1 * rx), x0), x0 + size - 1)
         jy = min(max(int(oy + t1 * ry), y0), y0 + size - 1)
@@ -138,7 +138,7 @@ def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, 
 
 @kernel
 def _highest(pyramid: F32, offsets: I64, widths: I64, box: F64, shape: tuple[int, int]) -> float:
-    """Return a bound from above on the surface over a box (x0, x1, y0, y1) of grid coordinates."""
+    """Return an upper bound of the surface over a box (x0, x1, y0, y1) of grid coordinates."""
     x0, x1 = min(max(int(box[0]), 0), shape[1] - 2), min(max(int(box[1]), 0), shape[1] - 2)
     y0, y1 = min(max(int(box[2]), 0), shape[0] - 2), min(max(int(box[3]), 0), shape[0] - 2)
     level = 0
@@ -155,10 +155,10 @@ def _highest(pyramid: F32, offsets: I64, widths: I64, box: F64, shape: tuple[int
 def _ceiling(
     pyramid: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, fan: F64, top: float, low: float
 ) -> float:
-    """Return a height down to which all rays of a fan meet nothing.
+    """Return a height above which no ray of a fan meets the surface.
 
-    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows a metre of fall. Over the box
-    that the rays cross between `top` and `low`, nothing is higher than the pyramid says: that is the next `top`.
+    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows a metre of fall. The pyramid
+    bounds the surface over the box that the rays cross between `top` and `low`: that bound is the next `top`.
     """
     box = np.empty(4)
     for _ in range(5):
@@ -196,7 +196,7 @@ def _fall(
 ) -> bool:
     """Bring `starts` (STRIP,) down to the highest ground within 2^level cells, or so far aside; True: one ended aside.
 
-    Nothing is met before: the ray stays over the 3 x 3 nodes about its place.
+    No ray meets the surface before: it stays over the 3 x 3 nodes about its place.
     """
     aside = False
     for k in range(STRIP):
@@ -231,8 +231,8 @@ def cast_rays(
 
     `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3), `turns` (N, 3, 3): grid coordinates from the
     camera's axes, N = 1 for all rows or one each. `low`: no surface is lower. `about`: as `pyramid`, the maxima of the
-    3 x 3 nodes about each node. Rays start where the highest ground below their strip begins, 2.5 to 3 times as fast as
-    from the camera, and fall freely to the highest ground about their own place: a fifth less time.
+    3 x 3 nodes about each node. Rays start at the highest ground below their strip: 2.5 to 3 times as fast as from the
+    camera. Then they fall freely to the highest ground about their own place: a fifth less time.
     """
     shape = height.shape
     summit = float(pyramid[offsets[offsets.size - 1]])

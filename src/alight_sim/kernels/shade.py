@@ -61,12 +61,12 @@ from alight_sim.kernels.water import dive, refract, scum, water_light, waves
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
 
-PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
+PAINT, GLASS = 30, 34  # codes of alight_sim.looks.Look
 
 
 @kernel
 def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) -> None:
-    """Fill four slots of `buf` with the rays of a block in the world, and how far along them the ground is."""
+    """Fill four slots of `buf` with the rays of a block in the world, and the rays' parameters at the ground."""
     count = min(B, depth.shape[1] - first)
     for i in range(count):
         d0, d1, d2 = directions[r, first + i, 0], directions[r, first + i, 1], directions[r, first + i, 2]
@@ -80,7 +80,7 @@ def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) 
 
 @kernel
 def _settle_base(ways: F64, centre: F64, base: F64) -> bool:
-    """Fill `base` with whole metres by the first pixel that sees ground; False: none does."""
+    """Fill `base` with the hit of the first pixel on the ground, rounded down to whole metres; False: no pixel hits."""
     for i in range(B):
         t = ways[3 * B + i]
         if t > 0.0:
@@ -119,7 +119,7 @@ def _aim(
 
 @kernel
 def _unfold(buf: F32, base: F64) -> None:
-    """Fill TX, TY: seen from above on ground and roofs, from the side on walls, of which a pixel covers more."""
+    """Fill TX, TY: from above on ground and roofs, from the side on walls, where a pixel's footprint is larger."""
     x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
     z0 = f32(base[2])
     for i in range(B):
@@ -138,7 +138,7 @@ def _unfold(buf: F32, base: F64) -> None:
 
 @kernel
 def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look: I32) -> bool:
-    """Give pixels that see a car its look; False: none does. See `alight_sim.kernels.boxes`."""
+    """Give pixels on a car its look; False: there are none. See `alight_sim.kernels.boxes`."""
     any_car, last = False, faces.shape[1] - 1
     for i in range(B):
         code = int(faces[r, min(first + i, last)])
@@ -167,7 +167,7 @@ def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
 
 @kernel
 def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool) -> None:
-    """Fill reflectance and bumps."""
+    """Fill reflectance and bumps of the surface: texture, plants, small things, laid patterns."""
     _unfold(buf, base)
     sway(buf, base, lights[WIND : WIND + 2], time, seed + 60)
     if wet:
@@ -188,12 +188,12 @@ def shade(
 ) -> None:  # fmt: skip
     """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
 
-    `height` (R, C; empty: the layers are coarser than it); `label` (R, C); `cells` (R, C, 2): look, and what is about
-    (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky, water depth,
-    tint. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS), `wet` (L,) 1 for water:
-    `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
+    `height` (R, C; empty: the layers are coarser than it); `label` (R, C); `cells` (R, C, 2): look, and bits of its
+    surroundings (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky,
+    water depth, tint. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS), `wet` (L,) 1 for water:
+    `alight_sim.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
     picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W)
-    from `cast_boxes`; `pixel`: angle of a pixel; `level`: height of the plane that goes on where the patch ends;
+    from `cast_boxes`; `pixel`: angle of a pixel, rad; `level`: height of the plane that goes on where the patch ends;
     `lights` (LIGHTS,): see `illuminate`.
     """
     lights32 = lights.astype(np.float32)

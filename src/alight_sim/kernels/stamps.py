@@ -1,6 +1,6 @@
-"""What stands on the ground, stamped into the layers of a tile: domes (rocks, crowns) and boxes (houses, cars).
+"""Standing things, stamped into the layers of a tile: domes (rocks, crowns) and boxes (houses, cars).
 
-A thing replaces what is lower. Rows run in parallel and each goes through the things in their order, so the result
+A thing replaces lower surfaces. Rows run in parallel and each goes through the things in their order, so the result
 does not depend on threads; heights come from world positions, so two tiles draw the same thing the same way.
 """
 
@@ -41,7 +41,7 @@ def _put(
     if surface <= height[r, c]:
         return
     height[r, c], depth[r, c] = surface, 0.0
-    if kind < 0 and thing[LOOK] == 0.0:  # of the ground's own stuff
+    if kind < 0 and thing[LOOK] == 0.0:  # of the ground's own material
         return
     if kind >= 0:
         label[r, c] = kind
@@ -99,7 +99,7 @@ def stamp_domes(
 
 @kernel
 def _roof(thing: F64, u: float, v: float, kind: int) -> float:
-    """Return the height of a box above its base. TOP: of its walls, EXTRA: slope of its roof, or its parapet."""
+    """Return the height of a box above its base. TOP: height of its walls, EXTRA: slope of its roof, or its parapet."""
     u, v = min(max(u, -thing[HALF_U]), thing[HALF_U]), min(max(v, -thing[HALF_V]), thing[HALF_V])
     inside_u, inside_v = thing[HALF_U] - abs(u), thing[HALF_V] - abs(v)
     if kind == CAR:
@@ -115,7 +115,7 @@ def _roof(thing: F64, u: float, v: float, kind: int) -> float:
 
 @kernel
 def _car(thing: F64, u: float, v: float) -> float:
-    """Bonnet, wind-screen, roof and boot along the car, tumble home across it."""
+    """Return the height of a car above its base: bonnet, wind-screen, roof and boot along it, lower sides across it."""
     along = u / thing[HALF_U]
     body = 0.62 * thing[TOP]
     screen = min((along + 0.85) / 0.25, (0.45 - along) / 0.3)
@@ -132,8 +132,8 @@ def stamp_boxes(
 ) -> None:  # fmt: skip
     """Stamp `things` (N, COLUMNS) with vertical sides, each on the level of its foot; `kind`: GABLE, HIP, FLAT, CAR.
 
-    A cell that an edge cuts rises by the share of it that is covered, so that edges askew to the grid are straight
-    lines on the surface, no stairs; it is of the thing's class where half of it is covered.
+    A cell that an edge cuts rises by its covered share: edges askew to the grid are straight lines on the surface, no
+    stairs. It is of the thing's class where half of it is covered.
     """
     for r in prange(y.size):
         for k in range(things.shape[0]):

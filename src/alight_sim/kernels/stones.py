@@ -22,14 +22,14 @@ I32 = NDArray[np.int32]
 FACES = 6  # of an angular stone, around it
 # distance of a face from the middle over the radius, [least, spread]: the area stays that of the ellipse
 FACE = (0.81, 0.29)
-STEEP = 3.0  # how fast an angular stone rises from its outline: its top is nearly level
+STEEP = 3.0  # rise of an angular stone from its outline: its top is nearly level
 ROCK = 6  # code of records.Terrain
 FORM_ANGULAR, FORM_ROCK_FROM, FORM_HIDDEN, FORM_LOOK, FORM_TINT = range(5)
 
 
 @kernel
 def _outline(u: float, v: float, bits: int) -> float:
-    """Return how far a place is from the middle of a polygon with `FACES` sides, 1 on its outline."""
+    """Return the distance of a place from the middle of a polygon with `FACES` sides, relative to its outline (1)."""
     far = 0.0
     for k in range(FACES):
         h = hash3(bits, k, 11)
@@ -41,7 +41,7 @@ def _outline(u: float, v: float, bits: int) -> float:
 
 @kernel
 def _stone(thing: F64, dx: float, dy: float, x: float, y: float, angular: bool, seed: int) -> tuple[float, float]:
-    """Return a stone's height above the ground (negative: outside) and how far from its middle a place is, 0 to 1."""
+    """Return a stone's height above the ground (negative: outside) and the distance from its middle, 0 to 1 (rim)."""
     cos, sin = math.cos(thing[TURN]), math.sin(thing[TURN])
     u, v = (cos * dx + sin * dy) / thing[HALF_U], (cos * dy - sin * dx) / thing[HALF_V]
     if math.hypot(u, v) > 1.4:

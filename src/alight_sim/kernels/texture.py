@@ -64,9 +64,9 @@ TILES, SLABS, SEAMS, JOINTS = 1, 2, 3, 4
 
 @kernel
 def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> int:
-    """Fill the parameter slots, columns 0 to `last`; return the look of the block, -1 where it has several.
+    """Fill the parameter slots with columns below `last`; return the look of the block, -1 where it has several.
 
-    `before`: the look that the slots hold already, -1 none: most blocks look like the one before.
+    `before`: the look that the slots hold already, -1 none: most blocks have the look of the one before.
     """
     same = True
     for i in range(1, B):
@@ -99,7 +99,7 @@ def _spread_patches(buf: F32, w: float, slot: int) -> None:
 
 @kernel
 def patches(buf: F32, base: F64, seed: int) -> None:
-    """Fill LARGE, MIDDLE, ASIDE: what makes one place of a class differ from another, 130 m down to 6 m."""
+    """Fill LARGE, MIDDLE, ASIDE with the variation within a class from place to place, 130 m down to 6 m."""
     for slot in (LARGE, MIDDLE, ASIDE):
         fill(buf, slot, 0.0)
     for k, (wavelength, w) in enumerate(((131.0, 0.6), (53.0, 0.6), (23.0, 0.55), (11.0, 0.7), (5.5, 0.7))):
@@ -109,7 +109,7 @@ def patches(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
-    """Add an octave that N, DU, DV hold; half of it may be ridges, which real ground has and noise has not."""
+    """Add the octave in N, DU, DV; a share P_RIDGE of it becomes ridges, which real ground has and noise has not."""
     relief = min(F1, f32(0.4) / wavelength)  # long waves of relief are the height layer's
     for i in range(B):
         w = buf[WEIGHT + i] * smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
@@ -149,7 +149,7 @@ def texture_detail(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _stain(buf: F32) -> None:
-    """Mix the three colours by the place: RED, GREEN, BLUE without detail."""
+    """Fill RED, GREEN, BLUE without detail: the three colours of a look, mixed by the place."""
     p = PARAM
     for i in range(B):
         value, large, middle = buf[VALUE + i], buf[LARGE + i], buf[MIDDLE + i]
@@ -212,7 +212,7 @@ def colours(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _pattern(kind: int, x: float, y: float, z: float, slope_e: float, slope_n: float, foot: float, seed: int) -> float:
-    """Gain of one place of laid material: tiles in rows of one height, slabs, seams down the slope, joints."""
+    """Return the gain of a place of laid material: tiles in rows of one height, slabs, seams down the slope, joints."""
     if kind in (SLABS, JOINTS):
         size = 0.5 if kind == SLABS else 4.0
         u, v, line = (0.921 * x - 0.389 * y) / size, (0.389 * x + 0.921 * y) / size, 0.012 / size
@@ -232,7 +232,7 @@ def _pattern(kind: int, x: float, y: float, z: float, slope_e: float, slope_n: f
 
 @kernel
 def laid(buf: F32, base: F64, seed: int) -> None:
-    """Multiply the colours by the pattern of what people lay; only blocks that have such a look pay."""
+    """Multiply the colours by the pattern of tiles, slabs, seams or joints; blocks without such a look cost nothing."""
     slot = PARAM + P_PATTERN * B
     if largest(buf, slot) <= 0.0:
         return

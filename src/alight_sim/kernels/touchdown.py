@@ -1,4 +1,4 @@
-"""Truth of a touchdown, cell by cell: the least-squares plane of the disc, and what deviates from it.
+"""Truth of a touchdown, cell by cell: the least-squares plane of the disc, and the deviations from it.
 
 For the simulator's truth alone: the stages that it judges have kernels of their own.
 """
@@ -53,7 +53,7 @@ def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[floa
 def touchdown(
     height: F32, base: float, sums: F64, count: I64, half: I64, steep: float, limit: float, out: B
 ) -> None:  # fmt: skip
-    """Fill `out` (R, C): no barred cell in the disc, its plane at most `steep` (a cell); deviations within `limit`.
+    """Fill `out` (R, C), true for: no barred cell in the disc, plane at most `steep` (a cell), deviations in `limit`.
 
     `half` (2 k + 1,): cells either side of the middle in each row of the disc. On a full disc the normal equations are
     diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is not safe.

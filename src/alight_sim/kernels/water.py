@@ -1,7 +1,7 @@
 """Water for a block of pixels: moving waves, the bed refracted and dimmed, the sky mirrored, glints, scum that drifts.
 
-The bed is textured by the same passes as dry ground, at the place where the refracted ray meets it, so stereo matches
-the bed, below the true surface: the failure that a lander must not fall for.
+The bed is textured by the same passes as dry ground, at the place where the refracted ray meets it. So stereo matches
+the bed, below the true surface: a failure that must not mislead a lander.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045
 
 @kernel
 def dive(buf: F32, looks: F32, look: I32) -> bool:
-    """Remember the water's own numbers and give its pixels the look of the bed; False: no water in the block."""
+    """Keep the water's own numbers and give its pixels the look of the bed; False: no water in the block."""
     wet = False
     for i in range(B):
         wet |= buf[WATER + i] > 0.0
@@ -115,7 +115,7 @@ def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
 
 @kernel
 def refract(buf: F32) -> None:
-    """Move the texture's place of wet pixels to where the refracted ray meets the bed."""
+    """Move the texture coordinates of wet pixels to the place where the refracted ray meets the bed."""
     for i in range(B):
         deep = max(buf[DEPTH + i], F0) * buf[WATER + i]
         down = max(buf[VZ + i], f32(0.2))
@@ -125,7 +125,7 @@ def refract(buf: F32) -> None:
 
 @kernel
 def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
-    """One channel, N: bed seen through the water, the water's own colour in V, what dims it in U; the mirrored sky."""
+    """Render one channel, N: the bed through the water, of colour V and attenuation U, and the mirrored sky."""
     sx, sy, flat = towards[0], towards[1], towards[2]
     for i in range(B):
         v = buf[VX + i] * buf[WAVE_E + i] + buf[VY + i] * buf[WAVE_N + i]
@@ -144,7 +144,7 @@ def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
 
 @kernel
 def water_light(buf: F32, sun: F64) -> None:
-    """Replace the reflectance of wet pixels by the light they send; `sun`: direction, colour, sky colour."""
+    """Replace the reflectance of wet pixels by their radiance; `sun`: direction, colour, sky colour."""
     towards = sun[:3].astype(np.float32)
     for k, (body, dull, colour) in enumerate(((BODY_R, DULL_R, RED), (BODY_G, DULL_G, GREEN), (BODY_B, DULL_B, BLUE))):
         copy(buf, body, V)

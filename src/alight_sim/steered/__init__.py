@@ -1,4 +1,4 @@
-"""Flights that are steered step by step, and what may happen to them on command."""
+"""Flights that are steered step by step, with disturbances and faults on command."""
 
 from alight_sim.point_mass import FlightLimits, Wanted
 from alight_sim.steered.bodies import Body

@@ -22,9 +22,9 @@ _NODE = 0.5  # metres along the way between the heights that it stands on
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One body that comes along a straight line, brakes, and stays. Before `since` there is none."""
+    """One body that comes along a straight line, brakes, and stays. Before `since` it does not exist."""
 
-    car: bool  # or else a person
+    car: bool  # False: a person
     start: tuple[float, float]  # east, north, metres
     goal: tuple[float, float]
     since: float  # s of the flight
@@ -34,7 +34,7 @@ class Body:
 
     @property
     def away(self) -> float:
-        """Metres from the start to the goal."""
+        """Distance from the start to the goal, metres."""
         return math.dist(self.start, self.goal)
 
     @property
@@ -61,7 +61,7 @@ class Body:
         return nodes, np.array([self.height_at(float(e), float(n)) for e, n in way])
 
     def boxes_at(self, times: F64) -> F64:
-        """(T, 2, 12) its two boxes, as `kernels.boxes` takes them; without size before it comes."""
+        """(T, 2, 12) its two boxes, as `kernels.boxes` takes them; of size 0 before `since`."""
         places = self.place_at(times)[:, None]
         heading = self.heading if self.away == 0 else math.atan2(*np.subtract(self.goal, self.start)[::-1])
         turns = np.full((len(times), 1), heading)
@@ -71,7 +71,7 @@ class Body:
 
 
 def _person(places: F64, heading: F64) -> F64:
-    """(T, 2, 12) trunk and head."""
+    """(T, 2, 12) boxes of trunk and head."""
     depth, width, height = PERSON
     out = np.zeros((len(places), 2, NUMBERS))
     out[:, :, 3], out[:, :, 4] = np.cos(heading), np.sin(heading)

@@ -1,4 +1,4 @@
-"""The cameras of a steered flight: exposures one after the other, with what goes wrong on command."""
+"""The cameras of a steered flight: exposures one after the other, with faults on command."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Seeds = Callable[..., np.random.SeedSequence]
 
 @dataclass(frozen=True)
 class CameraFault:
-    """Something that was done to the cameras in flight, from one second of the flight to another."""
+    """A fault of the cameras on command, from one second of the flight to another."""
 
     what: str  # freeze, lose, cover, late
     start: float
@@ -30,13 +30,13 @@ class CameraFault:
     amount: float = 0.0  # share of the light kept out; seconds late
 
     def holds(self, seconds: float, camera: int | None = None) -> bool:
-        """Whether it is so at a time, for a camera."""
+        """Whether the fault holds at a time, seconds, for a camera."""
         return self.start <= seconds < self.end and (self.camera is None or camera == self.camera)
 
 
 @dataclass
 class SteeredCameras:
-    """What exposes, in order of time."""
+    """Cameras of a steered flight; they expose in order of time."""
 
     world: World
     true_rig: Rig
@@ -58,7 +58,7 @@ class SteeredCameras:
 
     @property
     def shutter(self) -> Shutter:
-        """When light falls on the rows."""
+        """Exposure times of the rows."""
         return Shutter(self.imaging.exposure_time, self.imaging.line_time, self.imaging.moments)
 
     def done_at(self) -> float:
@@ -67,7 +67,7 @@ class SteeredCameras:
         return self._seconds(self.next) + 0.5 * (self.imaging.exposure_time + rows * self.imaging.line_time)
 
     def expose(self, body: Poses) -> tuple[int, Frame] | None:
-        """Draw the next exposure of a body's true poses; its arrival and what arrives, None where all of it is lost."""
+        """Draw the next exposure at a body's true poses; return arrival, ns, and frame; None: all is lost."""
         k, plan = self.next, self._planned(self.next)
         self.next += 1
         seconds = self._seconds(k)
@@ -91,7 +91,7 @@ class SteeredCameras:
         return self._last[cam]
 
     def _light(self, cam: int, seconds: float, body: Poses) -> F32:
-        """(H, W, 3); dark where the lens lies in the ground."""
+        """(H, W, 3) linear light of one camera; dark where the lens lies in the ground."""
         body_from_cam = self.true_rig.cameras[cam].body_from_cam
 
         def poses(times: F64) -> tuple[F64, F64]:
@@ -105,7 +105,7 @@ class SteeredCameras:
             return np.zeros((lens.height, lens.width, 3), np.float32)
 
     def _gain(self, k: int, cam: int, seconds: float, light: F32) -> F64:
-        """(3,) with exposure control by what the exposure before showed."""
+        """(3,) gains, with exposure control by the light of the previous exposure."""
         base: F64 = self._gains[cam][k]
         if not self.imaging.auto:
             return base
@@ -118,7 +118,7 @@ class SteeredCameras:
         return float(self._planned(k).true_ns[k] - START_NS) * 1e-9
 
     def _planned(self, k: int) -> Exposures:
-        """Made ahead for twice as many whenever those planned are used up; those before stay as they were."""
+        """Plan of the exposures, made ahead: twice as many whenever exposure `k` lies beyond its end."""
         if self._plan is None or k >= len(self._plan.true_ns):
             count = 256 if self._plan is None else 2 * len(self._plan.true_ns)
             beat_ns = START_NS + np.round(np.arange(count) * 1e9 / self.rate_hz).astype(np.int64)

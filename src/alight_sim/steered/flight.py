@@ -28,16 +28,16 @@ from alight_sim.steered.track import TrueTrack
 from alight_sim.world import World, build
 
 NIMBLE = FlightLimits(lag=0.08)
-IMU_RATE_HZ = 100.0  # of a flight that is not given an IMU; the vehicle moves in such steps
-STRIKE_STEPS = 5  # samples of the IMU between two looks at what is beside
-LAST = 1.0  # metres above the ground: below, it comes down
-_TRIM = 1.5  # s in which the autopilot has learned a new wind, or a gust that lasts
+IMU_RATE_HZ = 100.0  # of a flight without an IMU of its own; the vehicle moves in steps of the IMU
+STRIKE_STEPS = 5  # samples of the IMU between two checks for things beside
+LAST = 1.0  # metres above the ground: lower, a contact is a touchdown
+_TRIM = 1.5  # s, time constant with which the autopilot learns a new wind or a lasting gust
 _SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
 
 
 @dataclass(frozen=True)
 class TrueBattery:
-    """What flying costs."""
+    """Charge of the battery, and consumption in flight."""
 
     share: float = 1.0  # left at the start
     endurance: float = 1200.0  # s of hovering with a full one
@@ -46,34 +46,34 @@ class TrueBattery:
 
 @dataclass(frozen=True, eq=False)
 class TrueContact:
-    """How the vehicle met the ground."""
+    """Contact of the vehicle with the ground or a thing: time, pose, velocity."""
 
     t_ns: int
     pose: Pose  # world_from_body just then; its origin is `standing` above the ground
     velocity_world: F64  # (3,) m/s just before
     standing: float  # metres from the plane of the feet to the body's origin
-    struck: float | None = None  # metres above its feet of what it struck beside it, in flight; None: it came down
+    struck: float | None = None  # metres above its feet: top of the thing that it struck in flight; None: a touchdown
 
 
 class SteeredFlight:
-    """A source of events that answers to set-points. Same seed, same calls: the same bits.
+    """A source of events that follows set-points. The same seed and calls give the same bits.
 
     Args:
         scene: a built-in scene's name, a scene file, a scene, or a world.
-        seed: of everything that chance decides.
+        seed: of all random draws.
         size: of the pictures, pixels; the scene's rig is scaled to it.
         stereo: all cameras of the rig, or the first alone.
         rate_hz: exposures a second.
         start: east and north, and metres above the ground there.
         heading: rad clockwise from north.
         limits: of the vehicle; None: `NIMBLE`.
-        wind: (3,) m/s, east, north, up: where the air goes.
-        gusts: m/s^2, standard deviation of what they push.
-        battery: what flying costs.
+        wind: (3,) m/s, east, north, up: velocity of the air.
+        gusts: m/s^2, standard deviation of their acceleration.
+        battery: charge and consumption; None: `TrueBattery()`.
         faults, nav, imu: instead of the scene's, whose IMU is read `IMU_RATE_HZ` times a second.
         standing: metres from the plane of the feet to the body's origin.
-        radius: metres about its middle within which it strikes what stands higher than its feet; 0: nothing.
-        steered_by: positions wanted are in the frame of the navigation solution, as for an autopilot, or true ones.
+        radius: metres about its middle within which it strikes things higher than its feet; 0: it strikes none.
+        steered_by: set-points of position are in the frame of the navigation solution, as for an autopilot, or true.
 
     Raises:
         InputError: no such scene, or `size` is not of the shape of the rig's pictures.
@@ -106,7 +106,7 @@ class SteeredFlight:
         steered_by: Literal["navigation", "truth"] = "navigation",
     ) -> None:
         made = scene if isinstance(scene, World) else build(scene, seed)
-        self.world = replace(made, bodies=[])  # its tiles are shared, what comes on command is not
+        self.world = replace(made, bodies=[])  # its tiles are shared, bodies on command are not
         self.scene, self.seed, self.rate_hz, self.standing = made.scene or Scene(), seed, rate_hz, standing
         self.warnings = list(made.warnings)
         self._faults = faults or self.scene.faults
@@ -132,7 +132,7 @@ class SteeredFlight:
         self._below, self._radius, self._strikes = GroundBelow(self.world, radius), radius, False
         self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
         self._pushes: list[tuple[float, float, F64]] = []
-        self._leant = np.zeros(3)  # m/s^2, against them
+        self._leant = np.zeros(3)  # m/s^2, learned part of the gusts
         self._steps, self._asked_ns = 0, 0
         self._start_vehicle(np.array(start, float), heading, limits or NIMBLE, gusts)
         self._believed = np.zeros(3)  # metres: error of the position that the autopilot steers by
@@ -150,7 +150,7 @@ class SteeredFlight:
     def _seeds(self, *key: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
-    # -- what a source tells
+    # -- properties of a source
 
     @property
     def name(self) -> str:
@@ -159,12 +159,12 @@ class SteeredFlight:
 
     @property
     def local(self) -> LocalFrame:
-        """Where the world lies."""
+        """Local frame of the world: its origin on Earth."""
         return self.world.local
 
     @property
     def imu_noise(self) -> ImuNoise:
-        """What the maker of the IMU states."""
+        """Noise densities of the IMU as its maker states them."""
         return ImuNoise(**self._imu_errors.densities)
 
     @property
@@ -181,12 +181,12 @@ class SteeredFlight:
 
     @property
     def seconds(self) -> float:
-        """Of the flight, from its first exposure; it begins LEAD before."""
+        """Time of the flight, s, from its first exposure; it begins LEAD before."""
         return self._asked_ns * 1e-9 - LEAD
 
     @property
     def time_ns(self) -> int:
-        """Now."""
+        """Time of the events' clock, ns."""
         return START_NS - round(LEAD * 1e9) + self._asked_ns
 
     @property
@@ -196,12 +196,12 @@ class SteeredFlight:
 
     @property
     def body(self) -> PointMass:
-        """The true vehicle, to be looked at."""
+        """The true vehicle, to be read only."""
         return self._vehicle
 
     @property
     def true_velocity(self) -> F64:
-        """(3,) m/s, world, likewise."""
+        """(3,) m/s, world, at most one sample of the IMU ago."""
         return self._vehicle.velocity.copy()
 
     @property
@@ -218,12 +218,12 @@ class SteeredFlight:
 
     @property
     def learned_wind(self) -> F64:
-        """(3,) m/s, where the air goes, as far as the autopilot has learned it."""
+        """(3,) m/s: velocity of the air as the autopilot has learned it."""
         return self._trimmed.copy()
 
     @property
     def wind_speed(self) -> float:
-        """m/s over the ground, of `learned_wind`."""
+        """Horizontal speed of `learned_wind`, m/s."""
         return math.hypot(self._trimmed[0], self._trimmed[1])
 
     @property
@@ -233,7 +233,7 @@ class SteeredFlight:
 
     @property
     def contact(self) -> TrueContact | None:
-        """How it met the ground last; None: it has not yet."""
+        """The last contact; None: there has been none."""
         return self.contacts[-1] if self.contacts else None
 
     def poses(self, t_ns: I64) -> list[Pose]:
@@ -251,7 +251,7 @@ class SteeredFlight:
         return self._sensors.arrived(self.time_ns)
 
     def _advance(self, wanted: Wanted | None) -> None:
-        """One sample of the IMU."""
+        """Advance by one sample of the IMU."""
         vehicle, h = self._vehicle, 1.0 / self._imu_errors.rate_hz
         start = self._steps * h - LEAD
         self._steps += 1
@@ -262,7 +262,7 @@ class SteeredFlight:
         flown = wanted if self.battery > 0 else None
         vehicle.push_world = self._blown(start, h)
         vehicle.step(h, None if flown is None else self._as_believed(flown, h))
-        stood, self._stood = self._stood, vehicle.stands  # what drives in below it is met, too: not asked for before
+        stood, self._stood = self._stood, vehicle.stands  # of the last step: a body that drives in below it counts, too
         if self._stood and not stood:
             self.contacts.append(
                 TrueContact(
@@ -276,7 +276,7 @@ class SteeredFlight:
         self._sensors.measure(start, h, motion, vehicle.velocity)
 
     def _look_beside(self, seconds: float) -> None:
-        """Note what it strikes in flight; on the last metre the touchdown is judged instead."""
+        """Record a strike in flight; on the last metre the touchdown is judged instead."""
         gap = self.gap if self.height_above_ground > LAST else math.inf
         if gap < 0.0 and not self._strikes:
             t_ns, pose = START_NS + round(seconds * 1e9), self._vehicle.world_from_body
@@ -284,14 +284,14 @@ class SteeredFlight:
         self._strikes = gap < 0.0
 
     def _as_believed(self, wanted: Wanted, h: float) -> Wanted:
-        """It steers by its estimate: the vehicle is off by the error."""
+        """The set-point in true coordinates: it steers by its estimate, so the vehicle is off by the error."""
         if not self._steers_by_nav:
             return wanted
         self._believed += (1.0 - math.exp(-h / _SETTLE)) * (self._nav.offset - self._believed)
         return wanted if wanted.position is None else replace(wanted, position=wanted.position - self._believed)
 
     def _blown(self, now: float, h: float) -> F64:
-        """(3,) m/s^2: wind and gusts on command, less what the autopilot has learned of them."""
+        """(3,) m/s^2: wind and gusts on command, less the part that the autopilot has learned."""
         learned = 1.0 - math.exp(-h / _TRIM)
         self._trimmed = self._trimmed + learned * (self._air - self._trimmed)
         gusts: F64 = sum((a for start, end, a in self._pushes if start <= now < end), np.zeros(3))
@@ -302,17 +302,17 @@ class SteeredFlight:
         cost = (h / self._cost.endurance + max(risen, 0.0) * self._cost.climb) if flying else 0.0
         self.battery = max(0.0, self.battery - cost)
 
-    # -- what happens on command, from now on
+    # -- disturbances and faults on command, from now on
 
     def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
              heading: float = 0.0) -> Body:  # fmt: skip
-        """A car drives in from `start` (None: it stands there at once, its length at `heading` rad from east)."""
+        """Let a car drive in from `start` (None: it stands there at once, its length at `heading` rad from east)."""
         return self._come(True, east, north, start, speed, heading)
 
     def walk_in(
         self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 1.4
     ) -> Body:
-        """A person walks to a spot from `start` (None: from 10 m south of it) and stays."""
+        """Let a person walk to a spot from `start` (None: from 10 m south of it) and stay."""
         return self._come(False, east, north, start or (east, north - 10.0), speed, 0.0)
 
     def _come(
@@ -324,11 +324,11 @@ class SteeredFlight:
         return body
 
     def gust(self, acceleration: Sequence[float], seconds: float) -> None:
-        """Push the vehicle with (3,) m/s^2, world, for a time."""
+        """Push the vehicle with (3,) m/s^2, world, for `seconds`."""
         self._pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
 
     def wind(self, east: float, north: float, up: float = 0.0) -> None:
-        """Turn the wind: m/s, where the air goes."""
+        """Set the velocity of the air, m/s."""
         self._air = self._vehicle.wind_world = np.array([east, north, up], float)
 
     def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
@@ -336,22 +336,22 @@ class SteeredFlight:
         self._camera_fault("freeze", seconds, camera)
 
     def lose_camera(self, seconds: float, camera: int | None = None) -> None:
-        """No pictures."""
+        """Lose all pictures for `seconds`. `camera`: its number; None: all of them."""
         self._camera_fault("lose", seconds, camera)
 
     def cover_camera(self, seconds: float, share: float = 0.98, camera: int | None = None) -> None:
-        """Keep a share of the light out."""
+        """Keep a share of the light out for `seconds`. `camera`: its number; None: all of them."""
         self._camera_fault("cover", seconds, camera, share)
 
     def delay_frames(self, seconds: float, by: float) -> None:
-        """Let the exposures of a time arrive so many seconds late, rightly stamped."""
+        """Let the exposures of the next `seconds` arrive `by` seconds late, rightly stamped."""
         self._camera_fault("late", seconds, None, by)
 
     def _camera_fault(self, what: str, seconds: float, camera: int | None, amount: float = 0.0) -> None:
         self._cameras.commanded.append(CameraFault(what, self.seconds, self.seconds + seconds, camera, amount))
 
     def lose_gps(self, seconds: float, what: Literal["position", "rows"] = "position") -> None:
-        """No position, or no rows at all; the autopilot goes on with the error that it had."""
+        """Lose positions or whole rows for `seconds`; the autopilot's own error goes on as before."""
         self._change_nav(outages=(*self._nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what)))
 
     def jump_gps(self, offset: Sequence[float], seconds: float | None = None) -> None:
@@ -364,7 +364,7 @@ class SteeredFlight:
         self._nav.errors = self._nav.errors.model_copy(update=what)
 
     def lose_imu(self, seconds: float) -> None:
-        """No samples."""
+        """Lose the samples of the IMU for `seconds`."""
         self._sensors.imu_lost.append((self.seconds, self.seconds + seconds))
 
     def drain(self, share: float) -> None:

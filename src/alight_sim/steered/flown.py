@@ -1,4 +1,4 @@
-"""A steered flight as the vehicle of a simulated autopilot: it moves as it is told, and its exposures are kept."""
+"""A steered flight as the vehicle of a simulated autopilot: it follows set-points, and keeps its exposures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from alight_sim.steered.flight import SteeredFlight
 
 
 class FlownVehicle:
-    """Has what `SimulatedAutopilot` asks of its vehicle.
+    """A vehicle for `SimulatedAutopilot` (`TrueVehicle`).
 
     Args:
         flight: steered by truth: the autopilot has an estimate of its own.
@@ -26,7 +26,7 @@ class FlownVehicle:
         self.exposures += [e for e in self.flight.step(dt, wanted) if isinstance(e, Frame)]
 
     def take(self) -> list[Frame]:
-        """The exposures since the last call."""
+        """Return the exposures since the last call."""
         found, self.exposures = self.exposures, []
         return found
 
@@ -37,12 +37,12 @@ class FlownVehicle:
 
     @property
     def velocity(self) -> F64:
-        """(3,) m/s."""
+        """(3,) m/s in the world."""
         return self._body.velocity
 
     @property
     def wind_world(self) -> F64:
-        """(3,) m/s, where the air goes."""
+        """(3,) m/s: velocity of the air."""
         return self._body.wind_world
 
     @property
@@ -62,10 +62,10 @@ class FlownVehicle:
 
     @property
     def angular_velocity_body(self) -> F64:
-        """(3,) rad/s."""
+        """(3,) rad/s in the body."""
         return self._body.angular_velocity_body
 
     @property
     def specific_force_body(self) -> F64:
-        """(3,) m/s^2."""
+        """(3,) m/s^2 in the body."""
         return self._body.specific_force_body

@@ -1,4 +1,4 @@
-"""The true surface under a vehicle: the ground and what stands and drives on it, and bodies that came on command."""
+"""The true surface under a vehicle: the ground, things that stand or drive on it, and bodies that came on command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NEAR = 8.0  # metres within which bodies are looked for
 
 
 def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
-    """Height of the highest of boxes (M, 12) that lies under a place, or `within` metres of it; -inf: none does."""
+    """Height of the highest of boxes (M, 12) under a place, or within `within` metres of it; -inf: there is none."""
     dx, dy = east - boxes[:, 0], north - boxes[:, 1]
     along = np.maximum(np.abs(boxes[:, 3] * dx + boxes[:, 4] * dy) - boxes[:, 5], 0.0)
     across = np.maximum(np.abs(boxes[:, 3] * dy - boxes[:, 4] * dx) - boxes[:, 6], 0.0)
@@ -23,10 +23,10 @@ def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
 
 
 class GroundBelow:
-    """Heights asked for one after the other, near each other. The surface is bilinear between cell centres.
+    """Heights of successive places near each other. The surface is bilinear between cell centres.
 
     Args:
-        world: the ground and what stands on it.
+        world: the ground and the things on it.
         radius: metres about a place within which `highest` looks.
     """
 
@@ -36,11 +36,11 @@ class GroundBelow:
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
         self._heights = np.empty((0, 0))  # the rows as an array
-        self.seconds = 0.0  # of the flight: where cars and persons are
-        self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), and the bodies and the time they are of
+        self.seconds = 0.0  # time of the flight, for the places of cars and persons
+        self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), with their number of bodies and time
 
     def height(self, east: float, north: float) -> float:
-        """Of the surface, metres above the origin."""
+        """Height of the surface, metres above the origin."""
         self._hold(east, north)
         x = (east - self._place[0]) / self._world.cell
         y = (north - self._place[1]) / self._world.cell

@@ -1,4 +1,4 @@
-"""Events of a steered flight: what its sensors make of the true motion, in the order of arrival."""
+"""Events of a steered flight: measurements of the true motion, in the order of arrival."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SteeredSensors:
         imu, biases: give one sample a step.
         nav: GPS/INS, at its own rate.
         cameras: expose at theirs.
-        track: the true motion; holds a step before that is measured.
+        track: the true motion; it holds a step before `measure` is called for it.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class SteeredSensors:
         self.imu_lost: list[tuple[float, float]] = []  # from, to: without samples
 
     def measure(self, start: float, h: float, motion: TrueMotion, velocity_world: F64) -> None:
-        """Sense a step of `h` seconds that begins with a motion and ends with a velocity, (3,) m/s."""
+        """Measure a step of `h` seconds that begins with a motion and ends with a velocity, (3,) m/s."""
         biases, middle = self._biases.next(), start + 0.5 * h
         turn = motion.world_from_body @ so3_exp(0.5 * h * motion.angular_velocity_body)
         force = turn.T @ ((velocity_world - motion.velocity_world) / h + UPWARDS)
@@ -46,7 +46,7 @@ class SteeredSensors:
         self._expose(start + h)
 
     def arrived(self, until_ns: int) -> list[Event]:
-        """Take out the events that have arrived by then."""
+        """Remove and return the events that have arrived by `until_ns`."""
         out = []
         while self._queue and self._queue[0][0] <= until_ns:
             out.append(heapq.heappop(self._queue)[2])

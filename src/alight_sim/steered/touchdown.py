@@ -1,4 +1,4 @@
-"""How a steered flight met the ground, by the oracle."""
+"""Judgement of a steered flight's contacts by the oracle."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from alight_sim.steered.flight import SteeredFlight, TrueContact
 
 
 def contact_seconds(contact: TrueContact) -> float:
-    """Seconds of the flight."""
+    """Time of a contact, seconds of the flight."""
     return (contact.t_ns - START_NS) * 1e-9
 
 
 def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLander) -> Touchdown:
-    """The verdict on a contact, with the bodies where they were just then; what was struck in flight is unsafe."""
+    """Judge a contact, with the bodies at their places just then; a strike in flight is unsafe."""
     found = judge_touchdown(flight.world, lander, contact.pose, contact.velocity_world, contact_seconds(contact))
     return found if contact.struck is None else replace(found, safe=False, reasons=(STRIKE,))
 
 
 def severity(safe: bool, reasons: tuple[str, ...]) -> tuple[bool, bool, int]:
-    """Rank a contact, worse is larger: unsafe, then what was struck, then how many limits it broke."""
+    """Rank a contact, worse is larger: unsafe, then a strike, then the number of broken limits."""
     return not safe, STRIKE in reasons, len(reasons)
 
 
 def judge_flight(flight: SteeredFlight, lander: OracleLander) -> Touchdown | None:
-    """The verdict on the worst contact of a flight, else on its last; None: it met nothing."""
+    """Judge the worst contact of a flight; the last one where it is as bad as any; None: there was no contact."""
     found = [judge_contact(flight, contact, lander) for contact in flight.contacts]
     return max(found, key=lambda d: (severity(d.safe, d.reasons), d is found[-1]), default=None)

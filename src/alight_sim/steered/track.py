@@ -10,7 +10,7 @@ from alight.arrays import F64
 from alight.geometry import so3_exp, so3_log
 from alight_sim.sensors import TrueMotion
 
-_KEPT = 3.0  # s
+_KEPT = 3.0  # s of motion that are kept at least
 
 
 class TrueTrack:
@@ -18,10 +18,10 @@ class TrueTrack:
 
     def __init__(self) -> None:
         self._times: list[float] = []
-        self._pieces: list[tuple[TrueMotion, F64, float]] = []  # at its start; (3,) place at its end; seconds
+        self._pieces: list[tuple[TrueMotion, F64, float]] = []  # motion at the start; (3,) place at the end; seconds
 
     def add(self, start: float, seconds: float, before: TrueMotion, place: F64, turned: F64) -> TrueMotion:
-        """Append a step from `before` to a place (3,) and a rotation (3, 3) after so many seconds; return its start."""
+        """Append a step of `seconds` from `before` to a place (3,) and a rotation (3, 3); return its initial motion."""
         rate = np.asarray(so3_log(before.world_from_body.T @ turned)) / seconds
         motion = TrueMotion(before.position_world, before.velocity_world, before.world_from_body, rate)
         self._times.append(start)
@@ -31,7 +31,7 @@ class TrueTrack:
         return motion
 
     def at(self, seconds: float) -> TrueMotion:
-        """The motion at one time; before the first step and after the last one those go on."""
+        """The motion at one time; before the first step and after the last one it is extrapolated."""
         k = max(bisect_right(self._times, seconds) - 1, 0)
         motion, place, whole = self._pieces[k]
         s = seconds - self._times[k]

@@ -1,4 +1,4 @@
-"""The things that a scene's ground may be made of, by the names that a person writes in `layers`."""
+"""The things of a scene's ground, by their names in `layers`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all things of a scene share: the sheet that they are drawn on, and how they are scattered over a world."""
+"""Base of all things of a scene: the sheet that they are drawn on, and their scattering over a world."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CoverName = Literal["bare", "short_grass", "tall_vegetation", "tree", "water", "
 Places = tuple[tuple[Coordinate, Coordinate], ...]
 Factor = Annotated[float, Field(ge=0.0, le=20.0)]
 UNTINTED = (1.0, 1.0, 1.0)
-LARGEST = 200.0  # metres: of one thing
+LARGEST = 200.0  # metres, size of one thing
 
 
 def _look(value: Any) -> Any:
@@ -68,7 +68,7 @@ def terrain_named(name: str) -> Terrain:
 class Sheet:
     """Places (R, C) with the layers under construction; things change them in place.
 
-    `ground` is the solid ground, `height` the topmost surface: what covers and what stands raises only that.
+    `ground` is the solid ground, `height` the topmost surface: cover and standing things raise only the latter.
     """
 
     x: F64
@@ -76,15 +76,15 @@ class Sheet:
     ground: F64
     height: F64
     label: U8
-    depth: F64  # of water
+    depth: F64  # metres of water
     look: U8  # codes of Look
     tint: F32  # (R, C, 3) factor on the look's reflectance
     cell: float  # metres between the places of a tile; 0: single places
-    notes: dict[int, Any] = field(default_factory=dict)  # what a layer's shaping leaves for its covering
+    notes: dict[int, Any] = field(default_factory=dict)  # by layer: data of its `shape` for its `cover`
 
     @classmethod
     def blank(cls, x: F64, y: F64, label: Terrain, cell: float = 0.0) -> Sheet:
-        """Flat ground of one class."""
+        """Make flat ground of one class at height 0."""
         zero = np.zeros(x.shape)
         labels = np.full(x.shape, label, np.uint8)
         looks, tint = np.zeros(x.shape, np.uint8), np.ones((*x.shape, 3), np.float32)
@@ -92,7 +92,7 @@ class Sheet:
 
     @property
     def box(self) -> Box:
-        """What the places span, a cell more on every side: things cover cells whose centres they do not reach."""
+        """Box of the places, a cell larger on every side: things cover cells whose centres they do not reach."""
         near = self.cell
         return (
             float(self.x.min()) - near, float(self.y.min()) - near,
@@ -133,7 +133,7 @@ def ramp(low: float, high: float, x: F64) -> F64:
 
 
 class Layer(Section):
-    """One kind of thing. All shape the solid ground first, then all cover it, then all stand on it."""
+    """One kind of thing. All layers shape the solid ground first, then all cover it, then all stand on it."""
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Change the solid ground."""
@@ -142,16 +142,16 @@ class Layer(Section):
         """Raise the surface above the solid ground."""
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp what stands."""
+        """Stamp standing things."""
 
     @property
     def rise(self) -> tuple[float, float]:
-        """By how much the layer lowers and raises the ground at most, metres."""
+        """Largest lowering and raising of the ground by the layer, metres."""
         return 0.0, 0.0
 
 
 class Scattered(Layer):
-    """Things at named places, or so many a hectare at random."""
+    """Things at given places, or scattered at random with a number a hectare."""
 
     at: Places = Field((), description="[[east, north], ...] metres from the origin")
     per_hectare: float = Field(0.0, ge=0.0, le=20000.0, description="how many a hectare, at random places")
@@ -166,7 +166,7 @@ class Scattered(Layer):
 
     @property
     def largest(self) -> float:
-        """Metres from a thing's centre to its farthest part."""
+        """Largest distance from a thing's centre to its farthest part, metres."""
         raise NotImplementedError
 
     @property
@@ -176,31 +176,31 @@ class Scattered(Layer):
 
     @property
     def density(self) -> float:
-        """How many random ones a hectare are drawn; some of them may find no place."""
+        """Number of random things drawn a hectare; some of them may find no place."""
         return self.per_hectare
 
     def draw(self, rng: np.random.Generator, things: F64) -> None:
-        """Fill the columns of things (N, COLUMNS) whose places are drawn."""
+        """Draw the other columns of things (N, COLUMNS) that have their places."""
         raise NotImplementedError
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """(N,) which of the drawn random things there are: fewer of them here, more there."""
+        """(N,) true for drawn random things that exist: their number may vary from place to place."""
         return np.ones(len(things), bool)
 
     def parts(self, rng: np.random.Generator, things: F64) -> F64:
-        """What is stamped for things that have found their place: themselves."""
+        """Parts to stamp for things that have found their place: the things themselves."""
         return things
 
 
 def blank_things(places: F64) -> F64:
-    """(N, COLUMNS) with places (N, 2)."""
+    """(N, COLUMNS) things at places (N, 2), all else 0."""
     things = np.zeros((len(places), COLUMNS))
     things[:, [EAST, NORTH]] = places
     return things
 
 
 def overlapping(things: F64, box: Box) -> F64:
-    """Those that reach into a box."""
+    """Select the things that reach into a box."""
     west, south, east, north = box
     e, n, reach = things[:, EAST], things[:, NORTH], things[:, REACH]
     near = (e + reach >= west) & (e - reach <= east) & (n + reach >= south) & (n - reach <= north)
@@ -208,7 +208,7 @@ def overlapping(things: F64, box: Box) -> F64:
 
 
 def power_law(rng: np.random.Generator, between: Between, exponent: float, count: int) -> F64:
-    """Sizes whose number above a size goes with the size to the power -exponent."""
+    """(count,) sizes of a power law: the number above a size is proportional to the size to the power -exponent."""
     low, high = between
     u = rng.random(count)
     if low == high:
@@ -220,7 +220,7 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
 
 
 def covered(inside: F64, cell: float) -> F64:
-    """Share of a cell that lies inside an edge, `inside` metres from its centre: heights by it make straight edges."""
+    """Share of a cell inside an edge, `inside` metres from its centre: heights by this share make straight edges."""
     return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Things that people put there: houses, cars, crates and litter."""
+"""Things made by people: houses, cars, crates and litter."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LITTER: tuple[Tint, ...] = ((0.8, 0.6, 0.35), (1.0, 1.0, 1.0), (0.08, 0.2, 0.55)
 
 
 def stamp(sheet: Sheet, things: F64, kind: int) -> None:
-    """Put boxes on the sheet."""
+    """Stamp boxes on the sheet."""
     if len(things):
         stamps.stamp_boxes(
             sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, Terrain.STRUCTURE,
@@ -52,7 +52,7 @@ def stamp(sheet: Sheet, things: F64, kind: int) -> None:
 
 
 class Boxes(Scattered):
-    """What has vertical sides."""
+    """Things with vertical sides."""
 
     turn_deg: float | None = Field(None, description="of the long side, counter-clockwise from east; none: at random")
     tints: tuple[Tint, ...] = Field((), description="factors [[red, green, blue], ...] on the look, to draw from")
@@ -60,22 +60,22 @@ class Boxes(Scattered):
 
     @property
     def founded(self) -> bool:
-        """Stands on the highest ground under it."""
+        """True: a box stands on the highest ground under it."""
         return True
 
     def turns(self, rng: Generator, count: int) -> F64:
-        """Random turns, or the one asked for; drawn in any case, so that the rest stays."""
+        """(count,) rad: random turns, or the given one; drawn in any case, so that later draws stay the same."""
         turns = rng.uniform(0.0, 2.0 * math.pi, count)
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 
     def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
-        """Draw a tint for each."""
+        """Draw a tint for each thing and set its look."""
         palette = np.array(self.tints or otherwise)
         things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
         things[:, LOOK] = look
 
     def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
-        """Stamp all that reach the sheet."""
+        """Stamp all things that reach the sheet."""
         stamp(sheet, lay.things(sheet.box), kind)
 
 
@@ -92,16 +92,16 @@ class Houses(Boxes):
 
     @property
     def largest(self) -> float:
-        """Half the diagonal."""
+        """Half the diagonal of the largest house, metres."""
         return 0.5 * math.hypot(self.length[1], self.width[1])
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Walls, roof, chimney."""
+        """Largest height of walls, roof and chimney."""
         return 0.0, self.walls[1] + 0.5 * self.width[1] * math.tan(math.radians(self.pitch_deg)) + 0.5
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A plan, the walls and a roof of one colour."""
+        """Draw a plan, the height of the walls and the tint of the roof."""
         n = len(things)
         things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.walls, n), self.turns(rng, n)
@@ -110,7 +110,7 @@ class Houses(Boxes):
         self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, ROOFS)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Walls and roofs."""
+        """Stamp walls and roofs."""
         self.boxes(sheet, lay, {"gable": stamps.GABLE, "hip": stamps.HIP, "flat": stamps.FLAT}[self.roof])
 
 
@@ -125,16 +125,16 @@ class Cars(Boxes):
 
     @property
     def largest(self) -> float:
-        """Half the diagonal."""
+        """Half the diagonal of the largest car, metres."""
         return 0.5 * math.hypot(self.length[1], self.width[1])
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest."""
+        """Height of the tallest car."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A size and a paint."""
+        """Draw a size, a turn and a paint."""
         n = len(things)
         things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
@@ -142,7 +142,7 @@ class Cars(Boxes):
         self.paint(rng, things, Look.PAINT, PAINTS)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Bodies and cabins."""
+        """Stamp bodies and cabins."""
         self.boxes(sheet, lay, stamps.CAR)
 
 
@@ -159,16 +159,16 @@ class Crates(Boxes):
 
     @property
     def largest(self) -> float:
-        """Half the diagonal."""
+        """Half the diagonal of the largest crate, metres."""
         return 0.71 * max(self.size[1], self.width[1] if self.width else 0.0)
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest."""
+        """Height of the tallest crate."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Two sides and a height."""
+        """Draw two sides, a height and a turn."""
         n = len(things)
         things[:, HALF_U] = 0.5 * rng.uniform(*self.size, n)
         things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
@@ -177,7 +177,7 @@ class Crates(Boxes):
         self.paint(rng, things, Look.PAINT, LITTER)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Flat tops."""
+        """Stamp boxes with flat tops."""
         self.boxes(sheet, lay, stamps.FLAT)
 
 
@@ -199,11 +199,11 @@ class Parking(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """A car."""
+        """Height of the tallest car."""
         return 0.0, self.car.height[1]
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Level, pave and mark."""
+        """Level, pave and mark the grounds."""
         for east, north, level in lay.keep("grounds", lambda: self._grounds(lay)):
             index, dx, dy = sheet.near(east, north, 0.5 * math.hypot(*self.size) + self.bank)
             u, v = along_and_across(dx, dy, math.radians(self.turn_deg))
@@ -215,12 +215,12 @@ class Parking(Layer):
                 sheet.tint[index] *= np.where(self._marks(u, v), 3.0, 1.0)[..., None].astype(np.float32)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Cars, neatly or not."""
+        """Stamp the parked cars."""
         things = overlapping(lay.keep("cars", lambda: self._cars(lay)), sheet.box)
         stamp(sheet, things, stamps.CAR)
 
     def _grounds(self, lay: Lay) -> F64:
-        """(N, 3) middle and level of each."""
+        """(N, 3) east, north and level of each ground, metres."""
         places = np.array(self.at)
         return np.column_stack([places, lay.before(places[:, :1], places[:, 1:]).ground])
 
@@ -229,7 +229,7 @@ class Parking(Layer):
         return 2.0 * self.bay[1] + self.lane
 
     def _marks(self, u: F64, v: F64) -> Mask:
-        """Lines 10 cm wide between the bays, double rows back to back."""
+        """True on lines 10 cm wide between the bays, in double rows back to back."""
         width, length = self.bay
         count = math.floor(self.size[0] / width)
         across = np.abs(v / self._pitch - np.floor(v / self._pitch) - 0.5) * self._pitch
@@ -238,7 +238,7 @@ class Parking(Layer):
         return np.asarray(inside & (across <= length) & (line | (across < 0.05)))
 
     def _cars(self, lay: Lay) -> F64:
-        """All of them, in their bays."""
+        """(N, COLUMNS) all parked cars, in their bays."""
         rng = np.random.default_rng([lay.seed, 7])
         width, length = self.bay
         columns = np.arange(math.floor(self.size[0] / width)) - 0.5 * math.floor(self.size[0] / width) + 0.5
@@ -262,7 +262,7 @@ class Parking(Layer):
 
     @staticmethod
     def _off_pads(lay: Lay, cars: F64) -> F64:
-        """Without those that would stand where a later layer keeps the ground free."""
+        """Select the cars that are clear of ground that a later layer keeps free."""
         for other in lay.stack.lays[lay.index + 1 :]:
             if isinstance(other.layer, Scattered) and other.layer.apart:
                 for east, north in other.layer.at:

@@ -1,4 +1,4 @@
-"""What covers the ground: patches of another class, tall grass, crops in rows."""
+"""Cover of the ground: patches of another class, tall grass, crops in rows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class Outline(Layer):
-    """What covers a share of the ground, in patches by noise."""
+    """Cover of a share of the ground, in patches outlined by noise."""
 
     share: float = Field(0.15, ge=0.0, le=1.0, description="of the ground that may be covered")
     size: float = Field(10.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
@@ -47,7 +47,7 @@ class Outline(Layer):
         return noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
 
     def excess(self, sheet: Sheet, lay: Lay) -> F64:
-        """How far the noise is above the threshold that leaves `share`, in deviations; negative outside."""
+        """(R, C) excess of the noise over the threshold that leaves `share`, in deviations; negative outside."""
         excess = self.field(sheet, lay) - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
         open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
         if self.within is not None:
@@ -63,7 +63,7 @@ class Patches(Outline):
     kind: CoverName | None = Field("bare", description="class; null: that of the ground, only the look changes")
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Change the class."""
+        """Change class and look in the patches."""
         mask = self.excess(sheet, lay) > 0.0
         sheet.paint(..., mask, terrain_named(self.kind) if self.kind is not None else None, self.look, self.tint)
 
@@ -86,11 +86,11 @@ class TallGrass(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest."""
+        """Height of the tallest blades."""
         return 0.0, 1.4 * self.height
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
-        """Tufts, lower at the rim of a patch."""
+        """Raise tufts, lower at the rim of a patch."""
         excess = self.excess(sheet, lay)
         mask = (excess > 0.0) & (sheet.height <= sheet.ground) & (sheet.depth <= self.shallower)
         tufts = self._lie(sheet, lay)
@@ -102,7 +102,7 @@ class TallGrass(Outline):
         sheet.label[mask & (blades >= self.tall_from)] = Terrain.TALL_VEGETATION
 
     def _lie(self, sheet: Sheet, lay: Lay) -> F64:
-        """Of unit deviation: tufts, in swathes that the wind laid, streaks along them."""
+        """(R, C) noise of unit deviation: tufts, swathes laid by the wind, streaks along them."""
         bend = noise(sheet.x, sheet.y, lay.seed + 32, 30.0 * self.tuft, 10.0 * self.tuft)
         u, v = along_and_across(sheet.x, sheet.y, lay.seed % 628 * 0.01)
         swathe = noise(u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 33, 12.0 * self.tuft, 4.0 * self.tuft, 0.5)
@@ -112,7 +112,7 @@ class TallGrass(Outline):
 
 
 class Crop(Layer):
-    """What grows in one parcel of the fields."""
+    """Crop of one parcel of the fields."""
 
     kind: CoverName = Field("tall_vegetation", description="class of the plants, or of the ground where height is 0")
     soil: CoverName = Field("bare", description="class between the rows")
@@ -148,11 +148,11 @@ class Fields(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Ridges and plants."""
+        """Depth of furrows, height of ridges and plants."""
         return max(c.ridge for c in self.crops), max(c.ridge + 1.4 * c.height for c in self.crops)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Furrows, and classes where nothing grows tall."""
+        """Shape furrows, and paint the soil and the crops without height."""
         which, across = sheet.notes[lay.index] = self._parcels(sheet, lay)
         for k, crop in enumerate(self.crops):
             mask = which == k
@@ -166,7 +166,7 @@ class Fields(Layer):
                 sheet.paint(..., planted, terrain_named(crop.kind), crop.look, crop.tint)
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
-        """Plants."""
+        """Raise the plants of crops with a height."""
         which, across = sheet.notes[lay.index]
         for k, crop in enumerate(self.crops):
             if crop.height == 0.0 or not (which == k).any():
@@ -184,9 +184,9 @@ class Fields(Layer):
         return np.asarray(np.abs(phase - np.floor(phase + 0.5)) <= 0.5 * crop.width)
 
     def _parcels(self, sheet: Sheet, lay: Lay) -> tuple[NDArray[np.int64], F64]:
-        """Which crop grows at each place (-1: none), and metres across the rows."""
+        """(R, C) number of the crop at each place (-1: none), and (R, C) metres across the rows."""
         u, v = along_and_across(sheet.x, sheet.y, math.radians(self.turn_deg))
-        # nobody drives quite straight
+        # rows are not quite straight
         v = v + 0.6 * noise(sheet.x, sheet.y, lay.seed + 3, 90.0, 40.0) + 0.05 * noise(u, v, lay.seed + 4, 9.0, 2.0)
         j = np.floor(v / self.parcel[1]).astype(np.int64)
         shifted = u / self.parcel[0] + 0.37 * j

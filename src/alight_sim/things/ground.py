@@ -39,7 +39,7 @@ ROUND = 1.0  # column TOP of a pad: a disc, not a rectangle
 
 
 class Roughness(FractalRelief, Layer):
-    """More relief, on top of what the layers before it made."""
+    """More relief on top of the layers before it."""
 
     thing: Literal["roughness"]
     height: float = Field(0.05, ge=0.0, le=20.0, description="metres, standard deviation")
@@ -48,14 +48,14 @@ class Roughness(FractalRelief, Layer):
     upon: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground that it lies on")
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Add noise where the class is asked for."""
+        """Add noise on ground of the given classes."""
         rough = np.zeros(sheet.x.shape)
         self.add(sheet.x, sheet.y, lay.seed, rough)
         sheet.ground += np.where(np.isin(sheet.label, [terrain_named(k) for k in self.upon]), rough, 0.0)
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Four deviations either way."""
+        """Four standard deviations either way."""
         return 4.0 * self.height, 4.0 * self.height
 
 
@@ -70,7 +70,7 @@ class Terraces(Layer):
     look: LookName = Field(Look.BY_CLASS, description="look of the risers")
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Quantise the heights."""
+        """Quantise the heights to treads and risers."""
         whole = np.floor(sheet.ground / self.step)
         part = sheet.ground / self.step - whole
         face = part > 1.0 - self.riser
@@ -81,7 +81,7 @@ class Terraces(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """One step."""
+        """Height of one step."""
         return self.step, self.step
 
 
@@ -98,22 +98,22 @@ class Craters(Scattered):
 
     @property
     def largest(self) -> float:
-        """The blanket around the rim included."""
+        """Two radii of the largest crater: the blanket around the rim is included."""
         return 2.0 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Bowl and rim."""
+        """Depth of the bowl, height of the rim."""
         return self.radius[1] * self.depth[1], 0.25 * self.radius[1] * self.depth[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A radius of the power law and an age."""
+        """Draw a radius of the power law and a depth by age."""
         radius = power_law(rng, self.radius, self.exponent, len(things))
         things[:, HALF_U], things[:, REACH] = radius, 2.0 * radius
         things[:, TOP] = radius * rng.uniform(*self.depth, len(things))
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """A paraboloid inside, a blanket falling with the third power outside (McGetchin et al. 1973)."""
+        """Shape a paraboloid inside and a blanket that falls with the third power outside (McGetchin et al. 1973)."""
         for thing in lay.things(sheet.box):
             index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
             rho = np.hypot(dx, dy) / thing[HALF_U]
@@ -137,22 +137,22 @@ class Ponds(Scattered):
 
     @property
     def largest(self) -> float:
-        """The bank included."""
+        """2.2 radii of the largest pond: the bank is included."""
         return 2.2 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The surface."""
+        """Depth of the surface below the ground."""
         return self.below, 0.0
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A radius and a depth."""
+        """Draw a radius and a depth."""
         things[:, HALF_U] = rng.uniform(*self.radius, len(things))
         things[:, TOP] = rng.uniform(*self.depth, len(things))
         things[:, REACH] = 2.2 * things[:, HALF_U]
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Dig, fill, blend the bank into the ground."""
+        """Dig, fill with water, and blend the bank into the ground."""
         for thing in lay.things(sheet.box):
             index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
             radius = thing[HALF_U]
@@ -178,7 +178,7 @@ class Water(Layer):
     shore_height: float = Field(0.15, ge=0.0, le=5.0, description="metres above the level that the shore reaches")
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Flood."""
+        """Flood the ground below the level, and paint the shore."""
         wet = sheet.ground < self.level
         edge = self.level + self.shore_height * (1.0 + 0.4 * noise(sheet.x, sheet.y, lay.seed, 6.0, 0.7))
         if self.shore is not None:
@@ -208,16 +208,16 @@ class Pads(Scattered):
 
     @property
     def largest(self) -> float:
-        """The bank included."""
+        """Radius or half the diagonal, and the bank."""
         return self.bank + (self.radius or 0.5 * math.hypot(*self.size))
 
     @property
     def rise(self) -> tuple[float, float]:
-        """What it is raised."""
+        """Lowering and raising of the pad."""
         return max(-self.up, 0.0), max(self.up, 0.0)
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """All are the same."""
+        """Set size and turn: all pads are equal."""
         things[:, HALF_U], things[:, HALF_V] = (self.radius or 0.5 * self.size[0]), 0.5 * self.size[1]
         things[:, TURN], things[:, TOP] = math.radians(self.turn_deg), ROUND if self.radius else 0.0
         things[:, REACH] = self.largest

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 LONGEST = 200_000.0  # metres of a path
 PIECE = 2.0  # metres between the places where a road takes the ground's height
 SMOOTH = 5  # pieces either way over which a road evens the ground out
-WHITE = 3.2  # how much brighter paint is than asphalt
+WHITE = 3.2  # brightness of paint over that of asphalt
 WIRE = 0.9  # reflectance of ground under a wire, over that of the ground beside it
 
 
@@ -70,16 +70,16 @@ def winding(line: F64, wander: float, seed: int) -> F64:
 
 
 class Lined(Layer):
-    """What follows a path."""
+    """Things that follow a path."""
 
     path: Line = Field(description="[[east, north], ...] metres from the origin")
 
     def reach(self) -> float:
-        """Metres aside that it changes."""
+        """Distance from the path within which the ground changes, metres."""
         raise NotImplementedError
 
     def line(self, lay: Lay) -> F64:
-        """(N, 4) east, north, along, height."""
+        """(N, 4) east, north, metres along, height of the vertices."""
         return pieces(self.path, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
@@ -116,15 +116,15 @@ class Roads(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Ruts and kerb."""
+        """Ruts and kerb, with a margin for levelling."""
         return self.ruts + max(-self.kerb, 0.0) + 0.5, max(self.kerb, 0.0) + 0.5
 
     def reach(self) -> float:
-        """Half the width and the bank."""
+        """Half the width, ragged edges included, and the bank."""
         return 0.5 * self.width * (1.0 + 4.0 * self.ragged) + self.bank + 0.1
 
     def line(self, lay: Lay) -> F64:
-        """With the ground's heights, evened out."""
+        """(N, 4) vertices with the ground's heights, evened out along the path."""
         line = pieces(self.path, PIECE)
         heights = lay.before(line[:, :1], line[:, 1:2]).ground[:, 0]
         padded = np.pad(heights, SMOOTH, mode="edge")
@@ -132,7 +132,7 @@ class Roads(Lined):
         return line
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Level, colour, mark, rut."""
+        """Level the ground, colour it, add marks and ruts."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
@@ -187,21 +187,21 @@ class Walls(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Its height."""
+        """Height of the wall."""
         return 0.0, self.height
 
     def reach(self) -> float:
-        """Half its thickness."""
+        """Half the thickness, with a margin."""
         return max(0.5 * self.thickness, 0.2) + 0.1
 
     def line(self, lay: Lay) -> F64:
-        """As straight as its path, or winding."""
+        """(N, 4) vertices of the path, or of a line that winds about it."""
         if self.wander == 0.0:
             return super().line(lay)
         return winding(pieces(self.path, self.wander), self.wander, lay.seed)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise the cells whose centres it covers."""
+        """Raise the cells that the wall covers."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
@@ -228,7 +228,7 @@ class Walls(Lined):
 
     @staticmethod
     def _string(sheet: Sheet, line: Mask) -> None:
-        """Wire over the ground: of class structure, and no more of it to be seen than a faint line."""
+        """Paint wire over the ground: of class structure, and visible as a faint line alone."""
         usual = tables()[1][sheet.label].astype(np.uint8)
         sheet.look[line] = np.where(sheet.look == Look.BY_CLASS, usual, sheet.look)[line]
         sheet.label[line] = Terrain.STRUCTURE
@@ -245,15 +245,15 @@ class Hedges(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Top and clumps."""
+        """Height of the hedge and its clumps."""
         return 0.0, 1.5 * self.height
 
     def reach(self) -> float:
-        """Half its width, raggedness included."""
+        """Half the width, raggedness included."""
         return 0.9 * self.width + 0.1
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """A row of clumps."""
+        """Raise a row of clumps."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return

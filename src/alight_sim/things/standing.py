@@ -1,4 +1,4 @@
-"""Things that stand: rocks, trees, shrubs, mounds, houses, cars, crates."""
+"""Standing things of rounded shape: rocks, trees, shrubs, mounds, logs."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ PLANTABLE: tuple[CoverName, ...] = ("bare", "short_grass", "tall_vegetation")
 
 
 class Dome(Scattered):
-    """What is roundish."""
+    """Things of rounded shape."""
 
     look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
     tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
     shades: float = Field(0.25, ge=0.0, le=1.0, description="how much one differs from the next in brightness")
 
     def paint(self, rng: Generator, things: F64) -> None:
-        """A look, and a brightness for each."""
+        """Set the look, and draw a brightness for each thing."""
         shade = np.exp(0.5 * self.shades * rng.standard_normal(len(things)))
         things[:, RED : BLUE + 1] = np.array(self.tint) * shade[:, None]
         things[:, LOOK] = self.look
@@ -48,7 +48,7 @@ class Dome(Scattered):
     def domes(
         self, sheet: Sheet, lay: Lay, kind: int, look: tuple[float, float, float, float], shape: int, rooted: bool
     ) -> None:
-        """Stamp all that reach the sheet."""
+        """Stamp all things that reach the sheet."""
         things = lay.things(sheet.box)
         if len(things):
             stamps.stamp_domes(
@@ -58,7 +58,7 @@ class Dome(Scattered):
 
 
 def drawn_evenly(rng: Generator, between: Between, count: int) -> F64:
-    """Evenly drawn numbers."""
+    """(count,) numbers of a uniform distribution."""
     return np.asarray(rng.uniform(*between, count))
 
 
@@ -75,11 +75,11 @@ class Rocks(Dome):
 
     @property
     def largest(self) -> float:
-        """Ragged rim included."""
+        """Radius of the largest rock, ragged rim included."""
         return 1.3 * self.radius[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A radius of the power law, a turn, a squash."""
+        """Draw a radius of the power law, a turn, a width and a height."""
         n = len(things)
         radius = power_law(rng, self.radius, self.exponent, n)
         things[:, TURN] = rng.uniform(0.0, math.pi, n)
@@ -90,7 +90,7 @@ class Rocks(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Hewn ellipsoids that follow the ground."""
+        """Stamp rough ellipsoids that follow the ground."""
         self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.ELLIPSOID, rooted=False)
 
 
@@ -106,16 +106,16 @@ class Trees(Dome):
 
     @property
     def largest(self) -> float:
-        """Clumps and ragged rim included."""
+        """Radius of the largest crown, clumps and ragged rim included."""
         return 1.5 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest crown and its leaves."""
+        """Height of the tallest crown and its leaves."""
         return 0.0, (self.height[1] if self.height else 2.6 * self.radius[1]) + 1.5
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A radius and a height."""
+        """Draw a radius and a height."""
         n = len(things)
         radius, tall = drawn_evenly(rng, self.radius, n), rng.uniform(1.7, 2.6, n)
         if self.height is not None:
@@ -126,7 +126,7 @@ class Trees(Dome):
         self.paint(rng, things)
 
     def parts(self, rng: Generator, things: F64) -> F64:
-        """The clumps of each crown: balls in the upper half of an ellipsoid, the smaller the lower."""
+        """The clumps of each crown: balls in the upper part of an ellipsoid; a conifer is one cone."""
         if self.form == "conifer" or not len(things):
             return things
         count = np.clip((4.0 + 3.0 * things[:, HALF_U]).astype(np.int64), 6, 24) * (3 if self.form == "bare" else 1)
@@ -150,7 +150,7 @@ class Trees(Dome):
         return out
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Clumps of leaves with ragged edges; conifers are cones."""
+        """Stamp clumps of leaves with ragged edges; conifers are cones."""
         if self.form == "conifer":
             self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.CONE, rooted=True)
         else:
@@ -170,16 +170,16 @@ class Shrubs(Dome):
 
     @property
     def largest(self) -> float:
-        """Ragged rim included."""
+        """Radius of the largest shrub, ragged rim included."""
         return 1.5 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest and its clumps."""
+        """Height of the tallest shrub and its clumps."""
         return 0.0, 1.5 * self.radius[1] * self.tall[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A radius of the power law and a height."""
+        """Draw a radius of the power law and a height."""
         n = len(things)
         radius = power_law(rng, self.radius, self.exponent, n)
         things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.7, 1.0, n)
@@ -189,7 +189,7 @@ class Shrubs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Ragged domes that follow the ground."""
+        """Stamp ragged domes that follow the ground."""
         look = (0.2, 1.0, 0.35, 0.14)
         self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.ELLIPSOID, rooted=False)
 
@@ -205,16 +205,16 @@ class Mounds(Dome):
 
     @property
     def largest(self) -> float:
-        """Ragged rim included."""
+        """Radius of the largest mound, ragged rim included."""
         return 1.3 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest."""
+        """Height of the tallest mound, with a margin."""
         return 0.0, 1.3 * self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A radius and a height."""
+        """Draw a radius and a height."""
         n = len(things)
         radius = drawn_evenly(rng, self.radius, n)
         things[:, HALF_U], things[:, HALF_V] = radius, radius
@@ -223,7 +223,7 @@ class Mounds(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Domes that follow the ground."""
+        """Stamp domes or cones that follow the ground, or upright drums."""
         kind = -1 if self.kind is None else int(terrain_named(self.kind))
         shape = {"round": stamps.ELLIPSOID, "cone": stamps.CONE, "drum": stamps.DRUM}[self.form]
         ragged = 0.0 if self.form == "drum" else 0.07
@@ -240,16 +240,16 @@ class Logs(Dome):
 
     @property
     def largest(self) -> float:
-        """Half its length."""
+        """Half the length of the longest log, with a margin."""
         return 0.6 * self.length[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The thickest."""
+        """Height of the thickest log, with a margin."""
         return 0.0, 1.1 * self.thickness[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A length, a thickness, a turn."""
+        """Draw a length, a thickness, a turn."""
         n = len(things)
         thick = drawn_evenly(rng, self.thickness, n)
         things[:, HALF_U], things[:, HALF_V] = 0.5 * drawn_evenly(rng, self.length, n), 0.5 * thick
@@ -258,5 +258,5 @@ class Logs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Long low domes."""
+        """Stamp long low domes."""
         self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.ELLIPSOID, rooted=False)

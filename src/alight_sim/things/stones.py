@@ -28,7 +28,7 @@ USUAL = 0.05  # share of the ground, for the sizes of named stones where none is
 
 
 def decay(share: float) -> float:
-    """How fast the share of the ground under stones falls with their diameter, 1/m (Golombek and Rapp 1997)."""
+    """Decay of the share of the ground under stones with their diameter, 1/m (Golombek and Rapp 1997)."""
     return 1.79 + 0.152 / share
 
 
@@ -39,7 +39,7 @@ def share_above(diameter: float, share: float) -> float:
 
 @lru_cache(64)
 def _counts(share: float, size: Between) -> tuple[F64, F64]:
-    """Diameters, and how many stones a square metre are at least so large: the law's share over a stone's area."""
+    """Diameters, metres, and number of stones a square metre at least so large: the law's share over a stone's area."""
     diameter = np.geomspace(*size, 400) if size[0] < size[1] else np.array(size)
     q = decay(share)
     density = share * q * np.exp(-q * diameter) / (0.25 * math.pi * diameter**2)
@@ -50,9 +50,9 @@ def _counts(share: float, size: Between) -> tuple[F64, F64]:
 class Stones(Scattered):
     """Stones whose sizes follow the law of rock fields (Golombek and Rapp 1997), partly buried.
 
-    The share of the ground under stones of diameter D and more is k exp(-(1.79 + 0.152 / k) D), with k, the share
-    under stones of all sizes, different from place to place. They look like the ground that they lie on unless a look
-    is given, so that shape, light and shade alone show them.
+    The share of the ground under stones of diameter D and more is k exp(-(1.79 + 0.152 / k) D). The share under stones
+    of all sizes, k, differs from place to place. Without a look of their own, stones look like the ground below them:
+    shape, light and shade alone show them.
     """
 
     thing: Literal["stones"]
@@ -85,12 +85,12 @@ class Stones(Scattered):
 
     @property
     def largest(self) -> float:
-        """Ragged rim included."""
+        """Radius of the largest stone, ragged rim included."""
         return 0.5 * RIM * STRETCH * self.size[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The tallest."""
+        """Height of the tallest stone, with a margin."""
         return 0.0, 1.2 * self.size[1] * self.height[1]
 
     @property
@@ -99,7 +99,7 @@ class Stones(Scattered):
 
     @property
     def density(self) -> float:
-        """Those where they lie densest."""
+        """Number of random stones drawn a hectare: that of the densest places."""
         if self.share is None:
             return 0.0
         if self.size[0] == self.size[1]:  # of one size: the law's share, all in that size
@@ -107,7 +107,7 @@ class Stones(Scattered):
         return 1e4 * float(_counts(self._most, self.size)[1][0])
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """A diameter of the law where stones lie densest, two axes, a height, a shade."""
+        """Draw a diameter of the law for the densest places, two axes, a height, a shade."""
         n = len(things)
         sizes, counts = _counts(self._most, self.size)
         diameter = np.interp(-rng.random(n) * counts[0], -counts, sizes)
@@ -117,7 +117,7 @@ class Stones(Scattered):
         things[:, TOP] = diameter * rng.uniform(*self.height, n)
         things[:, EXTRA], things[:, REACH] = diameter, RIM * things[:, HALF_U]
         things[:, RED] = np.exp(self.shades * rng.standard_normal(n))
-        things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # there or not; outline
+        things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # random numbers for existence and outline
 
     def share_at(self, east: F64, north: F64, seed: int) -> F64:
         """(N,) k at places (N,): evenly spread between the logarithms of fewest and most."""
@@ -126,7 +126,7 @@ class Stones(Scattered):
         return np.asarray(few * (most / few) ** ndtr(field))
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """Thinned, the large ones more, so that each place has the law of its own k."""
+        """(N,) true for stones that exist: thinned, large ones more, so that each place has the law of its own k."""
         if self.share is None or not len(things):
             return np.ones(len(things), bool)
         k, most = self.share_at(things[:, EAST], things[:, NORTH], seed), self._most
@@ -135,7 +135,7 @@ class Stones(Scattered):
         return np.asarray(things[:, GREEN] < chance)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stones on the ground as it is."""
+        """Stamp stones on the solid ground."""
         things = lay.things(sheet.box)
         if len(things):
             form = np.array([float(self.form == "angular"), self.rock_from, self.hidden, float(self.look), *self.tint])

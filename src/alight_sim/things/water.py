@@ -1,4 +1,4 @@
-"""Water that is narrow or shallow: canals, rivers and ditches, often covered with plants, and puddles."""
+"""Narrow or shallow water: canals, rivers and ditches, often covered with plants, and puddles."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FREEBOARD = 0.8  # share of `below` that low ground beside the water is raised t
 
 
 def above(field: F64, share: float) -> F64:
-    """How far a field of unit deviation is above the level that leaves `share` of it, in deviations."""
+    """Excess of a field of unit deviation over the level that leaves `share` of it, in deviations."""
     return np.asarray(field - NormalDist().inv_cdf(min(max(1.0 - share, 1e-6), 1.0 - 1e-6)))
 
 
 class Canals(Lined):
-    """A canal, a river or a ditch: water below its banks, open or under floating plants. All of it is water."""
+    """A canal, a river or a ditch: water below its banks, open or under floating plants, all of class water."""
 
     thing: Literal["canal"]
     width: float = Field(5.0, gt=0.2, le=200.0, description="metres of water from bank to bank")
@@ -51,15 +51,15 @@ class Canals(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The water and its banks."""
+        """Lowering to the water, raising of the banks, with margins."""
         return self.below + 2.0, 1.0
 
     def reach(self) -> float:
-        """Half the water, its winding and the banks."""
+        """Half the width with its wandering edge, and the banks."""
         return 0.6 * self.width + 3.0 * self.bank + 0.5
 
     def line(self, lay: Lay) -> F64:
-        """With the water's height: below the lowest ground near by, evened out along."""
+        """(N, 4) vertices with the water's height: below the lowest ground near by, evened out along."""
         line = pieces(self.path, PIECE)
         if self.wander > 0.0:
             line = winding(line, self.wander, lay.seed)
@@ -69,7 +69,7 @@ class Canals(Lined):
         return line
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Dig the bed, raise what is too low beside it, fill it with water, lay plants on it."""
+        """Dig the bed, raise low ground beside it, fill it with water, lay plants on it."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
@@ -106,8 +106,8 @@ class Canals(Lined):
 class Puddles(Outline):
     """Standing water in hollows of a metre or more, with a margin of mud or of wet ground.
 
-    Mud gives way under a lander, so it is of class water too. Lay them before what makes the ground rough: they are
-    as level as the ground that they find.
+    Mud gives way under a lander, so it is of class water too. List puddles before layers that make the ground rough:
+    they are as level as the ground below them.
     """
 
     thing: Literal["puddles"]
@@ -121,11 +121,11 @@ class Puddles(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """The surface."""
+        """Depth of the surface below the ground around."""
         return self.sunk, 0.0
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
-        """Smooth: water fills what is small."""
+        """(R, C) smooth noise of unit deviation: water fills small hollows."""
         return noise(sheet.x, sheet.y, lay.seed, self.size, 0.2 * self.size, 1.2)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:

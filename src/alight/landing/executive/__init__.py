@@ -1,4 +1,4 @@
-"""The executive: states, events and what the vehicle is to do."""
+"""The executive: states, events and orders to the vehicle."""
 
 from alight.landing.executive.executive import Executive
 from alight.landing.executive.table import ENDS, TABLE, as_markdown

@@ -1,4 +1,4 @@
-"""Ways that nothing stands in: how high one must be flown, and how a place can be crossed low down."""
+"""Ways free of obstacles: the height of a level way, and a leg across a place low down."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from alight.records.executive import Seen
 from alight.settings import StageSettings
 
 TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # of a look leg, tried in turn
-WIDE = 2.0  # times the vehicle's radius, from its middle to what stands beside it, at least
-ROOMY = 2.0  # times that distance, where some leg leaves so much: a gust carries the vehicle metres off its way
-LOW = 0.5  # of its height, at the most: the clearance of a look leg above what stands beside it
+WIDE = 2.0  # times the vehicle's radius, least distance from its middle to an obstacle beside it
+ROOMY = 2.0  # times that distance, preferred if some leg has it: a gust carries the vehicle metres off its way
+LOW = 0.5  # of its height: most clearance of a look leg above obstacles beside it
 
 
 class ClearWay:
     """Ways over the newest map.
 
-    A way is flown at the height of the search where something stands whose height is in doubt: of a tree 10 m high most
-    of the map said 3 m, and a landing flew into it. A long one is so, too, over ground that is not all mapped. Nor is a
-    place crossed low down beside anything tall, however high the map says that it is.
+    A way over obstacles of doubtful height is flown at the height of the search: the map had 3 m for most of a tree
+    of 10 m, and a landing flew into it. So is a long way over ground that is not all mapped. A place is not crossed
+    low down beside anything tall, whatever its height in the map.
     """
 
     def __init__(self, settings: StageSettings) -> None:
@@ -36,7 +36,7 @@ class ClearWay:
     def level(self, start: F64, to: F64, seen: Seen, at_a_place: bool = False) -> float:
         """Metres up at which the way from above one point (3,) to above another is clear.
 
-        `at_a_place`: it leads from one look at a place to the next, and only what is mapped counts.
+        `at_a_place`: it leads from one look at a place to the next, and only mapped obstacles count.
         """
         grid, k = seen.elevation.grid, self._keys
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
@@ -45,7 +45,7 @@ class ClearWay:
         return max(below.clear, seen.ground + k.search_height) if untold and not at_a_place else below.clear
 
     def turned(self, leg: LookLeg, ground: float, seen: Seen) -> LookLeg | None:
-        """Turn a leg as little as it takes for nothing to stand beside it, nor `ROOMY` times as far where it can be.
+        """Turn a leg as little as possible, so that no obstacle stands beside it, at `ROOMY` times that if possible.
 
         None: something stands beside it, whichever way it is turned.
 
@@ -63,14 +63,14 @@ class ClearWay:
         return free
 
     def is_open(self, leg: LookLeg, ground: float, seen: Seen, times: float = 1.0) -> bool:
-        """Whether a leg is free from end to end, wherever on it the vehicle joins it; arguments as of `is_free`."""
+        """True if a leg is free from end to end, wherever the vehicle joins it; arguments as of `is_free`."""
         return self.is_free(2 * leg.place - leg.end, leg.end, ground, seen, times)
 
     def is_free(self, start: F64, to: F64, ground: float, seen: Seen, times: float = 1.0) -> bool:
-        """Whether a level way (3,) near a place may be flown: beside it nothing is tall, or reaches up to the way.
+        """True if a level way (3,) near a place may be flown: no obstacle beside it is tall, or reaches up to the way.
 
-        Tall is what rises by more than `executive.rise`; beside the way is within `route.clearance`, or twice the
-        lander's radius if that is more; or `times` that.
+        "Tall" means a rise by more than `executive.rise`. "Beside" means within `route.clearance`, or twice the
+        lander's radius if that is more, times `times`.
         """
         grid, width = seen.elevation.grid, times * self._beside
         reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])

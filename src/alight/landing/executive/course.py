@@ -1,4 +1,4 @@
-"""Where to fly next on the way to a point: up before aside, and down only on the way."""
+"""Next point to fly to on the way to a point: up before aside, and down only on the way."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from alight.records.executive import FlightState, Seen
 from alight.settings import StageSettings
 
 DOWN_TO_A_LOOK = (FlightState.APPROACH, FlightState.DESCEND)
-NEARER = 0.5  # m, by which a vehicle that gets on comes nearer
+NEARER = 0.5  # m, least progress towards a point
 
 
 class Course:
@@ -20,7 +20,7 @@ class Course:
 
     Args:
         settings: of all stages; `executive` is used.
-        clear_way: tells how high a way must be flown.
+        clear_way: for the height at which a way must be flown.
     """
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
@@ -28,21 +28,21 @@ class Course:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the way before: another one begins."""
-        self._rises: F64 | None = None  # (2,) metres, where it climbs to be clear
-        self._from: F64 | None = None  # (2,) metres, where the way began
-        self._to = np.full(2, np.nan)  # and where it leads
+        """Begin another way, and forget the one before."""
+        self._rises: F64 | None = None  # (2,) metres, place where it climbs to be clear
+        self._from: F64 | None = None  # (2,) metres, start of the way
+        self._to = np.full(2, np.nan)  # and its end
         self._level: float | None = None  # metres up, kept while the vehicle is beside it
-        self._next = np.full(3, np.inf)  # metres, where it was last told to fly
-        self._nearest, self._nearer_at = math.inf, 0.0  # m from there so far, and s, when it last came nearer
+        self._next = np.full(3, np.inf)  # metres, last point that it was ordered to
+        self._nearest, self._nearer_at = math.inf, 0.0  # m, least distance from there, and s, when it last came nearer
 
     def next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
-        """(3,) metres, where to fly next.
+        """Next point to fly to, (3,) metres.
 
         Args:
             position: (3,) metres, of the vehicle.
-            to: (3,) metres, where the way leads.
-            seen: the newest verdict on a map of this frame; None: nothing is known of what stands about.
+            to: (3,) metres, end of the way.
+            seen: the newest verdict on a map of this frame; None: no obstacles are known.
             state: of the executive.
         """
         told = self._next_point(position, to, seen, state)
@@ -51,7 +51,7 @@ class Course:
         return told
 
     def _next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
-        """(3,) metres; nothing stands beside a look leg, nor about its start, but at the end of a lane it may."""
+        """(3,) metres; no obstacle stands beside a look leg or about its start, but one may at the end of a lane."""
         if state in DOWN_TO_A_LOOK:
             to = self._downwards(position, to)
         near = math.hypot(*(to[:2] - position[:2])) < 2 * self._keys.arrived
@@ -60,7 +60,7 @@ class Course:
         return self._upwards(position, to, seen, state is FlightState.DESCEND)
 
     def is_stuck(self, t: float, position: F64) -> bool:
-        """Whether the vehicle has come no nearer to where it was told to fly for `executive.hold` seconds.
+        """True if the vehicle has come no nearer to the ordered point for `executive.hold` seconds.
 
         Args:
             t: s.
@@ -72,7 +72,7 @@ class Course:
         return t - self._nearer_at > self._keys.hold
 
     def _upwards(self, position: F64, to: F64, seen: Seen | None, at_a_place: bool) -> F64:
-        """First up, where something mapped stands in the way; where it began to, for no wind carries it on meanwhile.
+        """Next point, up first where a mapped obstacle is in the way: above the start of the climb, against any wind.
 
         `at_a_place`: it leads from one look at a place to the next.
         """
@@ -86,9 +86,9 @@ class Course:
         return np.array([*to[:2], level])
 
     def _downwards(self, position: F64, to: F64) -> F64:
-        """On a way that leads down to a place: level to its end, while the vehicle is beside it.
+        """Next point on a way down to a place: level to its end, while the vehicle is beside the way.
 
-        What stands beside the way was looked for within a few metres, and a gust may carry the vehicle as far.
+        Obstacles beside the way were looked for within a few metres, and a gust may carry the vehicle as far.
         """
         if self._from is None or not np.array_equal(to[:2], self._to):
             self._from, self._to, self._level = position[:2].copy(), to[:2].copy(), None

@@ -1,4 +1,4 @@
-"""The way down on a place, and what breaks it off besides what a verdict says of the place."""
+"""The way down on a place, and reasons to break it off besides a verdict on the place."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from alight.records import Site
 from alight.records.executive import Order, Situation
 from alight.settings import StageSettings
 
-HEARD = 2.0  # m in which enough verdicts come on the way down: lower than so much above the last of them it waits
-LAST = 0.5  # of the sideways speed, from where a landing is not broken off: it must not drift as it touches down
+HEARD = 2.0  # m of descent in which enough verdicts come: nearer than this to the height of the last verdicts it waits
+LAST = 0.5  # of the sideways speed, once a landing is not broken off any more: it must not drift as it touches down
 
 
 class Descent:
-    """Over the place first, then slowly down; over it again from beside, while the landing may be broken off.
+    """Orders of a landing: over the place first, then slowly down; back over it while it may still be broken off.
 
     Args:
         settings: of all stages; `executive` and `route` are used.
@@ -31,21 +31,21 @@ class Descent:
     def begin(self, t: float) -> None:
         """Begin a landing, at a time in seconds."""
         self._begun = self._judged = t
-        self._over = False  # it is over the place, and comes down
-        self._kept: float | None = None  # metres up, the height that it keeps meanwhile
+        self._over = False  # the vehicle is over the place, and comes down
+        self._kept: float | None = None  # metres up, kept until it is over the place
         self._unseen = 0  # verdicts in a row that do not see the place whole
         self._p = deque[float](maxlen=self._keys.last_verdicts)  # P(safe) of the last ones that do
 
     def judged(self, t: float, said: Opinion, left: float) -> bool:
-        """Take a new verdict; whether the last ones together refuse the place.
+        """Take a new verdict; True: the last ones together refuse the place.
 
-        They do where several in a row see too little of it, or where it has come into doubt and stays there: one low
-        verdict may be grass that sways. Near the ground neither is a reason: of grass from 2 m the whole picture sways,
-        and counts as moving.
+        They do if several in a row see too little of it, or if it has come into doubt and stays there: one low
+        P(safe) may come from swaying grass. Near the ground neither is a reason: from 2 m above grass the whole
+        picture sways, and counts as moving.
 
         Args:
             t: s.
-            said: of the place.
+            said: opinion on the place.
             left: metres above it.
         """
         self._judged = t
@@ -60,7 +60,7 @@ class Descent:
         return len(self._p) == self._p.maxlen and median(self._p) < self._keys.doubted
 
     def too_long(self, t: float, left: float) -> str:
-        """Say that it takes too long, or that no verdict has come for too long; empty: neither."""
+        """Reason, in words, if the landing takes too long, or no verdict has come for too long; empty: neither."""
         if t - self._begun > self._keys.hold:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._judged
@@ -68,15 +68,15 @@ class Descent:
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def _has_heard(self, left: float) -> bool:
-        """Whether so many verdicts have come, or will come on the way down, that they can break the landing off."""
+        """True if enough verdicts to break the landing off have come, or will come on the way down."""
         above = left - self._keys.degraded_height
         return not 0.0 <= above < HEARD or not self._keys.look_again or len(self._p) == self._p.maxlen
 
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
         """Return the order for now.
 
-        From low down it waits over the place until there are enough verdicts to break the landing off. Where the
-        vehicle is not known in the frame of the place it sinks straight down where it is: it is too low to break off.
+        From low down it waits over the place until there are enough verdicts to break the landing off. If the
+        vehicle's position in the frame of the place is not known, it sinks straight down: it is too low to break off.
         """
         low, sink = left < self._keys.abort_height, self._keys.landing_speed
         speed = self._keys.aside_speed * (LAST if low else 1.0)

@@ -1,8 +1,8 @@
-"""The executive: raises P(safe) by looking, from lower and lower, until a place is a site or falls.
+"""The executive: it looks at a place from lower and lower, until the place is a site or is refused.
 
-No I/O and no clock: `tick` is told the situation and returns what the vehicle is to do. Far away there are candidates,
-near by there are sites: a place is flown to, looked at from beside it (one camera straight above sees no parallax), and
-looked at again from half the height, until the lowest look confirms it. Only then the landing begins.
+No I/O and no clock: `tick` takes the situation and returns the order to the vehicle. Far away there are candidates,
+near by there are sites. A place is flown to and looked at from beside it: one camera straight above sees no parallax.
+It is looked at again from half the height, until the lowest look confirms it. Only then the landing begins.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Executive:
     """
 
     def __init__(self, settings: StageSettings) -> None:
-        self._limits, self._held = AttemptLimits(settings.executive), S.SEARCH  # and what was flown before it held
+        self._limits, self._held = AttemptLimits(settings.executive), S.SEARCH  # and the state before HOLD
         self._keys, self._route, self._margin = settings.executive, settings.route, settings.sites.margin
         self._limit = settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
@@ -66,14 +66,14 @@ class Executive:
         self._ground: float | None = None  # metres up
         self._above: float | None = None  # metres above it, as known last
         self._lanes: SearchLanes | None = None
-        self._way: F64 | None = None  # where to fly in this state
-        self._height = 0.0  # of this look above the place
+        self._way: F64 | None = None  # (3,) metres, to fly to in this state
+        self._height = 0.0  # metres, of this look above the place
         self._left = math.inf  # metres above the target, as known last
         self._descent = Descent(settings)
-        self._sound_at = -math.inf  # s, when the motion was not degraded
-        self._across: F64 | None = None  # where the look leg leads
-        self._leg_now: LookLeg | None = None  # planned last
-        self._leg_done: float | None = None  # s
+        self._sound_at = -math.inf  # s, when the motion was last not degraded
+        self._across: F64 | None = None  # (3,) metres, end of the look leg
+        self._leg_now: LookLeg | None = None  # the last one planned
+        self._leg_done: float | None = None  # s, when the last leg ended
         self._refusals = self._doubts = self._judged = 0
         self._places = KnownPlaces(settings)
 
@@ -84,7 +84,7 @@ class Executive:
 
     @property
     def crosses(self) -> bool:
-        """Whether a look leg is still being flown: the look is judged at its end."""
+        """True while a look leg is being flown: the look is judged at its end."""
         return self.state is S.LOOK and self._across is not None
 
     # -- the step
@@ -100,7 +100,7 @@ class Executive:
         return self._order(now)
 
     def _learn(self, now: Situation) -> None:
-        """Take over the frame, the height of the ground, and when the motion was sound."""
+        """Note the frame, the ground height, and the time when the motion was last not degraded."""
         if now.state is not MotionState.DEGRADED:
             self._sound_at = now.t
         if now.position is not None and self._home is None:
@@ -113,7 +113,7 @@ class Executive:
         if now.position is not None and self._ground is not None and now.frame_id == self._frame:
             self._above = float(now.position[2]) - self._ground
 
-    # -- what happened
+    # -- events
 
     def _event(self, now: Situation) -> tuple[FlightEvent | None, str]:
         """The most urgent event with its reason in words; None: nothing has happened."""
@@ -188,7 +188,7 @@ class Executive:
         waited = now.t - self._since
         if now.position is None:
             return (E.WAITED, "the motion is not known") if waited > patience(now, self._keys) else (None, "")
-        if self._way is None:  # it was not known where the vehicle was: only now it can climb
+        if self._way is None:  # the position was not known before: only now it can climb
             self._climb(now)
         if self._way is not None and now.position[2] > self._way[2] - self._keys.arrived:
             return E.CLEAR, ""
@@ -213,7 +213,7 @@ class Executive:
         return (E.ARRIVED, "") if self._reached(now, self._way) else self._stuck(now, self._way)
 
     def _stuck(self, now: Situation, to: F64 | None) -> tuple[FlightEvent | None, str]:
-        """Whether it waits at a place for what does not come: the end of its way, or a verdict that refuses it."""
+        """The event and reason if it waits in vain at a place: for the end of its way, or for a verdict; else None."""
         if to is None:
             late = now.t - self._since > self._keys.wait
             return (E.WAITED, "something stands beside every way across it") if late else (None, "")
@@ -221,7 +221,7 @@ class Executive:
         return (E.WAITED, f"it comes no nearer for {self._keys.hold:.0f} s") if stuck else (None, "")
 
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
-        """A look is over when a verdict holds what the whole leg saw."""
+        """Event of a look, which is over when a verdict includes the whole leg."""
         if not self._keys.look_again and self.target is not None:
             return E.CONFIRMED, f"P(safe) {self.target.p_safe:.3f}, not looked at again"
         if self._across is not None:
@@ -314,12 +314,12 @@ class Executive:
         self._way = None if at is None else np.array([*at[:2], max(at[2], above)])
 
     def _follow(self, now: Situation) -> None:
-        """The motion began anew: places of the old frame are forgotten, the search begins about here."""
+        """Follow to a new frame: places of the old one are forgotten, and the search begins about here."""
         assert now.position is not None
         self._frame, self._lanes, self.target, self._way = now.frame_id, None, None, None
         self._course.begin()
         self._home = now.position.copy()
-        if self._above is not None:  # it goes on at the same height above the ground, in a frame of another height
+        if self._above is not None:  # the height above ground stays the same, in a frame of another height
             self._ground = float(now.position[2]) - self._above
             self._home[2] = self._ground + self._keys.search_height
         self._places.forget()
@@ -327,7 +327,7 @@ class Executive:
             self._climb(now)
         self._judged = 0 if now.seen is None else now.seen.number
 
-    # -- where to fly
+    # -- orders
 
     def _order(self, now: Situation) -> Order:
         r = self._route
@@ -359,7 +359,7 @@ class Executive:
             self._way = leg.start
 
     def _leg(self, now: Situation) -> LookLeg | None:
-        """The leg across the target that nothing stands beside, else that of before; None: there is none."""
+        """The leg across the target with no obstacle beside it, else the earlier one; None: there is none."""
         assert self.target is not None
         return self._looks.across(self.target, self._height, now, self._seen(now), self._leg_now)
 
@@ -367,7 +367,7 @@ class Executive:
         return partial(self._looks.is_open, now=now, seen=self._seen(now))
 
     def _beside(self, now: Situation) -> bool:
-        """Whether something stands beside the way to a look or across a place; another leg is taken where one is."""
+        """True if an obstacle stands beside the way to a look or across a place; another leg is planned if possible."""
         seen, t = self._seen(now), self.target
         if not self._keys.look_again or t is None or now.position is None or seen is None:
             return False

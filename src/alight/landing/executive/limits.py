@@ -9,18 +9,18 @@ from alight.settings import ExecutiveSettings
 
 
 class AttemptLimits:
-    """The limits of wind, battery and time; wind and battery count once they have been beyond theirs for a time."""
+    """The limits of wind, battery and time; wind and battery count after some time beyond their limits."""
 
     def __init__(self, keys: ExecutiveSettings) -> None:
         self._keys = keys
         self._since: dict[FlightEvent, float] = {}  # s, when each was first beyond its limit
 
     def exceeded(self, now: Situation, begun: float | None) -> tuple[FlightEvent, str] | None:
-        """The limit that is exceeded, with its numbers in words; None: none is. Ask every time.
+        """The limit that is exceeded, with its numbers in words; None: none is. Call it at every tick.
 
         Args:
-            now: wind and battery: a gust and a dip of the voltage pass.
-            begun: s, when the landing was; None: not yet.
+            now: wind and battery; a gust and a short dip of the voltage do not count.
+            begun: s, start of the landing; None: not yet.
         """
         beyond = dict(_beyond(now, begun, self._keys))
         self._since = {event: self._since.get(event, now.t) for event in beyond}
@@ -35,7 +35,7 @@ def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> Ite
 
     Args:
         now: wind and battery.
-        begun: s, when the landing was; None: not yet.
+        begun: s, start of the landing; None: not yet.
         keys: the limits.
     """
     if now.wind_speed > keys.most_wind:
@@ -47,18 +47,18 @@ def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> Ite
 
 
 def patience(now: Situation, keys: ExecutiveSettings) -> float:
-    """Seconds to wait for what is lost: longer where the vehicle keeps its place, for one that drifts cannot wait."""
+    """Seconds to wait for lost motion or pictures: longer if the vehicle keeps its place and does not drift."""
     return keys.hold if now.holds else keys.wait
 
 
 def held_enough(
     now: Situation, since: float, over: tuple[FlightEvent, str] | None, keys: ExecutiveSettings
 ) -> tuple[FlightEvent, str] | None:
-    """Why a vehicle that holds is to wait no longer; None: it is to wait on.
+    """Event and reason if a vehicle that holds is to wait no longer; None: it is to wait on.
 
     Args:
-        now: whether the autopilot keeps its place.
-        since: s, when it began to hold.
+        now: `holds`: the autopilot keeps its place.
+        since: s, start of HOLD.
         over: the limit that is exceeded.
         keys: the limits.
     """
@@ -69,15 +69,15 @@ def held_enough(
 
 
 def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float, keys: ExecutiveSettings) -> bool:
-    """Tell that motion has been degraded for too long for what is flown.
+    """True if the motion has been degraded for too long for the present state.
 
-    Near the ground it does not end a landing, as long as the autopilot holds its place: of grass from 2 m the whole
+    Near the ground it does not end a landing, as long as the autopilot holds its place: from 2 m above grass the whole
     picture sways.
 
     Args:
-        now: whether the autopilot holds its place.
-        state: what is flown, or was before it held.
-        degraded: s, for which the motion has been.
+        now: `holds`: the autopilot holds its place.
+        state: the present state, or that before HOLD.
+        degraded: s, time for which the motion has been degraded.
         left: metres above the place.
         keys: the limits.
     """

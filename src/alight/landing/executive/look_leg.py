@@ -20,16 +20,16 @@ class LookLeg:
     half: float  # metres, half its length
     position: F64  # (3,) metres, of the vehicle
     downwind: F64 | None  # (2,) unit vector, where the air goes; None: calm, or not known
-    turned: float = 0.0  # rad, from the way that suits the wind and the vehicle best
+    turned: float = 0.0  # rad, from the direction that suits the wind and the vehicle best
 
     @property
     def start(self) -> F64:
-        """(3,) metres: down the wind of the place, so that the leg leads against it; else on the vehicle's side."""
+        """(3,) metres: downwind of the place, so that the leg leads against the wind; else on the vehicle's side."""
         return self._beside(self._side if self.downwind is None else self._turn(self.downwind))
 
     @property
     def end(self) -> F64:
-        """(3,) metres: on the other side of the place than the vehicle is on."""
+        """(3,) metres: on the side of the place opposite to the vehicle."""
         return self._beside(-self._side)
 
     def _beside(self, towards: F64) -> F64:

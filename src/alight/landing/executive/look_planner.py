@@ -1,4 +1,4 @@
-"""From which height a place is looked at first, and by which leg across it that nothing stands beside."""
+"""Height of the first look at a place, and a leg across it with no obstacle beside it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class LookPlanner:
 
     Args:
         settings: of all stages; `executive` and `route` are used.
-        clear_way: tells what stands beside a way.
+        clear_way: for obstacles beside a way.
     """
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
@@ -28,14 +28,14 @@ class LookPlanner:
         self._number = -1  # of it
 
     def first_height(self, place: Site, now: Situation) -> float:
-        """Metres above a place, of the first look at it: from where its doubt would be settled, or half as high."""
+        """Height of the first look at a place, metres above it: of its next view, or a share of the present one."""
         assert now.position is not None
         least, up = self._keys.commit_height, float(now.position[2]) - place.up
         wanted = place.look.height if place.look is not None else up * self._keys.lower
         return float(np.clip(wanted, least, max(up, least)))
 
     def next_height(self, height: float) -> float:
-        """Metres above a place of the look after one from `height`: half as high, as low as a place in doubt asks."""
+        """Height of the look after one from `height`, metres: half of it, down to that for a place in doubt."""
         k = self._keys
         least = k.commit_height if height > k.commit_height * 1.05 else k.nearest
         return min(height, max(least, height * k.lower))
@@ -43,15 +43,15 @@ class LookPlanner:
     def across(
         self, place: Site, height: float, now: Situation, seen: Seen | None, flown: LookLeg | None = None
     ) -> LookLeg | None:
-        """The leg across a place, turned as little as it takes for nothing to stand beside it; None: none is clear.
+        """The leg across a place, turned as little as possible, so that no obstacle is beside it; None: none is clear.
 
-        The turns begin at the bearing of the vehicle: while it flies to a leg others are asked for.
+        The turns begin at the bearing of the vehicle; while it flies to a leg, other legs are planned.
 
         Args:
             place: that is looked at.
             height: metres above it.
-            now: where the vehicle is, and the wind.
-            seen: the newest verdict on a map of this frame; None: nothing is known of what stands there.
+            now: position of the vehicle, and the wind.
+            seen: the newest verdict on a map of this frame; None: no obstacles are known.
             flown: the leg that was planned before: taken where it crosses this place, and no other leg is clear.
         """
         assert now.position is not None
@@ -66,7 +66,7 @@ class LookPlanner:
         return flown if same and self._clear_way.is_open(flown, place.up, seen) else None
 
     def is_open(self, place: Site, now: Situation, seen: Seen | None) -> bool:
-        """Whether a place can be crossed at the height of its first look; arguments as of `across`."""
+        """True if a place can be crossed at the height of its first look; arguments as of `across`."""
         if seen is None or now.position is None or not self._keys.look_again:
             return True
         if seen.number != self._number:

@@ -25,12 +25,12 @@ class Standing(Enum):
 
 @dataclass(frozen=True)
 class Opinion:
-    """One place as one verdict judges it."""
+    """Opinion of one verdict on one place."""
 
     standing: Standing
-    place: Site  # moved to the listed place that it is taken for
+    place: Site  # moved to the listed place that counts as it
     p_safe: float
-    why: str = ""  # it is no site
+    why: str = ""  # reason why it is no site
 
 
 def opinion(
@@ -44,8 +44,8 @@ def opinion(
 ) -> Opinion:
     """Look up the verdict on one place.
 
-    A listed place near by is taken for it. Of a place that is not listed, the cell tells: it may be good ground that a
-    better place a few metres away keeps off the list.
+    A listed place near by counts as it. For a place that is not listed, its cell decides: it may be good ground that is
+    not listed because of a better place a few metres away.
 
     Args:
         place: in the frame of the verdict's map.
@@ -53,7 +53,7 @@ def opinion(
         limit: least P(safe) of a site.
         same: metres within which a listed place is the same.
         least: P(safe) below which a place that is only in doubt counts as refused.
-        free: whether a listed place may be taken for it.
+        free: True if a listed place may count as it.
         margin: metres to the nearest refused touchdown that a site keeps; listed sites keep it already.
     """
     listed = [s for s in seen.sites.listed if free(s)]
@@ -83,5 +83,5 @@ def opinion(
 
 
 def _is_tight(seen: Seen, row: int, col: int, margin: float) -> bool:
-    """Whether a touchdown is refused within the margin."""
+    """True if a touchdown is refused within the margin."""
     return not float(seen.hazards.clearance[row, col]) >= margin

@@ -1,4 +1,4 @@
-"""Where to fly while no place is known."""
+"""Lanes to fly while no place is known."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.settings import ExecutiveSettings
 
-ASPECT = 0.75  # of the ground that a picture shows: its shorter side over the height
+ASPECT = 0.75  # shorter side of the ground in a picture, over the height
 
 
 class SearchLanes:
@@ -19,7 +19,7 @@ class SearchLanes:
     The outermost lies so far inside that its pictures reach the rim of the searched square.
 
     Args:
-        home: (3,) metres, the middle of the square; the search height above the ground, as far as is known.
+        home: (3,) metres, the middle of the square; at the search height above the ground, as far as known.
     """
 
     def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
@@ -28,20 +28,20 @@ class SearchLanes:
         self._arrived = keys.arrived
         self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
         self._corner = next(self._corners)
-        self.over = False  # all was searched
+        self.over = False  # True: all was searched
 
     def end(self, ground: float | None) -> F64:
-        """(3,) metres, the end of this lane, above the ground as it is known by now."""
+        """(3,) metres, the end of this lane, at the search height above the known ground."""
         return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
 
     def fly(self, position: F64 | None, ground: float | None) -> None:
         """Begin the next lane where the end of this one is reached, or end the search.
 
-        The end counts from above it as well: something tall may stand beside it.
+        The end counts from above it as well: a tall obstacle may stand beside it.
 
         Args:
             position: (3,) metres, of the vehicle; None: not known.
-            ground: metres up, as it is known by now.
+            ground: metres up, as far as known.
         """
         if position is None:
             return
@@ -52,7 +52,7 @@ class SearchLanes:
 
 
 def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:
-    """Corners of a square spiral outwards, to the rim of a square: what is near the start comes first.
+    """Corners of a square spiral outwards, to the rim of a square: ground near the start comes first.
 
     Args:
         centre: (2,) or (3,) metres, of the square.

@@ -65,22 +65,22 @@ log = logging.getLogger(__name__)
 _LEAST_SIGMA, _LEAST_BY_PATCH = 0.3, 0.1  # px, of features and of patches; below it their errors are correlated
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _TIGHT = 4.0, 2.0  # px: cut, and Cauchy scale of the triangulation, about the last adjustment
-_LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
-_LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
-_HEADING_OFF, _HEADING_SIGMAS = 0.2, 3.0  # rad, and sigmas of the heading by GPS: of all tags alike, worth a warning
+_LEVEL_GAIN = 0.1  # gain of cost, a baseline, by which a level flight has to fit better than the altitude tags
+_LEVEL_SIGMAS = 2.0  # sigmas of the altitude tags, by which half of them have to be off one height
+_HEADING_OFF, _HEADING_SIGMAS = 0.2, 3.0  # rad, sigmas of the heading by GPS: common error of all tags worth a warning
 _COARSE = 300  # observations a photo in all rounds but the last
 
 
 @dataclass(frozen=True, eq=False)
 class BundleResult:
-    """What the adjustment of a set of photos found."""
+    """Result of the adjustment of a set of photos."""
 
     motions: list[Motion | None]  # one a frame; None: the photo could not be registered, a warning says why
     rig: Rig  # the lens as refined; mounting as given
-    points_world: F64  # (N, 3) metres, those that say how high the ground is
+    points_world: F64  # (N, 3) metres, those that count for the ground height
     warnings: list[str]
     notes: dict[str, object]
-    photos: tuple[PhotoOutcome, ...] = ()  # what became of the tags of each
+    photos: tuple[PhotoOutcome, ...] = ()  # outcome of the tags of each
     joint: KeyframePosterior | None = None  # covariance of the poses registered, and of the lens where it is free
 
 
@@ -136,10 +136,10 @@ def solve_bundle(
     seconds: F64 | None = None,
     sharper: Callable[[BundleState, BundleObservations, Priors], BundleObservations] = lambda state, obs, priors: obs,
 ) -> Solved | None:
-    """First poses, then rounds of triangulation, selection and adjustment; None when no two photos are connected.
+    """Find first poses, then triangulate, select and adjust in rounds; None when no two photos are connected.
 
-    `seconds` (n,) says when the photos were taken; None: rows count as exposed at once. `sharper` finds observations
-    more exactly before the last adjustment.
+    `seconds` (n,): times of the photos; None: rows count as exposed at once. `sharper` refines the observations
+    before the last adjustment.
     """
     first = first_poses(pairs, priors)
     if first is None:
@@ -191,7 +191,7 @@ def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
 
 
 def _of_no_height(joint: F64, tags: F64) -> F64:
-    """The covariance of poses whose common height is known no better than altitude tags (n,) agree, m."""
+    """Covariance of the poses with the scatter of the altitude tags (n,), m, added to their common height."""
     joint, up = joint.copy(), 6 * np.arange(len(tags)) + 2
     joint[np.ix_(up, up)] += float(np.nanmean((tags - np.nanmedian(tags)) ** 2))
     return joint
@@ -317,14 +317,14 @@ def _result(
 
 
 def _rolling(photo: int, state: BundleState, lenses: PhotoLenses, priors: Priors) -> F64 | None:
-    """(9,) way in metres and turns of a photo's camera while it was read out, in its own axes; None: at once."""
+    """(9,) translation (m) and turns (rad) of a photo's camera during readout, in its own axes; None: at once."""
     readout = float(lenses.readout(np.array([photo]))[0])
     way = state.rotations[photo].T @ priors.velocity[photo] * readout
     return np.concatenate([way, *state.turns[photo]]) if way.any() or state.turns[photo].any() else None
 
 
 def _climbing(priors: Priors, solved: Solved) -> list[str]:
-    """The warning that the altitude tags lost."""
+    """Warning that the altitude tags were ignored in favour of a level flight."""
     if not solved.first.climbs:
         return []
     low, high = (float(v(priors.centres[solved.registered, 2])) for v in (np.nanmin, np.nanmax))
@@ -336,7 +336,7 @@ def _climbing(priors: Priors, solved: Solved) -> list[str]:
 
 
 def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframePosterior:
-    """The joint covariance of the registered poses and the free lens numbers, each in units of its own sigma."""
+    """Joint covariance of the registered poses and the free lens numbers, these in units of their own sigma."""
     rows = (6 * solved.registered[:, None] + np.arange(6)).ravel()
     free = np.flatnonzero(solved.free)
     start = 6 * len(priors.centres)
@@ -360,7 +360,7 @@ def _moved(rows: F64, move: F64, sigma: F64) -> F64:
 
 
 def _about_body(motion: Motion) -> F64:
-    """(6, 6): the error of the body's pose from that of the camera's, whose place the adjustment knows."""
+    """(6, 6): error of the body's pose from that of the camera's pose, which the adjustment estimates."""
     out = np.eye(6)
     out[:3, 3:] = -skew(motion.world_from_body.translation - motion.world_from_cams[0].translation)
     return out

@@ -1,16 +1,16 @@
 """Loops of the adjustment over the observations: kernels. Equation numbers: docs/method/bundle.md.
 
 N observations of m points in n photos by c cameras, sorted by point, those of a point by photo; no photo twice. A photo
-has e unknowns, position and rotation, and where its rows turn six more; its camera up to f free lens numbers. What all
-loops take of the observations and of the state:
+has e unknowns, position and rotation, and six more for turns during the readout; its camera up to f free lens numbers.
+Common arguments of all loops:
 
-    photo: (N,) which. pixels: (N, 2) observed.
+    photo: (N,) number of the photo. pixels: (N, 2) observed.
     R, C: (n, 3, 3), (n, 3) world_from_cam in the middle of the photos.
-    turns: (n, 2, 3) rad, even and bent, while rows are read out. velocity: (n, 3) m/s.
-    camera: (n,) which took each photo.
+    turns: (n, 2, 3) rad, linear and quadratic, during the readout. velocity: (n, 3) m/s.
+    camera: (n,) number of the camera that took each photo.
     lens: (c, 11) focal lengths, principal point, five coefficients, height of a photo, readout in s.
     model: (c,) 0 no distortion, 1 radial-tangential, 2 equidistant.
-    point, x: (N,) which, (m, 3) where.
+    point, x: (N,) number of the point, (m, 3) metres, points.
 """
 
 import math
@@ -134,8 +134,8 @@ def linearise(
     Args:
         photo ... x: see above.
         scale: (c, 2) 1 + s and 1 + a of the lens (eq. 3).
-        number: (c, f) which numbers of a lens are free (`READOUT_NUMBER`), then -1.
-        place: (c, f) where each stands among all k that are free.
+        number: (c, f) indices of the free numbers of a lens (`READOUT_NUMBER`), then -1.
+        place: (c, f) index of each among all k that are free.
         each: e.
         sigma: (N,) px, of each observation.
         loss: the scale of the loss in sigmas.

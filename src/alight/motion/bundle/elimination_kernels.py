@@ -49,7 +49,7 @@ def eliminate(
     starts: I64, photo: I64, coupling: F64, lens_coupling: F64, information: F64, gradient: F64,
     damping: float, regular: float, lenses: int, G: F64, S: F64, rhs: F64, inverse: F64,
 ) -> None:  # fmt: skip
-    """Subtract what the points take from the normal equations of the rest (eq. 8), of S the lower triangle.
+    """Subtract the eliminated points from the normal equations of the rest (eq. 8), of S the lower triangle.
 
     Of a short track few blocks change, whatever the size of the matrix.
 

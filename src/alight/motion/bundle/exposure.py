@@ -1,7 +1,7 @@
-"""Exposure of photos: factors of their colours with which all photos show the same ground alike.
+"""Exposure of photos: factors of their colours, so that all photos show the same ground alike.
 
-A camera that exposes by itself takes each photo as it likes; the same ground may be twice as bright in the next. The
-points that photos share tell by how much: `log c_ip + g_i = a_p` for photo i, point p and each colour, by least
+With automatic exposure the same ground may be twice as bright in the next photo. The factors follow from the
+points that photos share: `log c_ip + g_i = a_p` for photo i, point p and each colour, by least
 squares (eq. 12 in docs/method/bundle.md).
 """
 
@@ -17,22 +17,22 @@ from scipy.spatial import cKDTree
 from alight.arrays import F64, I64
 from alight.motion.bundle.matching import BundleObservations, PhotoFeatures
 
-DARK, BRIGHT = 8.0, 245.0  # colours beyond tell nothing: noise, or light that was too much
-TIE = 0.02  # of a photo's observations, that its factor is 1
+DARK, BRIGHT = 8.0, 245.0  # colours beyond are not used: noise, or overexposed
+TIE = 0.02  # weight, of a photo's observations, of the prior that its factor is 1
 ROUNDS = 3
 FAR = 3.0  # robust sigmas: a colour that is off by more (a car, a glint) does not count
-MOST = 4.0  # of a factor
+MOST = 4.0  # largest factor
 
 
 def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservations) -> F64:
-    """The factor of each colour of each photo, (n, 3).
+    """Factor of each colour of each photo, (n, 3).
 
     Args:
         features: of all photos, with colours.
         obs: points that were seen in several.
 
     Returns:
-        Near 1 on the whole: what the shared points do not tell stays as it is.
+        Factors near 1 on the whole; those that shared points do not determine are 1.
     """
     colour = np.full((len(obs.photo), 3), np.nan)
     for i in np.unique(obs.photo):
@@ -53,7 +53,7 @@ def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservat
 
 
 def _of(obs: BundleObservations, rows: NDArray[np.bool_], value: F64) -> tuple[BundleObservations, F64]:
-    """The rows that are kept, of points that are still seen twice."""
+    """Keep rows, of points that are still seen twice, with their values."""
     rows = rows & (np.bincount(obs.point[rows], minlength=obs.points)[obs.point] >= 2)
     return obs.keep(rows)[0], value[rows]
 

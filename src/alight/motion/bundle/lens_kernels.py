@@ -5,7 +5,7 @@ import math
 from alight.arrays import F64
 from alight.compiled import pixelwise
 
-_STEPS = 20  # of Newton at the most; five are usual
+_STEPS = 20  # of Newton, at most; five are usual
 _LONGEST = 0.5  # of a step, so that it does not leap over the fold of a lens
 _LEAST_STEP = 1e-12
 _LEAST_SLOPE = 1e-9  # of the distorted by the ideal area

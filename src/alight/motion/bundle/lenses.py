@@ -14,12 +14,12 @@ from alight.motion.bundle.adjustment_kernels import READOUT_NUMBER
 
 @dataclass(frozen=True, eq=False)
 class PhotoLenses:
-    """The cameras, and which of them took each photo."""
+    """The cameras, and the number of the camera of each photo."""
 
     cameras: tuple[Camera, ...]
     of: I64  # (n,) number of the camera of each photo
     readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
-    told: tuple[float | None, ...] = ()  # s, the readouts that the makers tell, which are held; none: nobody does
+    told: tuple[float | None, ...] = ()  # s, the readouts from the makers, which are held; none: none is known
 
     @classmethod
     def one(cls, camera: Camera, photos: int) -> PhotoLenses:
@@ -32,7 +32,7 @@ class PhotoLenses:
 
     @property
     def parts(self) -> list[slice]:
-        """Where the numbers of each camera stand among all lens numbers: scale aspect cu cv distortion... readout."""
+        """Range of each camera among all lens numbers: scale aspect cu cv distortion... readout."""
         ends = np.cumsum([0] + [5 + len(c.distortion) for c in self.cameras])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
@@ -43,15 +43,15 @@ class PhotoLenses:
 
     @property
     def readout_numbers(self) -> list[int]:
-        """Where the readouts stand among all lens numbers."""
+        """Indices of the readouts among all lens numbers."""
         return [part.stop - 1 for part in self.parts]
 
     def told_of(self, camera: int) -> float | None:
-        """The readout that a camera's maker tells, s."""
+        """Readout of a camera from its maker, s; None: not known."""
         return self.told[camera] if self.told else None
 
     def with_told(self, lens: F64) -> F64:
-        """Lens numbers (k,) with the readouts that the makers tell."""
+        """Lens numbers (k,) with the readouts from the makers."""
         lens = lens.copy()
         for k, number in enumerate(self.readout_numbers):
             lens[number] = lens[number] if self.told_of(k) is None else self.told_of(k)
@@ -62,7 +62,7 @@ class PhotoLenses:
         return np.asarray(self.table()[0][self.of[photo], -1])
 
     def table(self) -> tuple[F64, I64]:
-        """What the kernels take: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
+        """Input of the kernels: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
         readouts = self.readouts or (0.0,) * len(self.cameras)
         rows = [
             (c.fu, c.fv, c.cu, c.cv, *c.coefficients, c.height, readout)
@@ -71,9 +71,9 @@ class PhotoLenses:
         return np.array(rows, np.float64), np.array([c.code for c in self.cameras], np.int64)
 
     def free_numbers(self, free: Mask) -> tuple[I64, I64]:
-        """Which numbers of each camera are free, of all (k,): as the kernels count them (c, f), -1 where it has fewer.
+        """Free numbers of each camera, (c, f), by the kernels' count, -1 where it has fewer; `free` is (k,).
 
-        And the place of each among all that are free, (c, f).
+        Also the index of each among all that are free, (c, f).
         """
         count = np.array([free[part].sum() for part in self.parts])
         number, place = np.full((2, len(count), count.max()), -1, np.int64)

@@ -25,11 +25,11 @@ from alight.settings import BundleSettings
 
 _DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
-_TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
+_TWO_VIEW_PX = 4.0  # px, inlier threshold: error of the nominal distortion in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
-_ENOUGH = 1500  # features of a photo from which its doubled picture is not looked at
-_CONTRAST = 0.02  # of a feature, grey levels over 255: as many as pycolmap finds
-_AROUND = 9  # px of the picture that features were found in, a side: what a feature's colour is the mean of
+_ENOUGH = 1500  # features of a photo from which its doubled picture is not used
+_CONTRAST = 0.02  # least contrast of a feature, grey levels over 255: it gives as many features as pycolmap
+_AROUND = 9  # px, side of the square of the features' picture over which a feature's colour is averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +65,16 @@ class BundleObservations:
     photo: I64  # (N,)
     point: I64  # (N,) 0 .. points - 1, every number occurs
     pixels: F64  # (N, 2)
-    by_patch: Mask  # (N,) whose pixels are those of patches that were matched, not of features
+    by_patch: Mask  # (N,) True: pixels are those of matched patches, not of features
 
     @property
     def starts(self) -> I64:
-        """The first row of each point: what `np.add.reduceat` takes."""
+        """First row of each point, as `np.add.reduceat` takes it."""
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
     @property
     def points(self) -> int:
-        """How many points there are."""
+        """Number of points."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
     def keep(self, rows: NDArray[np.bool_], least: int = 2) -> tuple[BundleObservations, I64]:
@@ -118,7 +118,7 @@ def colmap_camera(camera: Camera) -> object:
 
 
 def shrunk(image: Pixels, longest: float) -> U8:
-    """A picture whose longest side has no more pixels than that, (H, W) grey or (H, W, 3) RGB."""
+    """The picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
     picture = np.asarray(image)
     factor = longest / max(picture.shape[:2])
     if factor < 1.0:
@@ -128,15 +128,15 @@ def shrunk(image: Pixels, longest: float) -> U8:
 
 
 def grey_levels(picture: U8) -> U8:
-    """(H, W) of a picture that is grey or RGB."""
+    """Grey levels (H, W) of a picture that is grey or RGB."""
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)) if picture.ndim == 3 else picture
 
 
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
 
-    Where the picture has too few, a small one or a dull one, those of the doubled picture are taken as well: they cost
-    four times as much a picture.
+    Where the picture has too few, because it is small or dull, those of the doubled picture are taken as well: it costs
+    four times as much.
     """
     picture = np.asarray(image)
     read = shrunk(picture, settings.image_px)
@@ -152,7 +152,7 @@ def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
 
 
 def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
-    """The largest of the features `found`, at most `count`: where they are, (K, 2), and descriptors (K, 128)."""
+    """The largest of the features `found`, at most `count`: their places (K, 2), px, and descriptors (K, 128)."""
     largest = np.argsort(-found[:, 2], kind="stable")[:count]
     kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
     place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
@@ -166,7 +166,7 @@ def rooted(descriptors: F32) -> U8:
 
 
 def colours_at(picture: U8, pixels: F64) -> F32:
-    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); grey ones have three the same."""
+    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); a grey one has three equal colours."""
     even = cv2.blur(picture, (_AROUND, _AROUND))
     even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
     col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
@@ -195,7 +195,7 @@ def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -
 def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
     """Choose the pairs to match: each photo's nearest, the nearest in each of eight directions, the next in time.
 
-    `positions` is (n, 3) metres, NaN where unknown: those are paired with `count` before and after in time.
+    `positions` is (n, 3) metres, NaN where unknown: such photos are paired with `count` before and after in time.
     The eight directions link neighbouring strips, which the nearest alone may miss.
     """
     n = len(positions)

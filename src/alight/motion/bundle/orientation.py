@@ -21,7 +21,7 @@ from alight.motion.bundle.matching import Pair
 # rad between gimbal and images: chains of relative rotations drift by a third of it, wrong tags are far above
 _MAX_DISAGREEMENT = 0.35
 _AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
-COMMON_HEADING = 0.5  # rad, 1-sigma of what the headings of all tags are off alike: some compasses are off by 0.9
+COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings: some compasses are off by 0.9
 _MOST_COMMON_HEADING = 1.2  # rad; tags off by more are half a turn off, or of no use
 _DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground it correlates with the rotation
 _NADIR = np.diag(
@@ -43,12 +43,12 @@ class Oriented:
     photos: I64  # (k,) photo numbers
     world_from_cam: F64  # (k, 3, 3)
     turned: I64  # photo numbers whose gimbal tag is half a turn off about the optical axis
-    contradicted: I64  # photo numbers whose gimbal tag the pictures contradict in any other way
-    jumped: I64  # photo numbers whose GPS position the pictures contradict
-    guessed: bool  # the roll about a straight line of flight rests on the camera looking down
+    contradicted: I64  # photo numbers whose gimbal tag contradicts the pictures in any other way
+    jumped: I64  # photo numbers whose GPS position contradicts the pictures
+    guessed: bool  # the roll about a straight line of flight is found by assuming that the camera looks down
     cost: float  # Cauchy, of GPS baselines and attitudes
-    baselines: int  # how many there are
-    heading: float  # rad, by which the headings of all tags are off alike, clockwise from above
+    baselines: int  # number of baselines
+    heading: float  # rad, common error of the headings of all tags, clockwise from above
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
@@ -102,7 +102,7 @@ def _alignment(world: F64, frame: F64, weight: F64) -> F64:
 
 
 def _robust_alignment(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
-    """Return the same with Cauchy weights, `sigma` (q,) in rad."""
+    """Return `world_from_frame` as `_alignment`, with Cauchy weights, `sigma` (q,) in rad."""
     R = start
     for _ in range(_ALIGNMENT_ROUNDS):
         r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
@@ -160,8 +160,8 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
 
     `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
     Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of two
-    starts, one with the heading of the gimbal and one without, the one that fits better is taken. What the headings
-    of all tags are off alike counts once, not once a photo.
+    starts, one with the heading of the gimbal and one without, the one that fits better is taken. The common
+    error of all headings counts once, not once a photo.
     """
     frame_from_cam = average_rotations(photos, pairs)
     base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
@@ -210,7 +210,7 @@ def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
 
 
 def _common_heading(world_from_cam: F64, tags: F64) -> float:
-    """Return the angle in rad about the vertical by which most tags (k, 3, 3) are off alike; 0: by none."""
+    """Return the common error, rad about the vertical, of most tags (k, 3, 3); 0: there is none."""
     if not len(tags):
         return 0.0
     off = world_from_cam @ np.swapaxes(tags, 1, 2)
@@ -225,6 +225,6 @@ def _about_up(angle: float) -> F64:
 
 
 def _agree(a: F64, b: F64) -> NDArray[np.bool_]:
-    """Return which of (k, 3, 3) rotations agree to `_MAX_DISAGREEMENT`; NaN never does."""
+    """Return True where rotations (k, 3, 3) agree to `_MAX_DISAGREEMENT`; NaN never does."""
     cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
     return np.asarray(cosine > np.cos(_MAX_DISAGREEMENT))

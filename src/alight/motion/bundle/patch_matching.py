@@ -1,6 +1,6 @@
 """Observations to a twentieth of a pixel: least squares matching of patches (Foerstner 1982; Gruen 1985).
 
-A feature is found in each photo by itself, to a quarter of a pixel. Once the poses are about known, the patch about a
+A feature is found in each photo by itself, to a quarter of a pixel. Once the poses are known roughly, the patch about a
 point's first observation is matched with each of its other photos. Equation numbers: docs/method/patches.md.
 """
 
@@ -26,13 +26,13 @@ LEAST_LIKENESS = 0.8  # coefficient of correlation of a patch that counts as fou
 MOST_PX = 3200  # longest side of the pictures that patches are matched in
 _SIDE = 2 * kernels.HALF + 3  # pixels of a patch with its margin
 _REACH = 5.0  # pixels, over which the ground about a point counts as level
-_MOST_WARP = 3.0  # times the pixels of the patch, that lie between two of its pixels in the other photo
+_MOST_WARP = 3.0  # largest distance of two neighbouring pixels of the patch in the other photo, its pixels
 
 
 def refine_observations(
     state: BundleState, obs: BundleObservations, priors: Priors, frames: Sequence[Frame]
 ) -> BundleObservations:
-    """The same observations, those whose patches are found with the pixels where they are (eqs. 13, 14).
+    """Move the observations to the pixels where their patches are found (eqs. 13, 14); the others stay.
 
     Args:
         state: as adjusted so far, with the points of the observations.
@@ -66,7 +66,7 @@ def refine_observations(
 
 
 def _by_photo(obs: BundleObservations, rows: Mask) -> list[tuple[int, I64]]:
-    """The photos with some of the rows, and which rows each has."""
+    """Photos with some of the rows, and the rows of each."""
     chosen = np.flatnonzero(rows)
     order = chosen[np.argsort(obs.photo[chosen], kind="stable")]
     photos, begin = np.unique(obs.photo[order], return_index=True)
@@ -95,7 +95,7 @@ def _cut(image: Pixels, pixels: F64) -> F16:
 
 
 def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
-    """How far from pixels (K, 2) of a photo the patches are found, (K, 2) of its pixels; NaN: they are not."""
+    """Shift of the patches found against pixels (K, 2) of a photo, (K, 2) of its pixels; NaN: not found."""
     grey, scale = _grey(image)
     moved, likeness = np.empty((len(pixels), 2)), np.empty(len(pixels))
     kernels.match_patches(
@@ -106,7 +106,7 @@ def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
 
 
 def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> F64:
-    """(N, 2, 2) by how many pixels each picture sees the ground moved that the point's first one sees moved by one.
+    """(N, 2, 2) shift of the ground in each picture, pixels, for a shift by one pixel in the point's first picture.
 
     Pixels are those of the pictures that patches are matched in. The ground about a point counts as level.
     """
@@ -125,12 +125,12 @@ def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, vel
     reduced = np.array([min(1.0, MOST_PX / max(c.width, c.height)) for c in lenses.cameras])[lenses.of[obs.photo]]
     warp *= (reduced / reduced[first])[:, None, None]
     size = np.abs(warp).max(axis=(1, 2))
-    warp[~(size < _MOST_WARP)] = np.nan  # nothing is found there
+    warp[~(size < _MOST_WARP)] = np.nan  # no patch can be found there
     return np.asarray(warp)
 
 
 def _inverses(A: F64) -> F64:
-    """Of matrices (N, 2, 2); not finite where there is none."""
+    """Inverses of matrices (N, 2, 2); not finite where there is none."""
     det = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
     adjoint = np.array([[A[:, 1, 1], -A[:, 0, 1]], [-A[:, 1, 0], A[:, 0, 0]]])
     return np.asarray(np.moveaxis(adjoint / det, 2, 0))

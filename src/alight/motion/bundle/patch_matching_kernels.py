@@ -1,6 +1,6 @@
 """Least squares matching of patches: kernels. Equation numbers: docs/method/patches.md.
 
-A patch is a square of (2 `HALF` + 1 + 2) pixels about an observation, a margin of one about what is compared.
+A patch is a square of (2 `HALF` + 1 + 2) pixels about an observation, a margin of one about the compared square.
 """
 
 import math
@@ -128,12 +128,12 @@ def _slide(
     picture: F32, at: F64, warp: F64, weight: F64, whole: float, terms: F64, variance: float, C: F64, wx: F64, wy: F64,
     right: F64, h: F64, moved: F64,
 ) -> float:  # fmt: skip
-    """Write how far (2,) from a place a patch is found (eqs. 13, 14); return its correlation there, 0: nowhere."""
+    """Write the shift (2,) at which a patch is found (eqs. 13, 14); return its correlation there, 0: not found."""
     moved[:] = 0.0
     for _ in range(_ROUNDS):
         mean, square = _overlap(picture, at[0] + moved[0], at[1] + moved[1], warp, weight, terms, wx, wy, right)
         there = square / whole - (mean / whole) ** 2
-        if not there > _LEAST_VARIANCE:  # nor is NaN
+        if not there > _LEAST_VARIANCE:  # also refuses NaN
             break
         for i in range(3):
             h[i] = C[i, 0] * right[0] + C[i, 1] * right[1] + C[i, 2] * right[2]
@@ -157,10 +157,10 @@ def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, li
 
     Args:
         patches: grey levels about the first observation of each point.
-        picture: the other one.
-        at: (K, 2) where they are expected there.
-        warp: (K, 2, 2) how far a place moves there by one pixel of the patch.
-        moved: (K, 2) how far from there they were found; NaN: they were not.
+        picture: the other picture.
+        at: (K, 2) expected places there, px.
+        warp: (K, 2, 2) shift there, px, for one pixel of the patch.
+        moved: (K, 2) out: shift from the expected places, px; NaN: not found.
         likeness: (K,) coefficient of correlation; 0 where they were not found.
     """
     side = 2 * HALF + 1

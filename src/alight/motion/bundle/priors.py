@@ -16,13 +16,13 @@ from alight.motion.bundle.solver import Priors
 from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
 
-# 1-sigma of scale aspect cu cv and distortion; the focal length apart, see docs/method/bundle.md
+# 1-sigma of scale aspect cu cv and distortion; for the focal length see docs/method/bundle.md
 _SIGMA_LENS = {
     "radial-tangential": (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
 _SIGMA_FOCAL = 0.02  # relative, where it is free
-_COMPASS = 0.05  # rad; headings with a smaller sigma are no compass's
+_COMPASS = 0.05  # rad; headings with a smaller sigma are not from a compass
 SIGMA_RATE = 0.2  # rad/s, 1-sigma of the turning of a camera without a gimbal
 _SIGMA_READOUT = 0.05  # s; cheap cameras take 20 to 160 ms
 _LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
@@ -33,8 +33,8 @@ def make_priors(
 ) -> Priors:
     """Collect positions, attitudes and calibration; sigmas are those of the settings where a photo has none.
 
-    `cameras` (n,) says which camera of the rig took each photo; None: the first one. All sit alike in the body. Rows
-    count as exposed at once until `rolling_priors` says otherwise.
+    `cameras` (n,): camera of the rig that took each photo; None: the first one. All have one pose in the body. Rows
+    count as exposed at once until `rolling_priors` changes that.
     """
     n = len(nav)
     centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
@@ -96,7 +96,7 @@ def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
 def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
     """Let the headings of each group of connected photos count as one: a compass is off for all of them alike.
 
-    Headings that are known better than a compass tells them stay as they are.
+    Headings with a smaller sigma than a compass has are not changed.
     """
     sigma = priors.sigma_rotation.copy()
     tagged = np.isfinite(priors.world_from_body).all(axis=(1, 2)) & (sigma[:, 2] >= _COMPASS)
@@ -107,7 +107,7 @@ def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
 
 
 def gps_heading_sigma(photos: I64, priors: Priors) -> float:
-    """1-sigma in rad of the heading that the positions of photos tell, two or more; infinite where they lie in one."""
+    """1-sigma in rad of the heading from the positions of two or more photos; infinite where all are one place."""
     centres, sigma = priors.centres[photos, :2], priors.sigma_centres[photos, :2]
     known = np.isfinite(centres).all(axis=1)
     arm = float(np.linalg.norm(centres[known] - centres[known].mean(axis=0)))
@@ -128,7 +128,7 @@ def observable_lens(priors: Priors, photos: I64) -> Priors:
 
 
 def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
-    """Let rows be exposed one after the other: the readout free where velocities are known and no maker tells it.
+    """Let rows be exposed one after the other; the readout is free where velocities are known and the maker gives none.
 
     Args:
         priors: of all photos.
@@ -150,7 +150,7 @@ def turning_priors(priors: Priors, readouts: tuple[float, ...]) -> Priors:
 
 
 def at_once(priors: Priors) -> Priors:
-    """Hold the readouts, and let nothing turn meanwhile."""
+    """Hold the readouts, and let no photo turn during the readout."""
     sigma = priors.sigma_lens.copy()
     sigma[priors.lenses.readout_numbers] = 0.0
     return replace(priors, sigma_lens=sigma, sigma_turn=0.0)

@@ -1,4 +1,4 @@
-"""Rays of the observations, and the points where they meet: kernels. Shapes: `adjustment_kernels`."""
+"""Rays of the observations, and points triangulated from them: kernels. Shapes: `adjustment_kernels`."""
 
 import math
 
@@ -18,7 +18,7 @@ def rays_of_pixels(
     photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
     ray: F64, origin: F64,
 ) -> None:  # fmt: skip
-    """Write the (N, 3) unit rays of pixels in the world, and the (N, 3) places from where they go out (eq. 10)."""
+    """Write the (N, 3) unit rays of pixels in the world, and their (N, 3) origins, metres (eq. 10)."""
     turn, row_R, at = np.empty((3, 3)), np.empty((3, 3)), np.empty(2)
     flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
     for n in range(len(photo)):
@@ -86,7 +86,7 @@ def widest_angles(starts: I64, photo: I64, C: F64, x: F64, out: F64) -> None:
 
     Args:
         starts: (m + 1,) first observation of each point, then N.
-        photo, C, x: (N,) which photo, (n, 3) where each was taken, (m, 3) points.
+        photo, C, x: (N,) number of the photo, (n, 3) camera centres, (m, 3) points, metres.
         out: (m,)
     """
     first, other = np.empty(3), np.empty(3)

@@ -1,6 +1,6 @@
 """Photos with a wrong first pose: set aside during the first rounds, then placed by resection from the points.
 
-A GPS jump of one photo would otherwise bend the whole survey, since its matches tie it to the others.
+Otherwise a GPS jump of one photo would bend the whole survey, because its matches tie it to the others.
 """
 
 from __future__ import annotations

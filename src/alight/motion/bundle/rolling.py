@@ -11,21 +11,21 @@ import numpy as np
 
 from alight.arrays import F64, I64
 
-LONGEST = 60.0  # s between two photos that tell the velocity of one of them
-SAME_WAY = 0.8  # cosine between the ways from the photo before and to the next, where both tell
-LEAST_WAY = 1.0  # m between them
-FASTEST = 60.0  # m/s; what is faster is a wrong tag
+LONGEST = 60.0  # s, most between two photos that give the velocity of one of them
+SAME_WAY = 0.8  # least cosine between the ways from the photo before and to the next, where both count
+LEAST_WAY = 1.0  # m, least between them
+FASTEST = 60.0  # m/s; a faster way comes from a wrong tag
 
 
 def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
-    """(n, 3) m/s at every photo, from where and when the photos before and after it were taken; 0 where nothing tells.
+    """Velocity (n, 3) m/s at every photo, from places and times of the photos before and after it; 0 where not known.
 
-    Of two ways that lead elsewhere, at the end of a strip, the quicker one tells: turns take time.
+    Of two ways in different directions, at the end of a strip, the faster one counts: turns take time.
 
     Args:
         centres: (n, 3) metres.
-        seconds: (n,) when each photo was taken; NaN: not known.
-        camera: (n,) which camera took each: photos of one are compared.
+        seconds: (n,) time of each photo; NaN: not known.
+        camera: (n,) number of the camera of each: photos of one camera are compared.
     """
     out = np.zeros_like(centres)
     for one in np.unique(camera):
@@ -40,7 +40,7 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
 
 
 def _between(before: int, after: int, way: F64, time: F64, good: np.ndarray) -> F64:
-    """The velocity at the photo between two ways."""
+    """Velocity (3,) m/s at the photo between two ways, from those that are good; 0 if none is."""
     told = [k for k in (before, after) if 0 <= k < len(good) and good[k]]
     speed = [way[k] / time[k] for k in told]
     if len(told) == 2:

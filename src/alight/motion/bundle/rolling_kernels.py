@@ -1,21 +1,21 @@
-"""Where the camera was when a row was exposed: kernels (eq. 10 in docs/method/bundle.md)."""
+"""Pose of the camera at the exposure of a row: kernels (eq. 10 in docs/method/bundle.md)."""
 
 from alight.arrays import F64
 from alight.compiled import pixelwise
 from alight.motion.rotation_kernels import exponential, multiply
 
-HEIGHT, READOUT = 9, 10  # columns of what the loops take of a lens (`adjustment_kernels`)
+HEIGHT, READOUT = 9, 10  # columns of the lens table of the loops (`adjustment_kernels`)
 
 
 @pixelwise
 def row_time(row: float, height: float) -> float:
-    """When a pixel row is exposed, -0.5 at the first to 0.5 at the last, in readouts from the middle of the photo."""
+    """Time of exposure of a pixel row, -0.5 at the first to 0.5 at the last, in readouts from the photo's middle."""
     return (row + 0.5) / height - 0.5
 
 
 @pixelwise
 def bent(t: float) -> float:
-    """What the bent turn of a photo counts for at a time of `row_time`; the even one counts for `t`."""
+    """Factor of the quadratic turn of a photo at a time of `row_time`; that of the linear turn is `t`."""
     return t * t - 1.0 / 12.0
 
 
@@ -27,7 +27,7 @@ def expose(
 
     Args:
         R, C: (3, 3), (3,) world_from_cam in the middle of the photo.
-        turns: (2, 3) rad, even and bent in time.
+        turns: (2, 3) rad, linear and quadratic in time.
         velocity: (3,) m/s.
         readout: s.
         t: of `row_time`.

@@ -1,4 +1,4 @@
-"""Rounds of a bundle adjustment: triangulate, remove outliers, adjust, from loose to tight; then whether rows roll."""
+"""Rounds of a bundle adjustment, loose to tight: triangulate, remove outliers, adjust; test for rolling shutter."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from alight.motion.bundle.solver import (
 log = logging.getLogger(__name__)
 
 ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
-_LENS_ROUND = 2  # from here on the lens is free: earlier it would take up the errors of the first poses
+_LENS_ROUND = 2  # from here on the lens is free: earlier it would absorb the errors of the first poses
 _ROLLS = 1.0  # px from the first row to the last, median of the photos: below it rows count as exposed at once
 _MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
-_GAIN = 25.0  # of cost, a photo, for its six numbers of turning
+_GAIN = 25.0  # least gain of cost, a photo, for its six numbers of turning
 
 
 def coarse_rounds(
@@ -40,7 +40,7 @@ def coarse_rounds(
     tell: Callable[[float], None],
     seconds: F64 | None,
 ) -> tuple[BundleState, Priors, I64]:
-    """Coarse rounds without the photos that jumped; photos that prove misplaced are set aside, too."""
+    """Do the coarse rounds without the photos that jumped; photos found to be misplaced are set aside, too."""
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
     few = without_photos(few, aside)[0]
     for k, (loss, cut) in enumerate(ROUNDS[:_LENS_ROUND]):
@@ -63,17 +63,17 @@ def coarse_rounds(
 
 
 def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) -> BundleState:
-    """The coarse rounds with a free lens: before them it would take up the errors of the first poses."""
+    """Do the coarse rounds with a free lens: before them it would absorb the errors of the first poses."""
     for loss, cut in ROUNDS[_LENS_ROUND:-1]:
         state, _ = one_round(state, obs, priors, loss, cut)
     return state
 
 
 def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tuple[BundleState, Priors]:
-    """The rounds with a free lens; decides how rows were exposed: at once, in passing, or while turning as well.
+    """Do the rounds with a free lens, and choose a model of the rows: at once, with translation, or with turns as well.
 
-    A readout that moves rows by less than a pixel is noise. Over level ground turning looks much like moving on: the
-    readout is held when turns are free, and turns are believed only where they explain far more than their number does.
+    A readout that moves rows by less than a pixel is noise. Over level ground a turn looks much like a translation: the
+    readout is held when turns are free, and turns are kept only where they lower the cost far more than by chance.
     """
     state = _lens_rounds(first, obs, priors)
     lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
@@ -97,7 +97,7 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
 
 
 def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> float:
-    """The robust cost of all observations, those that no point explains like the mean of the others."""
+    """Robust cost of all observations; those without a point count as the mean of the others."""
     state, used = retriangulate(state, obs, priors, np.inf, 2.0)
     return total_cost(state, used, priors, np.ones(len(used.photo)), 2.0) * len(obs.photo) / max(len(used.photo), 1)
 

@@ -1,9 +1,9 @@
-"""SIFT from the whole picture on (Lowe 2004): OpenCV's detector doubles it first, for features that are not kept.
+"""SIFT from the picture at full size on (Lowe 2004): OpenCV's detector doubles it first, for features not kept here.
 
-Of a photo of two megapixels OpenCV finds 29,000 features, 23,000 of them in the doubled picture. The largest 4,000
-are kept, none of those. Three quarters of the time and memory go there. The others are found here as OpenCV finds them,
-from the same samples a quarter of a pixel beside the pixels: on the pixels they gave attitudes that were less true
-(docs/lab/photos.md).
+In a photo of two megapixels OpenCV finds 29,000 features, 23,000 of them in the doubled picture. The largest 4,000
+are kept, none of them from the doubled picture, which takes three quarters of the time and memory. The others are found
+here as by OpenCV, from the same samples a quarter of a pixel beside the pixels. Samples on the pixels gave attitudes
+with larger errors (docs/lab/photos.md).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from alight.arrays import F32, F64, U8
 from alight.motion.bundle import sift_kernels as kernels
 
-BETWEEN = np.array([0.25, 0.75, 0.0])  # weights of pixels: where a doubled picture has every other of its own
-OFFSET = -0.25  # pixels, where these lie
+BETWEEN = np.array([0.25, 0.75, 0.0])  # weights of pixels, to sample every other place of a doubled picture
+OFFSET = -0.25  # pixels, place of these
 LAYERS = 3  # of an octave
 SIGMA = 1.6  # pixels, of the first picture of an octave
-BLURRED = 0.5  # pixels, sigma that a photo has
+BLURRED = 0.5  # pixels, sigma of a photo's own blur
 LEAST_SIDE = 16  # pixels of the smallest octave
-MOST = 8  # pixels of an octave for each feature that is made room for
+MOST = 8  # pixels of an octave for each feature in the buffer
 
 
 def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:
@@ -45,9 +45,9 @@ def detect(grey: U8, contrast: float, blurred: float = BLURRED, octaves: int = 1
 
     Args:
         grey: (H, W).
-        contrast: the least one of a feature, shares of 255.
-        blurred: sigma that the picture has, pixels.
-        octaves: the most that are looked at.
+        contrast: the least of a feature, shares of 255.
+        blurred: sigma of the picture's own blur, pixels.
+        octaves: most octaves.
     """
     out = []
     for octave, pictures in enumerate(blurred_octaves(grey, blurred, octaves)):
@@ -63,5 +63,5 @@ def detect(grey: U8, contrast: float, blurred: float = BLURRED, octaves: int = 1
 
 
 def keypoints(found: F64) -> list[cv2.KeyPoint]:
-    """Features as OpenCV takes them, to describe them."""
+    """Features as keypoints of OpenCV, to describe them."""
     return [cv2.KeyPoint(x, y, size, angle, 0.0, int(octave)) for x, y, size, octave, angle in found.tolist()]

@@ -1,6 +1,6 @@
 """Loops of the SIFT detector: extrema of differences of Gaussians, placed between pixels, and their orientations.
 
-Lowe 2004, sections 3 to 5. They find what OpenCV's detector finds from the whole picture on.
+Lowe 2004, sections 3 to 5. They find the features that OpenCV's detector finds from the picture at full size on.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ COLUMNS = 5  # of a found feature: column, row, layer between layers, layer, ori
 
 @inline
 def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
-    """Whether a sample is the highest or the lowest of the 27 about it."""
+    """True if a sample is the highest or the lowest of the 27 about it."""
     v = dogs[k, r, c]
     sign = np.float32(1) if v > 0 else np.float32(-1)
     for j in range(k - 1, k + 2):
@@ -33,7 +33,7 @@ def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
 
 @kernel
 def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
-    """Fill the way (columns, rows, layers) to the extremum of the parabola about a sample, its value and its fold."""
+    """Fill the shift (columns, rows, layers) to the parabola's extremum, its value, and trace^2 / determinant there."""
     v = 2.0 * dogs[k, r, c]
     dx = 0.5 * (dogs[k, r, c + 1] - dogs[k, r, c - 1])
     dy = 0.5 * (dogs[k, r + 1, c] - dogs[k, r - 1, c])
@@ -96,7 +96,7 @@ def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F
 
 @kernel
 def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
-    """Add a feature for each high peak of its histogram; return how many there are then."""
+    """Add a feature for each high peak of its histogram; return the new number of features."""
     most = even.max()
     for k in range(BINS):
         left, mid, right = even[k - 1], even[k], even[(k + 1) % BINS]
@@ -110,7 +110,7 @@ def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
 
 @kernel
 def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) -> int:
-    """Fill `found` (M, `COLUMNS`) with the features of an octave and return how many; those beyond M are left out.
+    """Fill `found` (M, `COLUMNS`) with the features of an octave and return their number; those beyond M are left out.
 
     Args:
         dogs: (L + 2, R, C) differences of the blurred pictures.
@@ -127,7 +127,7 @@ def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) ->
                 v = dogs[k, r, c]
                 if abs(v) <= some:
                     continue
-                # four neighbours say no of nearly all
+                # four neighbours exclude nearly all
                 a, b = dogs[k, r, c - 1], dogs[k, r, c + 1]
                 if (v > 0 and (a > v or b > v)) or (v < 0 and (a < v or b < v)):
                     continue

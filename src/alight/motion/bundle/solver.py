@@ -1,6 +1,6 @@
 """The adjustment itself: Levenberg-Marquardt over poses, lens, mounting and points, points eliminated (Schur).
 
-Own code and not pycolmap's adjuster, whose priors know positions only: a straight strip would be free to roll about
+Own code and not pycolmap's adjuster, which has priors of positions only: a straight strip would be free to roll about
 its line of flight. Equation numbers: docs/method/bundle.md.
 """
 
@@ -25,7 +25,7 @@ from alight.motion.triangulation import WEAK_PRIOR
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
 _DENSE = 1200  # unknowns, up to which the normal equations are solved as a dense matrix
-_LEAST_INFORMATION = 1e-12  # of a direction, over that of the numbers it is made of
+_LEAST_INFORMATION = 1e-12  # least information of a direction, over that of its components
 _POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
 
 
@@ -42,22 +42,22 @@ class Priors:
     lenses: PhotoLenses
     sigma_lens: F64  # (k,) of scale, aspect, cu, cv, distortion..., readout of each camera in turn; 0 holds one
     velocity: F64  # (n, 3) m/s when the photos were taken; 0: not known
-    sigma_turn: float = 0.0  # rad, by which a photo may turn while it is read out; 0: rows are exposed at once
+    sigma_turn: float = 0.0  # rad, 1-sigma of a photo's turn during the readout; 0: rows are exposed at once
 
 
 @dataclass(frozen=True, eq=False)
 class BundleState:
-    """Everything that is estimated."""
+    """All estimated unknowns."""
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
     points: F64  # (m, 3) metres
     lens: F64  # (k,) offsets from the prior cameras, one after the other: scale and aspect relative, px, coefficients
     mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
-    turns: F64  # (n, 2, 3) rotation vectors in the camera while its rows are exposed: even, and bent in time
+    turns: F64  # (n, 2, 3) rotation vectors in the camera during the readout: linear, and quadratic in time
 
     def for_kernels(self, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64 | I64, ...]:
-        """What the kernels take of observations, poses and lenses, in their order (`adjustment_kernels`)."""
+        """Observations, poses and lenses as input of the kernels, in their order (`adjustment_kernels`)."""
         lens, model = lenses.table()
         poses = (self.rotations, self.centres, self.turns, velocity)
         return obs.photo, obs.pixels, *map(np.ascontiguousarray, poses), lenses.of, lens, model
@@ -149,7 +149,7 @@ class Adjustment:
         np.add.at(self.b, at, right)
 
     def _unknowns(self) -> I64:
-        """(n, e + f) the places of each photo's unknowns, and of its lens's free numbers; what a lens lacks is at 0."""
+        """(n, e + f) indices of each photo's unknowns, and of its lens's free numbers; 0 where a lens has fewer."""
         photos = self.each * np.arange(self.photos)[:, None] + np.arange(self.each)
         lens = self._places[self.priors.lenses.of]
         return np.concatenate([photos, np.where(lens >= 0, self.each * self.photos + lens, 0)], axis=1)
@@ -220,7 +220,7 @@ class Adjustment:
         )
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
-        """Iterate (Levenberg-Marquardt) until the cost falls by less than a share; a step that costs more is damped."""
+        """Iterate (Levenberg-Marquardt) until the cost falls by less than a share; a step that raises it is damped."""
         damping, cost = 1e-5, self.cost(state)
         self.linearise(state)
         for _ in range(iterations):
@@ -257,7 +257,7 @@ class Adjustment:
 def covariance_of(S: F64) -> F64:
     """The inverse of an information matrix (p, p), with positive variances also where rounding left it none.
 
-    What nothing fixes, as among photos of which most are no photos of this ground, gets a large variance.
+    Unknowns that no observation fixes, as of photos of other ground, get a large variance.
     """
     C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
     if np.isfinite(C).all() and (np.diag(C) > 0).all():
@@ -269,7 +269,7 @@ def covariance_of(S: F64) -> F64:
 
 
 def solved_steps(S: F64, rhs: F64) -> F64:
-    """Solve the reduced normal equations (p, p); of many photos as a sparse matrix, since each meets few others.
+    """Solve the reduced normal equations (p, p); of many photos as a sparse matrix, because each overlaps few others.
 
     Of 1000 photos in strips 3 % of the factor are filled, and it takes a fiftieth of the time.
 

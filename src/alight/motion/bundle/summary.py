@@ -25,14 +25,14 @@ class FirstPoses:
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
-    groups: tuple[I64, ...]  # photos that matches connect
+    groups: tuple[I64, ...]  # photos that are connected by matches
     photos: I64  # photos with a pose
     turned: I64  # photos whose attitude tag is half a turn off
     contradicted: I64  # photos whose attitude tag is wrong
-    overruled: I64  # photos whose heading is off as that of all others is
+    overruled: I64  # photos whose heading has the common error of all headings
     jumped: I64  # photos whose GPS position is wrong
     warnings: list[str]
-    climbs: bool  # the altitude tags lost against a level flight
+    climbs: bool  # a level flight fits better than the altitude tags, which are ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Solved:
     joint: F64  # (6 n + k, 6 n + k) of the poses of all photos and the k lens numbers that are free
     first: FirstPoses
     placed: I64  # photos whose GPS was ignored and which were placed by resection
-    free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are not told
+    free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are left out
     priors: Priors  # as the images corrected them
 
     @property
@@ -76,7 +76,7 @@ def bundle_warnings(
     priors: Priors,
     solved: Solved,
 ) -> list[str]:
-    """Return which photos were left out and why, and whose tags the images contradict."""
+    """Return the warnings: photos left out with the reason, and photos whose tags contradict the images."""
     out = []
     for frame, f, motion in zip(frames, features, motions, strict=True):
         if motion is None:
@@ -101,11 +101,11 @@ def bundle_warnings(
 
 
 def fixed_attitudes(joint: F64, photos: int) -> NDArray[np.bool_]:
-    """Which photos the pictures turn one way (n,): noise that matches noise leaves an attitude of any kind.
+    """True for photos (n,) whose attitude the pictures fix: false matches of noise leave any attitude possible.
 
     Args:
-        joint: (6 n + k, 6 n + k) covariance of positions and attitudes; of what nothing fixes, the inverse of a matrix
-            that is all but singular: huge, or by rounding even negative.
+        joint: (6 n + k, 6 n + k) covariance of positions and attitudes; of unknowns that nothing fixes,
+            the inverse of a nearly singular matrix: huge, or by rounding even negative.
         photos: n.
     """
     at = 6 * np.arange(photos)[:, None] + np.arange(3, 6)
@@ -122,7 +122,7 @@ def outcomes_of(
     priors: Priors,
     solved: Solved,
 ) -> tuple[PhotoOutcome, ...]:
-    """Return what became of the tags of each photo."""
+    """Return the outcome of the tags of each photo."""
     out, overruled = [], set(solved.first.overruled.tolist())
     for k, (frame, f, motion) in enumerate(zip(frames, features, motions, strict=True)):
         if motion is None:

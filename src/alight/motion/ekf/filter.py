@@ -69,7 +69,7 @@ from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-_MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which they are a jump, not a passing fault
+_MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which they count as a jump, not a short fault
 _MAX_GPS_AGE = 0.2  # s between a GPS position and the exposure that it is used for
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
 _RATE_HALF_WINDOW_NS, _RATE_SAMPLES = 15_000_000, 7  # ns and samples over which the angular velocity is averaged
@@ -81,7 +81,7 @@ class MotionFilter:
     """Feed events in order of time; every exposure gives a `Motion` once there has been a row of GPS/INS.
 
     Args:
-        map_number: of its first map; a filter that takes another one's place goes on with the next number.
+        map_number: of its first map; a filter that replaces another one goes on with the next number.
     """
 
     def __init__(self, rig: Rig, settings: FilterSettings, map_number: int = 0) -> None:
@@ -150,7 +150,7 @@ class MotionFilter:
         return motion
 
     def _attitude_from_course(self, tracks: Tracks) -> None:
-        """Where GPS comes without attitude, images give it: at the start, and between photos (M26)."""
+        """Estimate the attitude from images where GPS comes without it: at the start, and between photos (M26)."""
         m, nav = self._memory, self._memory.last_nav
         if nav is None or nav.position_world is None or nav.world_from_body is not None:
             return
@@ -174,7 +174,7 @@ class MotionFilter:
             m.state.correct(residual / COURSE_ATTITUDE_SIGMA, np.diag(unit), np.arange(ATT.start, ATT.stop))
 
     def keyframes(self) -> KeyframeWindow | None:
-        """Return the keyframe window by value, which their joint posterior follows from; None without keyframes."""
+        """Return the keyframe window by value, from which the joint posterior follows; None without keyframes."""
         m = self._memory
         return m.visual.window(m.state, m.map_number) if m.state is not None and len(m.state.clones) else None
 
@@ -192,7 +192,7 @@ class MotionFilter:
         return MotionPredictor.of(state, self._cams, self._memory.inertial, self._settings)
 
     def smoothed(self) -> list[Motion]:
-        """The motions of `refined` alone."""
+        """The motions of `refined`, without their joint covariance."""
         return list(self.refined().motions)
 
     def refined(self) -> RefinedMotions:
@@ -336,7 +336,7 @@ class MotionFilter:
         return passed
 
     def _accept_jump(self, state: FilterState, position: F64) -> None:
-        """The GPS/INS position jumped: set its slow error anew, so that the jump does not move the vehicle."""
+        """Set the slow error of the GPS/INS position anew after a jump, so that the jump does not move the vehicle."""
         expected = state.core[POS] + state.core[OFFSET]
         log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[NAV_POS]))
         state.core[NAV_POS] = position - expected
@@ -347,7 +347,7 @@ class MotionFilter:
         self._memory.health.on_gps(state.t_ns, True, True)
 
     def _inflate_attitude(self, state: FilterState) -> None:
-        """Observations agree with each other and contradict the state: its attitude may be wrong, as INS is (M25)."""
+        """Inflate the attitude, because consistent observations contradict the state: INS may be wrong (M25)."""
         self._memory.inflations += 1
         log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
         self._memory.visual.reset(state)

@@ -10,15 +10,15 @@ from alight.motion.ekf.state import ATT, VEL, FilterState
 from alight.records import MotionState
 
 NEVER_NS = -(1 << 62)  # ns, a time before all events
-_MIN_SUPPORT = 8  # features that pass their gates, and no more than fail: the cameras hold the motion
+_MIN_SUPPORT = 8  # features that pass their gates, at least, and as many as fail, for the cameras to hold the motion
 _FEW, _AGREEING = (
     4,
     4,
-)  # fewer do so too where this many pass, and this many for one that fails: poses have six freedoms
+)  # fewer suffice where this many pass, and this many for each that fails: a pose has six degrees of freedom
 _DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
-_PHOTO_INTERVALS = 2.5  # the same in intervals between exposures: photos come every few seconds
+_PHOTO_INTERVALS = 2.5  # that time in intervals between exposures: photos come every few seconds
 _SETTLING = 3  # supported exposures until the start is over
-_START, _START_INTERVALS = 3.0, 10.0  # s and intervals after which a start without is over too: hovers lack parallax
+_START, _START_INTERVALS = 3.0, 10.0  # s, intervals after which a start without them ends too: a hover has no parallax
 _CONTRADICTIONS = 5  # exposures in a row in which most features contradict the state, until the state is taken as wrong
 _GPS_REJECTIONS = 3  # GPS positions in a row that fail their gate: more than chance
 _MAX_INNOVATION = 3.0  # mean squared innovation over its variance; above it observations are worse than claimed
@@ -28,7 +28,7 @@ _MAX_TILT_SIGMA, _MAX_VELOCITY_SIGMA = 0.2, 20.0  # rad, m/s; above these the st
 
 @dataclass(frozen=True)
 class GateCounts:
-    """How many features of one exposure passed their gates."""
+    """Numbers of features of one exposure that passed and failed their gates."""
 
     passed: int = 0  # of the landmarks and of the tracks used in this exposure
     failed: int = 0
@@ -41,7 +41,7 @@ class GateCounts:
 
 
 class Health:
-    """Collects the outcome of all gates and judges every exposure."""
+    """Judge of the motion at every exposure, from the outcome of all gates."""
 
     def __init__(self, coast: float) -> None:
         """Take the time [s] without any support after which the motion is lost."""
@@ -65,11 +65,11 @@ class Health:
 
         Args:
             t_ns: of the row.
-            position: whether the position passed its gate; None: not measured.
-            other: whether any other quantity passed.
+            position: True: the position passed its gate; None: not measured.
+            other: True: any other quantity passed.
 
         Returns:
-            s for which positions have failed their gate without a break.
+            Time (s) for which positions have failed their gate without a break.
         """
         if position or other:
             self._nav_ns = t_ns
@@ -80,7 +80,7 @@ class Health:
         return (t_ns - self._gps_rejected_since) * 1e-9 if self._gps_rejections else 0.0
 
     def on_exposure(self, t_ns: int, counts: GateCounts) -> bool:
-        """Take one exposure; True: observations have contradicted the state for so long that it must be wrong."""
+        """Take one exposure; True: observations contradict the state for so long that it must be wrong."""
         self._interval = max((t_ns - self._exposure_ns) * 1e-9, 0.0)
         self._exposure_ns = t_ns
         self._start_ns = t_ns if self._start_ns == NEVER_NS else self._start_ns
@@ -124,7 +124,7 @@ class Health:
 
 
 def is_diverged(state: FilterState) -> bool:
-    """Whether the covariance of tilt or velocity is too large for the estimate to be of use, or no number any more."""
+    """True if the covariance of tilt or velocity is too large for use, or the state is not finite."""
     variance = np.diag(state.P)
     small = variance[ATT][:2].max() <= _MAX_TILT_SIGMA**2 and variance[VEL].max() <= _MAX_VELOCITY_SIGMA**2
     return not (bool(small) and bool(np.isfinite(state.core).all()))

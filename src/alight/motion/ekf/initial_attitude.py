@@ -9,7 +9,7 @@ from alight.arrays import F64
 from alight.geometry import Pose
 from alight.records import Tracks
 
-COURSE_ATTITUDE_SIGMA = np.array([0.1, 0.1, 0.05])  # rad about east, north, up: that the camera looks down is assumed
+COURSE_ATTITUDE_SIGMA = np.array([0.1, 0.1, 0.05])  # rad about east, north, up; the camera is assumed to look down
 MIN_GPS_BASELINE = 0.5  # m between two GPS positions whose direction is used
 _MIN_FEATURES = 12
 _ROUNDS, _PAIRS = 6, 100

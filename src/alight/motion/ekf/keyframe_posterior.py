@@ -39,7 +39,7 @@ class KeyframeWindow:
     """The clones after one exposure and the observations not used by the state yet, by value.
 
     Few exposures become keyframes of a map, and the posterior costs as much as the update of the state. So the filter
-    hands out this record, and whoever needs the posterior computes it: it is a function of the record alone.
+    gives out this record, and a user of the posterior computes it: it is a function of the record alone.
     """
 
     stamps: tuple[int, ...]  # ns, of the K exposures, oldest first
@@ -84,8 +84,8 @@ class KeyframeWindow:
 
         The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
         errors of trees, grass in the wind and water are correlated, from feature to feature and in time. Observations
-        that contradict the prior as a whole are left out: a weight relative to the median tells nothing where all are
-        wrong, as when the lines of a car park are taken for each other.
+        that contradict the prior as a whole are left out: weights relative to the median do not help where all are
+        wrong, as when the lines of a car park are matched with each other.
         """
         P, poses, median = self.P, self.poses, 0.0
         error, gain = np.zeros(len(P)), np.asarray(np.eye(len(P)))
@@ -138,14 +138,14 @@ class KeyframeWindow:
 
 
 def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
-    """Joint posterior of poses that are off together as one rigid body, as far as the last one claims; None of none.
+    """Joint posterior of poses with one common rigid error, with the covariance of the last one; None without poses.
 
     For motions that were given out one by one: the covariance of the poses relative to each other is lost.
     """
     if not motions:
         return None
     p = np.array([m.world_from_body.translation for m in motions])
-    by_last = np.tile(np.eye(CLONE), (len(motions), 1, 1))  # (position, rotation): how each pose moves with the last
+    by_last = np.tile(np.eye(CLONE), (len(motions), 1, 1))  # (position, rotation): derivative of each pose by the last
     by_last[:, :3, 3:] = -skew(p - p[-1])
     F = by_last.reshape(-1, CLONE)
     return KeyframePosterior(tuple(motions), F @ motions[-1].covariance @ F.T)
@@ -159,7 +159,7 @@ def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: f
 
 
 def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
-    """Return the (6K, 6K) map that multiplies the variance of poses relative to the reference, which it leaves.
+    """Return the (6K, 6K) map that inflates the variance of poses relative to the reference, which is not changed.
 
     Args:
         p: (K, 3) metres, positions; each pose is (rotation, position).
@@ -167,7 +167,7 @@ def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
     """
     root, k = np.sqrt(factor), len(p)
     reference %= k
-    by_reference = np.tile(np.eye(CLONE), (k, 1, 1))  # how each pose moves when that one moves and all are rigid
+    by_reference = np.tile(np.eye(CLONE), (k, 1, 1))  # derivative of each pose by the reference, all being rigid
     by_reference[:, 3:, :3] = -skew(p - p[reference])
     out = root * np.eye(CLONE * k)
     columns = slice(CLONE * reference, CLONE * (reference + 1))

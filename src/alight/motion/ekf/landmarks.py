@@ -25,7 +25,7 @@ from alight.motion.triangulation import NEAR
 
 MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped: it moves
 _RESIDUAL_GAIN = 0.3  # of the last exposure in a landmark's running mean residual
-_MAX_MEAN_RESIDUAL = 9.0  # squared mean residual, in units of what chance makes of it; above it a landmark moves
+_MAX_MEAN_RESIDUAL = 9.0  # squared mean residual over its expectation by chance; above it a landmark moves
 _MAX_INITIAL_MISFIT = 2.0  # in medians; tracks with a larger residual do not become landmarks
 
 

@@ -1,4 +1,4 @@
-"""What the filter remembers from event to event: one record, copied for out-of-sequence measurements."""
+"""Memory of the filter from event to event: one record, copied for out-of-sequence measurements."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class FilterMemory:
     health: Health
     state: FilterState | None = None
     predicted: Step | None = None  # the state as last predicted: first estimate, where Jacobians are taken
-    inertial: bool = False  # whether an IMU drives the motion
+    inertial: bool = False  # True: an IMU drives the motion
     nav_sigma: F64 = field(default_factory=lambda: np.ones(9))  # of the last GPS/INS row
     last_exposure_ns: int = NEVER_NS
     inflations: int = 0  # of the attitude, in a row

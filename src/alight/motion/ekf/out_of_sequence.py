@@ -1,4 +1,4 @@
-"""Out-of-sequence measurements: roll the filter back to before a late event and process again what followed."""
+"""Out-of-sequence measurements: roll the filter back to before such an event and process the later ones again."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class _Processed:
 
 
 class RollbackFilter:
-    """A `MotionFilter` for events that are stamped correctly but arrive late, as radio links deliver them.
+    """A `MotionFilter` for events that are stamped correctly but arrive out of sequence, as over radio links.
 
-    Motions returned before a late event stay as they were; later ones include it.
+    Motions returned before such an event are not changed; later ones include it.
     """
 
     def __init__(self, rig: Rig, settings: FilterSettings, map_number: int = 0) -> None:
@@ -114,5 +114,5 @@ class RollbackFilter:
         return self._filter.smoothed()
 
     def refined(self) -> RefinedMotions:
-        """Return the same motions with their joint covariance (M22b)."""
+        """Return the smoothed motions with their joint covariance (M22b)."""
         return self._filter.refined()

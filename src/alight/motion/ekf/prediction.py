@@ -1,4 +1,4 @@
-"""Prediction of camera poses from a copy of the state: the tracker uses it while the filter is at work."""
+"""Prediction of camera poses from a copy of the state: the tracker uses it while the filter is busy."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ POS = slice(3, 6)  # m
 VEL = slice(6, 9)  # m/s
 GYRO = slice(9, 12)  # rad/s, gyro bias; without IMU the angular velocity of the body itself
 ACC = slice(12, 15)  # m/s^2, accelerometer bias; without IMU unused
-MOTION = slice(0, 15)  # all of the above: what the motion model carries on
+MOTION = slice(0, 15)  # all of the above: errors that the motion model propagates
 NAV_POS = slice(15, 18)  # m, slowly varying error of the GPS/INS position
 NAV_ATT = slice(18, 21)  # rad, of its attitude, in the world
 NAV_VEL = slice(21, 24)  # m/s, of its velocity
@@ -46,7 +46,7 @@ class Clones:
 
     @classmethod
     def none(cls) -> Clones:
-        """Return no clones."""
+        """Return an empty set of clones."""
         return cls((), WindowPoses(*(np.zeros((0, *shape)) for shape in ((3, 3), (3,)) * 2)))
 
     def __len__(self) -> int:
@@ -60,7 +60,7 @@ class Clones:
         return Clones((*self.stamps, t_ns), WindowPoses(*arrays))
 
     def select(self, kept: Sequence[int]) -> Clones:
-        """Return some clones."""
+        """Return the clones of the indices `kept`."""
         w, at = self.poses, list(kept)
         return Clones(tuple(self.stamps[i] for i in at), WindowPoses(w.R[at], w.p[at], w.first_R[at], w.first_p[at]))
 
@@ -86,7 +86,7 @@ class Landmarks:
         return len(self.ids)
 
     def select(self, kept: I64) -> Landmarks:
-        """Return some landmarks."""
+        """Return the landmarks of the indices `kept`."""
         return Landmarks(*(getattr(self, f.name)[kept] for f in fields(self)))
 
     def joined(self, other: Landmarks) -> Landmarks:
@@ -110,7 +110,7 @@ class FilterState:
     )
     rate: F64 = field(default_factory=lambda: np.zeros(3))  # rad/s, angular velocity in the body frame
     rate_variance: float = 0.0  # (rad/s)^2
-    refused: int = 0  # measurements that no update could be made of: not finite, or a singular matrix
+    refused: int = 0  # measurements without a possible update: not finite, or a singular matrix
 
     def copy(self) -> FilterState:
         """Return an independent copy."""
@@ -162,7 +162,7 @@ class FilterState:
     def _time_offset_noise(self) -> F64:
         """(6, 6) covariance that M27 leaves out while the time offset is uncertain: errors and changes of the rates.
 
-        Without it the noise of a gyro (7 mrad/s a sample) is taken for rotation, and a wrong offset is learned.
+        Without it the noise of a gyro (7 mrad/s a sample) counts as rotation, and the offset becomes wrong.
         """
         time, velocity = float(self.P[TIME, TIME][0, 0]), float(self.P[VEL, VEL].diagonal().max())
         rotation = time * self.rate_variance + (0.5 * time * _UNMODELLED[0]) ** 2

@@ -1,4 +1,4 @@
-"""Covariance of the filter's errors: propagation, rows that come and go, corrections: kernels."""
+"""Covariance of the filter's errors: propagation, insertion and removal of rows, corrections: kernels."""
 
 import math
 

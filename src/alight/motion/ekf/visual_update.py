@@ -28,7 +28,7 @@ _MAX_LINEARISATION_ERROR = 0.04  # rad between a clone and its first estimate; a
 
 
 class VisualUpdate:
-    """Takes the tracks of each exposure into the state; keeps the observations that the state has not used yet."""
+    """Visual update of the state by the tracks of each exposure; it keeps the observations not used yet."""
 
     def __init__(self, camera: Camera, cams: Sequence[Pose], settings: FilterSettings) -> None:
         self._camera, self._cams, self._settings = camera, tuple(cams), settings
@@ -66,7 +66,7 @@ class VisualUpdate:
         return counts + self._initialise_landmarks(state)
 
     def _relinearise_if_stale(self, state: FilterState, t_ns: int) -> None:
-        """After a start with a wrong heading Jacobians are taken anew: between photos in place, else from scratch."""
+        """Take Jacobians anew after a start with a wrong heading: between photos in place, else from scratch."""
         if not _is_stale(state):
             return
         if (t_ns - state.clones.stamps[-1]) * 1e-9 > MAX_RATE_AGE:
@@ -153,6 +153,6 @@ class VisualUpdate:
 
 
 def _is_stale(state: FilterState) -> bool:
-    """Whether the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
+    """True if the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
     w = state.clones.poses
     return len(w.R) > 0 and float((w.R[0] * w.first_R[0]).sum()) < 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)

@@ -76,7 +76,7 @@ class Factors:
         return out
 
     def joint(self, rows: NDArray[np.int64], own: F64) -> F64:
-        """(m, m): the inverse of A at the unknowns `rows`, in ascending order; `own` is what `covariance` gave.
+        """(m, m): the inverse of A at the unknowns `rows`, in ascending order; `own` is the result of `covariance`.
 
         Backward over the blocks: the cross covariance of block b with any later unknown is that of block b + 1, times
         minus the gain. Memory is that of the answer and of `size` times m numbers.

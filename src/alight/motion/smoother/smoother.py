@@ -54,12 +54,12 @@ log = logging.getLogger(__name__)
 _SIZE = NAV.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
 _POSE = POS.stop  # of these: attitude and position
 _NAV_SCALE = np.sqrt(27.0)  # sigmas, Cauchy scale of a quantity of GPS/INS
-_OPEN_INFORMATION = 1e-8  # of unknowns that nothing measures (the accelerometer bias without IMU): they stay
+_OPEN_INFORMATION = 1e-8  # of unknowns without a measurement (the accelerometer bias without IMU): they are held
 _MIN_VARIANCE = 1e-14  # added to the noise of the motion model, so that it has an inverse
 _ITERATIONS = 12
 _LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
 _SHORTEST = 5  # exposures in a piece
-_MOST_JOINT = 240  # exposures whose joint covariance is handed out: 17 MB; between them errors are interpolated
+_MOST_JOINT = 240  # exposures whose joint covariance is given out: 17 MB; between them errors are interpolated
 _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
 
 
@@ -75,7 +75,7 @@ class RecordedFlight:
 
 
 def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
-    """Smooth all exposures; an empty result where that is not possible (fewer than three, no solution)."""
+    """Smooth all exposures; an empty result where that is not possible (fewer than three exposures, no solution)."""
     if len(recording.exposures) < 3:
         return RefinedMotions((), None)
     try:
@@ -165,7 +165,7 @@ class _Batch:
         return self._R @ self._mount, self._x[:, POS]
 
     def _iterate(self) -> Factors:
-        """The normal equations at the present values, factorised."""
+        """Factorise the normal equations at the present values."""
         span, K = self._span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)

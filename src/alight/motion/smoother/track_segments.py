@@ -82,7 +82,7 @@ class TrackSegments:
         """Set the weights of the Cauchy cost: of each observation, times the mean of its segment.
 
         A point that moves is wrong as a whole. The scale follows the median residual down to two sigmas, so that a poor
-        start is not taken for poor observations. Returns the root mean square of the weighted residuals, in sigmas.
+        start does not count as poor observations. Returns the root mean square of the weighted residuals, in sigmas.
         """
         e = self.residuals(R, p) / self.sigma[:, None]
         square = (e**2).sum(axis=1)
@@ -147,7 +147,7 @@ class LinearisedSegments:
         return H - G @ G.T, g - G @ E.reduced_gradient[chosen].ravel()
 
     def move_points(self, pose_step: F64) -> None:
-        """Move the points by what the (K, 6) step of the poses leaves for them."""
+        """Move the points by their steps for a (K, 6) step of the poses."""
         s = self._segments
         predicted = np.einsum("nki,ni->nk", self._by_pose, pose_step[s.exposure])
         s.points = s.points + self._eliminated.point_step(predicted)

@@ -28,15 +28,15 @@ class Alignment:
 
     ring: int  # exposures
     tuning: PoseRefinementTuning
-    about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, where the plane's offset is meant
+    about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, to which the plane's offset refers
     state: PoseGaussian | None = None
-    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map found at the last step
+    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane found at the last step
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
     _mapped: bool = False
-    _offset2: float = 0.0  # m^2, variance of the height of the map in the world, not observable in pictures
+    _offset2: float = 0.0  # m^2, variance of the height of the map in the world, not observable by pictures
 
     def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
-        """Take over the posterior of the keyframes; exposures that are neither in it nor `held` are dropped."""
+        """Adopt the posterior of the keyframes; exposures that are neither in it nor `held` are dropped."""
         if self.state is None:
             self.state, self.about = (
                 PoseGaussian.none(np.array(self.tuning.plane_sigma) * [drop, 1, 1]),
@@ -53,9 +53,9 @@ class Alignment:
     def align(
         self, exposures: list[list[Kept]], grid: Grid, known: ElevationMap, old: Mask, ground: float
     ) -> list[list[Kept]]:
-        """Refine the poses with the map; `plane` is then the error of the map that they show.
+        """Refine the poses with the map; `plane` is then the error of the map that was found.
 
-        `old` (R, C): cells that belong to other poses, and are taken as unknown.
+        `old` (R, C): cells that belong to other poses, and count as unknown.
         """
         newest = exposures[-1][0].view
         self.plane = np.zeros(PLANE)
@@ -88,7 +88,7 @@ class Alignment:
     def _linearisations(
         self, exposures: list[list[Kept]], prior: PoseGaussian, cells: RefinementCells, drop: float
     ) -> list[ViewPair]:
-        """Pictures and cells of each linearisation, coarse to fine; more where the newest exposure is less certain."""
+        """Pictures and cells of each linearisation, coarse to fine; more if the newest exposure is less certain."""
         all_of = [k for e in exposures for k in e]
         fine = [self._refinement_view(k.view, k.fine) for k in all_of]
         uncertainty = ground_uncertainty(prior, drop) / cells.arm

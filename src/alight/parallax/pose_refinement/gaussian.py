@@ -1,6 +1,6 @@
 """Gaussian over the poses of the exposures and the plane of the map, jointly (docs/method/recursive.md, eqs. 22 to 25).
 
-The keyframe posterior of the navigation lane sets it, the pictures update it.
+The keyframe posterior of the navigation lane initialises it, the pictures update it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ POSE = 6  # position [m], rotation vector [rad], world axes
 
 
 def corrected_pose(pose: Pose, error: F64) -> Pose:
-    """The pose with an error (6,) taken out."""
+    """The pose corrected for an error (6,)."""
     return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
 
 
@@ -31,7 +31,7 @@ def between(a: Pose, b: Pose) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class PoseGaussian:
-    """Means and joint covariance; errors are what must be added to the map's plane and to the poses."""
+    """Means and joint covariance; an error must be added to the map's plane and to the poses."""
 
     times: tuple[int, ...]  # t_ns of the exposures
     poses: tuple[Pose, ...]  # world_from_body
@@ -41,7 +41,7 @@ class PoseGaussian:
 
     @classmethod
     def none(cls, plane_sigma: F64) -> PoseGaussian:
-        """No exposure, and a plane of this 1-sigma (3,)."""
+        """Distribution without exposures, with a plane of this 1-sigma (3,)."""
         return cls((), (), np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
 
     def rows(self, times: Collection[int]) -> NDArray[np.int64]:
@@ -50,10 +50,10 @@ class PoseGaussian:
         return np.concatenate([*each, np.empty(0, np.int64)]).astype(np.int64)
 
     def with_posterior(self, posterior: KeyframePosterior) -> PoseGaussian:
-        """Take over the posterior of the keyframes (eq. 23).
+        """Adopt the posterior of the keyframes (eq. 23).
 
         Their joint distribution is replaced. The distribution of the other exposures and of the plane, conditional on
-        the keyframes, stays; so they follow. New exposures are appended.
+        the keyframes, is kept; so they follow the keyframes. New exposures are appended.
         """
         at = {m.t_ns: k for k, m in enumerate(posterior.motions)}
         shared = [t for t in self.times if t in at]
@@ -96,7 +96,7 @@ class PoseGaussian:
         )  # fmt: skip
 
     def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
-        """The distribution after an error (3 + 6E,) was taken out of the poses and of the map."""
+        """The distribution after poses and map were corrected for an error (3 + 6E,)."""
         poses = tuple(corrected_pose(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
         return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=np.zeros(len(error)))
 
@@ -111,7 +111,7 @@ class PoseGaussian:
 def regress_on(P: F64, across: F64) -> F64:
     """Regression coefficients (m, n) of m variables on n of covariance `P` (n, n); cross-covariance `across` (n, m).
 
-    Errors that all have in common make `P` singular; a share of 1e-9 of its variances leaves the answer what it is.
+    Errors common to all make `P` singular; 1e-9 of its variances is added, which does not change the result.
     """
     if not len(P):
         return np.zeros((across.shape[1], 0))

@@ -90,7 +90,7 @@ def joint_normal_equations(
         owner: (N,) exposure of each view.
         centres: (N, 3) of the cameras; pivots: (E, 3) about which the exposures turn.
         precision: (N,) one over each view's variance.
-        xs, ys, h: where the cells are; about: (2,) where the plane's offset is meant.
+        xs, ys, h: place of the cells, metres; about: (2,) metres, to which the plane's offset refers.
         kappa: (R, C) one over the variance of a height about the map's plane.
         A: (R, 3 + 6E, 3 + 6E); b: (R, 3 + 6E). Both are overwritten.
     """

@@ -1,6 +1,6 @@
 """Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method/recursive.md).
 
-The pictures fix the exposures and the map relative to each other; their common position stays as the prior has it. A
+The pictures fix the exposures and the map relative to each other; their common position stays that of the prior. A
 cell's height and template value are marginalised, the height with the map's own sigma as prior.
 """
 
@@ -27,35 +27,35 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class RefinementView:
-    """One view, as it takes part."""
+    """One view of the solve: picture, exposure and place of its camera."""
 
     prepared: Prepared
     body_from_cam: Pose
     exposure: int  # t_ns
 
     def at(self, world_from_body: Pose) -> Prepared:
-        """This picture with another pose of its body."""
+        """The prepared picture with another pose of its body."""
         return posed(self.prepared, world_from_body @ self.body_from_cam)
 
 
 @dataclass(frozen=True, eq=False)
 class RefinementCells:
-    """The cells that take part."""
+    """The cells of the solve."""
 
     xs: F64  # (C,) metres east
     ys: F64  # (R,) metres north
-    height: F32  # (R, C) metres, NaN: takes no part
+    height: F32  # (R, C) metres, NaN: left out
     kappa: F32  # (R, C) one over the variance of a height about the map's plane
-    about: F64  # (2,) metres, where the plane's offset is meant
+    about: F64  # (2,) metres, to which the plane's offset refers
     arm: float  # metres, of the template's gradient
 
     def coarser(self) -> RefinementCells:
-        """Half of the cells, for pictures of half the resolution."""
+        """Every second row of the cells, for pictures of half the resolution."""
         half = slice(None, None, 2)
         return replace(self, ys=self.ys[half], height=self.height[half], kappa=self.kappa[half], arm=2 * self.arm)
 
     def tilted(self, plane: F64) -> F32:
-        """The heights with an error of the plane taken out."""
+        """The heights corrected for an error of the plane (3,)."""
         return self.height + plane_on(self.xs, self.ys, plane, self.about)
 
 
@@ -85,9 +85,9 @@ def refine_poses(
     """The posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
 
     Args:
-        prior: of the poses and the plane.
+        prior: distribution of the poses and the plane.
         linearisations: pictures and cells of each, of exposures that the prior holds.
-        pixel: rad.
+        pixel: rad, angle of a pixel.
         drop: metres from the cameras to the ground.
         ring: steps that a picture takes part in; its information is shared among them.
     """
@@ -118,7 +118,7 @@ def refine_poses(
 
 
 def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
-    """Transition of the errors when the next step takes a share of the heights from these poses (eq. 24)."""
+    """Transition matrix of the errors when the next step takes a share of the heights from these poses (eq. 24)."""
     out = np.eye(size)
     out[:PLANE, :PLANE] *= 1 - share
     out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
@@ -158,7 +158,7 @@ def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: 
     n, (rows, cols), a = len(views), height.shape, ground.arm
     out = held.get("crosses", (n, 5, rows, cols))
     xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
-    for i, view in enumerate(views):  # cells, north and south at once: to start many small loops is dear
+    for i, view in enumerate(views):  # cells, north and south at once: starting many small loops is slow
         straight = sample(view.norm, *maps_at(view, xs, np.concatenate([ys, ys + a, ys - a]), level, held))
         out[i, [0, 3, 4]] = straight.reshape(3, rows, cols)
         for k, east in ((1, a), (2, -a)):
@@ -167,7 +167,7 @@ def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: 
 
 
 def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuning) -> F64:
-    """One over the variance of each view's samples; 0 for a view that shares too little."""
+    """One over the variance of each view's samples; 0 for a view that shares too little ground."""
     e = np.where(weights > 0, samples - mean, np.float32(0))
     total = weights.sum(axis=(1, 2), dtype=np.float64)
     enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells

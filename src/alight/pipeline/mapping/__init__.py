@@ -34,10 +34,10 @@ def mapping_lane(
 
     Args:
         at_end: all motions come at the end of the recording.
-        far: where tiles go that the vehicle has left behind; None: memory.
-        history: keep what the end of a recording needs; without it there is no end to wait for.
+        far: store of the tiles that the vehicle has left behind; None: memory.
+        history: keep the data for the end of a recording; without it there is no end to wait for.
         jobs: matches tiles at the end.
-        prior: heights from elsewhere, that the search at the end begins with.
+        prior: heights from elsewhere, with which the search at the end begins.
     """
     if at_end:
         return PhotoMapper(rig, settings, far, timings, jobs, prior)

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 class BatchMapper:
-    """Keeps keyframes by their baseline, and maps at the end; where the store is full, a part of it before."""
+    """Batch mapper: it keeps keyframes by their baseline and maps at the end; a full store is mapped in part before."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class BatchMapper:
 
 
 class PhotoMapper(BatchMapper):
-    """The same where all motions come at the end: every photo is kept."""
+    """Batch mapper of photos, whose motions all come at the end: every photo is kept."""
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Keep the photo."""

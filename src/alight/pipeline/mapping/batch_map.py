@@ -31,13 +31,13 @@ from alight.settings import ParallaxSettings
 from alight.spread import nmad
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
-BLOCK = 2  # tiles across that are matched together: a smaller share of what is matched is margin
-SHARE = 0.5  # of the shorter side of the pictures, that such a block covers at most
+BLOCK = 2  # tiles across that are matched together: with more, the share of the margin is smaller
+SHARE = 0.5  # of the shorter side of the pictures: most that such a block covers
 # cells over those of 1.8 pixels, and their least size over the cell that the lander is judged on
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
-ENOUGH = 40  # points or cells that may speak for a place
-BLANK = np.empty((0, 0), np.uint8)  # a picture that is sent apart
+ENOUGH = 40  # points or cells, least to estimate a height from
+BLANK = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
 Progress = Callable[[float], None]
@@ -45,7 +45,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class TileBlock:
-    """What is matched at once."""
+    """Grid that is matched at once, with its views."""
 
     grid: Grid
     searched: tuple[float, float]  # lowest and highest ground, metres
@@ -68,7 +68,7 @@ def match_block(
     searched: tuple[float, float],
     settings: ParallaxSettings,
 ) -> MatchedBlock | None:
-    """Match one grid with views whose pictures came apart; None where fewer than two see it."""
+    """Match one grid with views whose pictures are passed apart; None where fewer than two see it."""
     whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
     found = match_tile(images.of(whole), grid, *searched, settings)
     if found is None:
@@ -85,7 +85,7 @@ def core(heights: Heights, margin: int) -> Heights:
 
 
 def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
-    """Sorts tiles along a Z-order curve (Morton 1966): neighbours are matched soon after, with the same views."""
+    """Key to sort tiles along a Z-order curve (Morton 1966): neighbours are matched soon after, with the same views."""
     return [(tile[0] >> k, tile[1] >> k) for k in range(16, -1, -1)]
 
 
@@ -94,14 +94,14 @@ class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
 
     jobs: Jobs = field(default_factory=InTurn)
-    prior: PriorHeights | None = None  # heights from elsewhere, that the search begins with
+    prior: PriorHeights | None = None  # heights from elsewhere, with which the search begins
     _matched: list[Matched] = field(default_factory=list)  # each tile with its views
-    _step: int = 0  # times that tiles were matched
+    _step: int = 0  # number of times that tiles were matched
 
     def match_tiles(
         self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
     ) -> int:
-        """Match all tiles under `views` for which `only` holds, at the cells that they ask for; return how many."""
+        """Match all tiles under `views` for which `only` holds, at the cells for their sampling; return the number."""
         views = looking_down(views)
         if self.elevation is None or self.ground is None or not views:
             return 0
@@ -112,13 +112,13 @@ class BatchMap(GroundMap):
         return done
 
     def sampling_of(self, view: View, ground: float) -> float:
-        """Of a pixel, or more where finer cells would decide nothing for the lander, or less quality is asked for."""
+        """Ground sampling of a pixel, metres; more where the lander needs no finer cells, or less quality is set."""
         pixels, least = QUALITY[self.settings.parallax.quality]
         finest = least * self.settings.lander.judging_cell / self.settings.mapping.cell_over_pixel
         return max(pixels * ground_sampling(view, ground), finest)
 
     def _levels(self, views: Sequence[View], ground: float) -> Iterator[tuple[int, list[View], list[View]]]:
-        """Coarse to fine: a level, the views that ask for it, and with them those of the levels beside it."""
+        """Levels from coarse to fine: a level, its views, and these with those of the levels beside it."""
         assert self.elevation is not None
         level, of = 0, []
         for v in views:
@@ -158,7 +158,7 @@ class BatchMap(GroundMap):
     def _range(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
-        """Also the heights of the prior there; by themselves where points are few."""
+        """Heights to search, with those of the prior there; those of the prior alone where points are few."""
         low, high = super()._range(grid, camera, known, part)
         if self.prior is None or self.settings.parallax.height_range:
             return low, high
@@ -175,7 +175,7 @@ class BatchMap(GroundMap):
         return min(low, below), max(high, above)
 
     def _enough_points(self, grid: Grid) -> bool:
-        """Whether the points near a grid say by themselves how high its ground is."""
+        """True if the points near a grid suffice to find its ground height."""
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
         away = np.hypot(
             self._points[:, 0] - grid.east - 0.5 * wide, self._points[:, 1] - grid.north + 0.5 * tall
@@ -183,14 +183,14 @@ class BatchMap(GroundMap):
         return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
 
     def _above_prior(self) -> tuple[float, float]:
-        """By how much the points lie above the prior (median, metres), and their NMAD; NaN where too few can say."""
+        """Median height of the points above the prior, metres, and their NMAD; NaN if there are too few."""
         assert self.prior is not None
         off = self._points[:, 2] - self.prior.at(self._points[:, 0], self._points[:, 1])
         off = off[np.isfinite(off)]
         return (float(np.median(off)), nmad(off)) if len(off) >= ENOUGH else (np.nan, np.nan)
 
     def against_prior(self) -> PriorComparison | None:
-        """The map, where its heights are given out, against the prior; None where they do not meet."""
+        """Comparison of the map, where its heights are given out, with the prior; None where they do not overlap."""
         found = self.snapshot()
         if self.prior is None or found is None:
             return None
@@ -208,7 +208,7 @@ class BatchMap(GroundMap):
         return TileBlock(grid, searched, [v for v in views if v.t_ns in at])
 
     def _task(self, images: KeptHere, block: TileBlock) -> Task:
-        """Matching a block; the pixels are sent apart, so that neighbours share them."""
+        """Task to match a block; the pixels are sent apart, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
         views = tuple(replace(v, image=BLANK) for v in block.views)
@@ -221,7 +221,7 @@ class BatchMap(GroundMap):
     def _grids(
         self, asking: list[View], east: tuple[float, float], north: tuple[float, float], level: int
     ) -> list[Grid]:
-        """What is matched at once, with its margin: a block of tiles where pictures are large enough, else a tile."""
+        """Grids to match, each with its margin: a block of tiles where pictures are large enough, else a tile."""
         assert self.elevation is not None
         assert self.ground is not None
         keys = list(self.elevation.cover(east, north, level))

@@ -1,4 +1,4 @@
-"""The frame store: the pixels of keyframes, for as long as the mapping lane may want them."""
+"""The frame store: the pixels of keyframes, as long as the mapping lane may need them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Keyframe:
 
     @property
     def bytes(self) -> int:
-        """Of its pixels."""
+        """Bytes of its pixels."""
         return sum(i.nbytes for i in self.frame.images if i is not None)
 
 
@@ -79,7 +79,7 @@ def _moved(last: Motion, motion: Motion, step: float, turn: float) -> bool:
 
 
 def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:
-    """The images of keyframes as posed views, those of a time in `newer` with that motion; none without a motion."""
+    """The images of keyframes as posed views, with a motion in `newer` in place of their own; none without a motion."""
     out = []
     for k in keyframes:
         motion = k.motion if newer is None else newer.get(k.frame.t_ns, k.motion)
@@ -91,10 +91,10 @@ def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion
 
 
 def with_motions(keyframes: Iterable[Keyframe], motions: Mapping[int, Motion]) -> list[Keyframe]:
-    """The keyframes that have one of these motions, with it."""
+    """Keyframes at the times of these motions, with the motion."""
     return [Keyframe(k.frame, motions[k.frame.t_ns]) for k in keyframes if k.frame.t_ns in motions]
 
 
 def in_world(keyframes: Iterable[Keyframe], frame: MapFrame) -> list[Keyframe]:
-    """The keyframes with their motion in the world, by the place of a frame."""
+    """Keyframes of a map frame with their motion in the world."""
     return [Keyframe(k.frame, k.motion and frame.motion(k.motion)) for k in keyframes]

@@ -1,4 +1,4 @@
-"""What both ways of mapping share: where the ground is, how fine the map shall be, which heights are refused."""
+"""Common part of both ways of mapping: search of the ground, choice of the cell size, refusal of heights."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no text
 
 
 def lone(given: Mask, tuning: MappingTuning) -> Mask:
-    """Which of the heights that are given out, (R, C), have too few about them that are."""
+    """True for heights given out, (R, C), with too few others about them."""
     window = (tuning.given_cells, tuning.given_cells)
     return np.asarray(given & (cv2.blur(given.astype(np.float32), window) < tuning.least_given))
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """A rectangle of a window of which it is known which heights are given out."""
+    """A rectangle of a window, with the mask of heights given out in the window."""
 
     given: Mask  # (R, C) of the window
     where: tuple[slice, slice]
 
     def lone(self, given: Mask, tuning: MappingTuning) -> Mask:
-        """Which heights of the rectangle are alone; the window takes over which of them are given out."""
+        """True for lone heights of the rectangle; the window's mask adopts `given`."""
         self.given[self.where] = given
         reach = tuning.given_cells // 2
         r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in self.where)
@@ -44,23 +44,23 @@ class Surroundings:
 
 @dataclass(eq=False)
 class GroundMap:
-    """The map so far, and the points that its ground was found by."""
+    """The map so far, and the points from which its ground was found."""
 
     settings: StageSettings
-    far: TileStore | None = None  # where tiles go that the vehicle has left behind; None: memory
+    far: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
     elevation: TiledElevation | None = None
-    ground: float | None = None  # metres above the origin, the ground in general
+    ground: float | None = None  # metres above the origin, general ground height
     reason: str = ""  # why there is no map
-    gauge: Datum | None = None  # what all heights share
+    gauge: Datum | None = None  # common error of all heights
     _points: F64 = field(default_factory=lambda: NO_POINTS)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
-        """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured.
+        """Find the ground height and the cell size; False (see `reason`) when nothing can be measured.
 
         Args:
-            views: what was seen.
-            least: baseline over height that it takes; over a short one, poses that are not quite right yet decide.
-            points: (N, 3) metres, of the scene, where its poses were found with points; else they are triangulated.
+            views: all views so far.
+            least: baseline over height, at least; over a short one, errors of the poses decide.
+            points: (N, 3) metres, of the scene, if its poses were found with points; else they are triangulated.
         """
         down = looking_down(views)
         if not down:
@@ -92,7 +92,7 @@ class GroundMap:
         return True
 
     def sampling_of(self, view: View, ground: float) -> float:
-        """Metres of ground at a height that a view's pixels see, for the size of the cells."""
+        """Ground sampling distance of a view at a ground height, metres, for the cell size."""
         return ground_sampling(view, ground)
 
     def _range(
@@ -100,7 +100,7 @@ class GroundMap:
     ) -> tuple[float, float]:
         """Heights to search: those of the map there, where it has enough, else of points near it.
 
-        Both where it knows a `part` of it only: that may miss a pit in the rest.
+        Both, where only a `part` of the map is known: that may miss a pit in the rest.
         """
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
@@ -115,14 +115,14 @@ class GroundMap:
         return (min(low, below), max(high, above)) if part else (below, above)
 
     def _treetops(self, camera: float, ground: float) -> float:
-        """Height up to which trees are sought on new ground: a map of fields knows of none, and crowns are no heights.
+        """Height up to which trees are sought on new ground: a map of fields has none, and crowns have no heights yet.
 
-        What is nearer to the camera than half its height above the ground is not sought.
+        At most half the camera's height above ground is searched.
         """
         return ground + min(self.settings.mapping.trees, 0.5 * (camera - ground))
 
     def _without_doubtful(self, heights: Heights, above: float, around: Surroundings | None = None) -> Heights:
-        """Refuse lone heights, and those of too large a sigma for the camera's height `above` the ground."""
+        """Refuse lone heights, and those with too large a sigma for the camera's height `above` ground, metres."""
         limit = self.settings.elevation.max_sigma or self.settings.mapping.max_sigma * max(above, 1.0)
         vague = heights.sigma > limit
         given = is_trusted(heights.flags) & ~vague

@@ -1,4 +1,4 @@
-"""What the mapping lane hands out, and the interface of its ways to map."""
+"""Output of the mapping lane, and the interface of its ways to map."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class MapUpdate:
-    """The map was improved."""
+    """Record of an improvement of the map."""
 
-    step: int  # keyframes that it has been improved with by now
-    steps: int  # of them since the update before
+    step: int  # number of keyframes in the map by now
+    steps: int  # number of them since the update before
 
 
 @dataclass(frozen=True, eq=False)
 class VehiclePosition:
-    """Where the vehicle is."""
+    """Position of the vehicle."""
 
     position: F64  # (3,) metres
     height_above_ground: float  # metres
@@ -35,7 +35,7 @@ class VehiclePosition:
 
 @dataclass(frozen=True, eq=False)
 class MapSnapshot:
-    """The map at one moment, by value, and what looked at it; all in the map's frame."""
+    """The map at one moment, by value, with its views; all in the map's frame."""
 
     step: int  # as of `MapUpdate`; 0 for the map of a recording
     elevation: ElevationMap
@@ -43,12 +43,12 @@ class MapSnapshot:
     vehicle: VehiclePosition
     frame: MapFrame
     attitude: bool = True  # one was measured, or the poses are given
-    passed: Remembered = NOWHERE  # where something moved across the ground before
-    came: Remembered = NOWHERE  # where somebody came to stand a moment ago
+    passed: Remembered = NOWHERE  # places that something moved across before
+    came: Remembered = NOWHERE  # places where somebody came to stand a moment ago
 
     @property
     def missing(self) -> MissingVeto:
-        """What could refuse ground, and is not there."""
+        """Vetoes that could refuse ground and are missing."""
         alone = MissingVeto.SECOND_CAMERA if len({v.cam for v in self.views}) < 2 else NOTHING_MISSING
         return alone if self.attitude else alone | MissingVeto.ATTITUDE
 
@@ -64,19 +64,19 @@ class FinishedMap:
 
 
 class MappingLane(Protocol):
-    """One way to map, with all its policy: keyframes, when the ground is looked for, what is forgotten."""
+    """One way to map, with all its policy: choice of keyframes, search of the ground, forgetting."""
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Take one exposure; None where the map has not changed.
 
-        `effort`: how much to do with it in flight, from 0 (all) to 3 (least). It is the caller's decision and belongs
+        `effort`: level of the effort in flight, from 0 (full) to 3 (least). It is the caller's decision and belongs
         in the schedule: the same exposures with the same efforts give the same bits.
         """
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
         """The map under the newest keyframe as it is now; None without one there.
 
-        `about`: (2,) metres in the map's frame, a place that the map is to show too, from however long ago it is known.
+        `about`: (2,) metres in the map's frame, a place that the map is to show too, even if it was seen long ago.
         """
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
@@ -84,7 +84,7 @@ class MappingLane(Protocol):
 
 
 def vehicle_at_end(trajectory: Trajectory, ground: float | None, frame: MapFrame) -> VehiclePosition:
-    """Where a recording ends, in the map's frame, and how high above the ground the vehicle usually was."""
+    """Position at the end of a recording, in the map's frame, with the median height above ground."""
     ups = [m.world_from_body.translation[2] for m in trajectory.usable.values()]
     above = float(np.median(ups) - frame.offset_world[2] - (ground or 0))
     return VehiclePosition(trajectory.motions[-1].world_from_body.translation - frame.offset_world, above)

@@ -1,8 +1,8 @@
-"""Where things drive or walk: ground is remembered for a while after something moved across it, or came to stand on it.
+"""Memory of traffic: ground is remembered for a while after something moved across it, or came to stand on it.
 
-A road between two cars looks as level and empty as a yard. `Flag.MOVING` tells that something moves there now, and the
-next map has forgotten it. What moves where plants or water are is those; on paved ground it is traffic. Bare ground
-does not count: dry grass is called so, and it sways.
+A road between two cars looks as level and empty as a yard. `Flag.MOVING` marks motion of the moment, and the
+next map has forgotten it. On plants or water these move themselves; on paved ground it is traffic. Bare ground
+does not count: dry grass is often classified so, and it sways.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from alight.pipeline.remembered import CELL, Remembered, cells_at, shown
 from alight.raster import without_specks
 from alight.records import Flag, Terrain, TerrainMap
 
-LEAST_AREA = 2.0  # m^2 side by side, for less is noise: a car with its rim covers 8 to 15
+LEAST_AREA = 2.0  # m^2 side by side, less is noise: a car with its rim covers 8 to 15
 LEAST_CAME = 0.08  # m^2 side by side: the shoulders of a person, seen from above
 
 
 def what_moves(grid: Grid, flags: U16) -> I64:
-    """Cells (N, 2) to remember of which a good part moves by the flags (R, C), with enough of them side by side."""
+    """Cells (N, 2) of `CELL` to remember: `SHARE` of each is MOVING by the flags (R, C), with enough side by side."""
     moves = (flags & np.uint16(Flag.MOVING)) != 0
     if not moves.any():
         return np.zeros((0, 2), np.int64)
@@ -29,7 +29,7 @@ def what_moves(grid: Grid, flags: U16) -> I64:
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
-    """Cells (N, 2) to remember, into which a mask (R, C) of what came to stand reaches, enough of it side by side."""
+    """Cells (N, 2) of `CELL` to remember, touched by patches, large enough, of a mask (R, C) of where somebody came."""
     return cells_at(grid, without_specks(came, grid.cell, LEAST_CAME))
 
 

@@ -1,4 +1,4 @@
-"""What both ways of mapping do alike with keyframes."""
+"""Common policy of both ways of mapping for keyframes."""
 
 from __future__ import annotations
 

@@ -24,10 +24,10 @@ log = logging.getLogger(__name__)
 
 
 class RecursiveMapper:
-    """Finds the ground first; then every keyframe is a step of the map.
+    """Recursive mapper: it finds the ground first; then every keyframe is a step of the map.
 
     Args:
-        history: keep what the end of a recording needs.
+        history: keep the data for the end of a recording.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class RecursiveMapper:
         self._newest: Navigation | None = None  # keyframe
         self._frame: MapFrame | None = None  # of the map, by the newest exposure
         self._newest_ns = -(1 << 62)  # exposure
-        self._step = 0  # keyframes that the map was improved with
+        self._step = 0  # number of keyframes in the map
         self._warnings: list[str] = []
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
@@ -62,9 +62,9 @@ class RecursiveMapper:
         return MapUpdate(self._step, steps) if steps else None
 
     def _follows(self, frame: MapFrame, t_ns: int) -> bool:
-        """Take over the frame of the newest exposure, and drop the map where it is another one.
+        """Adopt the frame of the newest exposure, and drop the map if that is another frame.
 
-        False for an exposure that came late and belongs to another frame: it has no place in the map.
+        False for an exposure that is out of sequence and belongs to another frame: it has no place in the map.
         """
         if self._frame is not None and frame.frame_id != self._frame.frame_id:
             if t_ns < self._newest_ns:
@@ -85,7 +85,7 @@ class RecursiveMapper:
             self._warnings.append(warning)
 
     def _grow(self, navigation: Navigation, effort: int) -> int:
-        """Find the ground, or take the newest keyframe into the map; how many steps that were."""
+        """Find the ground, or take the newest keyframe into the map; return the number of steps."""
         look = self.store.taken % self._tuning.find_every == 0
         if self._map.ground is not None:
             steps = self._advance(self.store.keyframes[-1:], navigation, effort)
@@ -94,9 +94,7 @@ class RecursiveMapper:
             return steps
         if look and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
             return self._advance(self.store.keyframes, navigation, effort)
-        if (
-            len(self.store) >= self._tuning.kept_by_ring
-        ):  # the height is not known, so the baseline that it takes is not
+        if len(self.store) >= self._tuning.kept_by_ring:  # the height is not known, nor is the needed baseline
             self.store.thin()
             self._first_step *= 2
         return 0
@@ -111,7 +109,7 @@ class RecursiveMapper:
         return self._step - before
 
     def _views_now(self, most: int | None = None) -> list[View]:
-        """The newest keyframes as views, with what is known of their poses by now."""
+        """The newest keyframes as views, with the newest estimates of their poses."""
         known = self._newest.posterior if self._newest is not None else None
         newer = {m.t_ns: m for m in known.motions} if known is not None else None
         return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)

@@ -18,7 +18,7 @@ from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_dow
 from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 
-COARSE = 4  # cells: every so manieth shows where the ground is
+COARSE = 4  # cells: every n-th of them is used for the ground height
 
 
 @dataclass(eq=False)
@@ -26,19 +26,19 @@ class RecursiveMap(GroundMap):
     """Recursive parallax over a window of keyframes."""
 
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
-    out_of_range: bool = False  # many of the newest heights lie at an end of the searched range, or none is given out
+    out_of_range: bool = False  # many of the newest heights are at an end of the searched range, or none is given out
     level: int = 0  # of the newest keyframe's cells
-    passed: Remembered = NOWHERE  # where something moved, in the frame of the poses
-    came: Remembered = NOWHERE  # where somebody came to stand, in the same frame
+    passed: Remembered = NOWHERE  # places where something moved, in the frame of the poses
+    came: Remembered = NOWHERE  # places where somebody came to stand, in the same frame
     _ring: RecursiveParallax | None = None
 
     @property
     def ground_below(self) -> float | None:
-        """Metres above the origin, the ground under the vehicle as far as known."""
+        """Ground height under the vehicle as far as known, metres above the origin."""
         return self.ground if self.ground_here is None else self.ground_here
 
     def find_ground_again(self, views: Sequence[View], least: float) -> None:
-        """Find the ground where it lies beyond what was searched; what was found there is looked at anew."""
+        """Find the ground if it lies beyond the searched heights; all cells are then swept anew."""
         known, self._points = self._points, NO_POINTS
         if not self.find_ground(views, least):
             self._points = known
@@ -49,11 +49,11 @@ class RecursiveMap(GroundMap):
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
         """Drop the heights: the poses to come have another frame, `shift` (3,) metres from that of the old ones.
 
-        Where the ground is goes on being known, as well as the search for heights needs it. What moved and who came is
-        remembered about its place, because that is known to `sigma` metres on the ground.
+        The ground height is kept, well enough for the search of heights. Places of traffic and of people are
+        kept and grown, because they are known to `sigma` metres on the ground.
 
         Returns:
-            Whether there were any heights.
+            True if there were any heights.
         """
         if self.elevation is None or self.ground is None:
             return False
@@ -72,8 +72,8 @@ class RecursiveMap(GroundMap):
     def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
         """Take a keyframe into the window and improve the map; False without a baseline yet.
 
-        `poses`: what is known of the last keyframes' poses; they are refined with the map. None: they are exact.
-        `effort`: how much to do, from 0 (all) to 3 (least).
+        `poses`: joint posterior of the last keyframes; they are refined with the map. None: they are exact.
+        `effort`: level of the effort, from 0 (full) to 3 (least).
         """
         down = looking_down(views)
         if self.elevation is None or self.ground is None or not down:
@@ -125,25 +125,25 @@ class RecursiveMap(GroundMap):
         return True
 
     def _note_traffic(self, grid: Grid, flags: U16, t_ns: int, height: float) -> None:
-        """Remember what moves, from a height above ground (metres) that shows enough of it (G6b)."""
+        """Remember moving places, seen from a `height` above ground (metres) that shows enough of them (G6b)."""
         keys = self.settings.hazards
         self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
         if height >= keys.traffic_height and keys.traffic_memory > 0:
             self.passed = self.passed.with_seen(what_moves(grid, flags), t_ns)
 
     def _note_who_came(self, ring: RecursiveParallax, t_ns: int) -> None:
-        """Remember where somebody came to stand (G6c)."""
+        """Remember the places where somebody came to stand (G6c)."""
         self.came = self.came.since(t_ns - round(self.settings.hazards.came_memory * 1e9))
         for grid, came in ring.came:
             self.came = self.came.with_seen(who_came(grid, came), t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
-        """The map of what the views look at, and of the ground about a place, (2,) metres; None where nothing was seen.
+        """The map of the ground in the views, and of that about a place, (2,) metres; None where nothing was seen.
 
         On the newest keyframe's cells, or on coarser ones where these are finer than the lander needs.
 
         Raises:
-            SettingsError: where it would be too large for any memory, as when the ground is lost.
+            SettingsError: the map would be too large for any memory, as when the ground is lost.
         """
         if self.elevation is None or self.ground_here is None or not views:
             return None
@@ -165,13 +165,13 @@ def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: fl
 
 
 def box_in(grid: Grid, part: Grid) -> tuple[slice, slice]:
-    """Rows and columns of a grid that another one is."""
+    """Rows and columns of a grid that `part`, another grid on its cells, covers."""
     row, col = (round(float(v)) for v in grid.index(np.array(part.east), np.array(part.north)))
     return slice(row, row + part.rows), slice(col, col + part.cols)
 
 
 def changed(found: Heights, known: ElevationMap, where: tuple[slice, slice]) -> Heights:
-    """What a step changed in a part of the map; what it left as it was is not taken for seen at this cell size."""
+    """Changes of a step in a part of the map; unchanged cells are UNSEEN, not to count at this cell size."""
     height, sigma, flags, rgb = (getattr(known, k)[where] for k in ("height", "sigma", "flags", "rgb"))
     same = (found.height == height) & (found.sigma == sigma) & (found.flags == flags)
     same &= (found.rgb == rgb).all(axis=2)

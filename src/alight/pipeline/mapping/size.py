@@ -1,4 +1,4 @@
-"""How large a map becomes, told before memory is asked for."""
+"""Size of a map in memory, checked before it is allocated."""
 
 from __future__ import annotations
 

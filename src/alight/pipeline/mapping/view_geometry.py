@@ -1,4 +1,4 @@
-"""What a view sees of the ground: which look down, how far they reach, and how fine the map's cells are to be."""
+"""Geometry of views and ground: views that look down, their footprints, and the cell size of the map."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def nice_cell(sampling: float, ratio: float) -> float:
 
 
 def level_for(sampling: float, cell: float, now: int, tuning: MappingTuning) -> int:
-    """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while it will do."""
+    """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while that suits."""
     exact = math.log2(tuning.cell_over_pixel * sampling / cell)
     return now if abs(exact - now) <= 0.5 + tuning.level_slack else round(exact)
 
@@ -44,13 +44,13 @@ def _border(camera: Camera) -> F64:
 
 
 def footprint(view: View, height: float) -> F64:
-    """Where the image's border meets level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
+    """Footprint of the image's border on level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
     rays = _border(view.camera) @ view.world_from_cam.rotation.T
     down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
 
 
 def bounds(views: Sequence[View], height: float) -> tuple[F64, F64]:
-    """The rectangle about all that the views see of level ground: its south-west and north-east corner, (2,) metres."""
+    """The rectangle about all footprints of the views on level ground: south-west and north-east corner, (2,) m."""
     corners = np.concatenate([footprint(v, height) for v in views])
     return corners.min(axis=0), corners.max(axis=0)

@@ -20,7 +20,7 @@ __all__ = [
 
 
 def all_at_end(kind: str, settings: StageSettings, poses: TimedPoses | None) -> bool:
-    """Whether the motions of a recording come all at once, at its end."""
+    """True if the motions of a recording come all at once, at its end."""
     method = settings.motion.method
     return poses is None and (method == "bundle" or (method == "auto" and kind == "photos"))
 
@@ -33,7 +33,7 @@ def navigation_lane(
     Args:
         kind: `flight` (continuous) or `photos` (far apart).
         poses: body poses that replace the estimated ones.
-        history: keep what the end of a recording needs.
+        history: keep the data for the end of a recording.
         jobs: finds features and matches pairs of photos.
     """
     if poses is not None:

@@ -13,14 +13,14 @@ from alight.settings import BundleSettings
 
 
 class BundleLane:
-    """Keeps the photos; their motions come all at once.
+    """Lane that keeps the photos; their motions come all at once.
 
     Args:
         jobs: finds features and matches pairs.
     """
 
     def __init__(self, rig: Rig, settings: BundleSettings, jobs: Jobs) -> None:
-        colmap()  # missing? say so before the photos are read
+        colmap()  # if it is missing, fail before the photos are read
         self._rig, self._settings, self._jobs = rig, settings, jobs
         self._frames: list[Frame] = []
         self._nav: list[NavSample | None] = []

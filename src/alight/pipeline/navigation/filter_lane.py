@@ -1,9 +1,9 @@
 """Tracker and filter, and the smoother at the end of a recording.
 
-Two halves that may run at the same time and give the same bits however they are scheduled: while the filter takes in
-one exposure, the next one is tracked. So every exposure is predicted from the filter's state after the last exposure
-but one, carried on by the IMU, whether or not the last one is done. No thread here: in turn `feed` calls the halves one
-after the other, and `alight.runner.live` calls them on two threads.
+Two halves may run at the same time and give the same bits for any schedule: while the filter takes one exposure, the
+next one is tracked. So every exposure is predicted from the filter's state after the last exposure but one, even if the
+last one is done; the IMU propagates that state. There is no thread here: `feed` calls the halves one after the other,
+and `alight.runner.live` calls them on two threads.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSamp
 from alight.settings import StageSettings
 from alight.tracks import Tracker
 
-_STAMPS = 256  # of exposures that are remembered, to find those that come twice
-_MOST_ROWS = 1000  # that wait for an exposure; 5 s of them
+_STAMPS = 256  # of exposures that are remembered, to find repeated ones
+_MOST_ROWS = 1000  # rows that wait for an exposure; 5 s of them
 _IMU_NS = 2_000_000_000  # ns of inertial measurements that a prediction may need
 Row = NavSample | ImuSample
 
 
 @dataclass(frozen=True, eq=False)
 class FrameBatch:
-    """One exposure and the rows that came before it; without exposure where none has come for long."""
+    """One exposure and the rows that came before it; without an exposure if none has come for long."""
 
     frame: Frame | None
     rows: tuple[Row, ...]
@@ -43,16 +43,16 @@ class FrameBatch:
 
 @dataclass(frozen=True, eq=False)
 class TrackedFrame:
-    """An exposure and where the features are in it."""
+    """An exposure and its tracked features."""
 
     frame: Frame
     tracks: Tracks
 
 
 class EventBatcher:
-    """Gathers events into batches in the order of arrival; it holds little, whatever fails to come.
+    """Gather events into batches in the order of arrival; memory is bounded, whichever stream stops.
 
-    Of exposures with one stamp the first is taken, as the log's reader does: nobody knows when the others were.
+    Of exposures with one stamp the first is taken, as the log's reader does: the times of the others are not known.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class EventBatcher:
 
 
 class Handover(Protocol):
-    """Takes predictions from the filter to the tracker, in order; between threads `get` waits for one."""
+    """Queue of predictions from the filter to the tracker, in order; between threads `get` waits for one."""
 
     def put(self, item: MotionPredictor | None) -> None:
         """Add a prediction."""
@@ -103,7 +103,7 @@ class HandoverInTurn:
 
 
 def prediction_for(exposure: int) -> int:
-    """Which prediction an exposure (from 0) is tracked by: 0 before the first, k after the k-th has been taken in."""
+    """Number of the prediction for an exposure (from 0): 0 is made before the first exposure, k after the k-th."""
     return exposure if exposure < 2 else exposure - 1
 
 
@@ -137,7 +137,7 @@ class TrackingHalf:
 
 
 class FilterHalf:
-    """The filter, what it gives out, and how often it was lost."""
+    """The filter, its output, and the number of exposures at which it was lost."""
 
     def __init__(self, rig: Rig, settings: StageSettings, handover: Handover, history: bool, frame_id: int) -> None:
         self._settings = settings.motion.filter
@@ -174,7 +174,7 @@ class FilterHalf:
         return Navigation(tracked.frame, motion, self._filter.keyframes(), self.attitude)
 
     def refined(self) -> RefinedMotions:
-        """The motions refined together; empty where that is not asked for or not possible."""
+        """The motions refined together; empty where that is switched off or not possible."""
         return self._filter.refined()
 
     def online(self) -> list[Motion]:
@@ -183,7 +183,7 @@ class FilterHalf:
         return sorted((newest[m.frame_id].motion(m) for m in self._motions), key=lambda m: m.t_ns)
 
     def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
-        """What went wrong, in sentences."""
+        """Warnings on the motion, in sentences."""
         out = []
         if self._filter.too_late:
             out.append(_left_out(self._filter.too_late, "came late"))
@@ -206,10 +206,10 @@ class FilterLane:
     """Feature tracks and the structure-from-motion filter (docs/method/motion.md).
 
     Args:
-        history: keep what the end of a recording needs; without it memory does not grow with the flight, and nothing
-            is smoothed.
-        handover: how predictions go from the filter to the tracker, where the halves run on two threads.
-        frame_id: of the first motion; a lane that takes another one's place goes on with its `next_frame`.
+        history: keep the data for the end of a recording; without it memory does not grow with the flight, and
+            nothing is smoothed.
+        handover: queue of predictions from the filter to the tracker, where the halves run on two threads.
+        frame_id: of the first motion; a lane that replaces another one goes on with its `next_frame`.
     """
 
     def __init__(
@@ -242,7 +242,7 @@ class FilterLane:
         return self._batcher.take(event)
 
     def hear(self, batch: FrameBatch) -> None:
-        """Give the filter the rows of a batch, before its exposure is tracked or while it is."""
+        """Give the filter the rows of a batch, before or while its exposure is tracked."""
         self._filtering.hear(batch)
 
     def track(self, batch: FrameBatch) -> TrackedFrame | None:

@@ -14,8 +14,8 @@ from alight.pipeline.navigation.lane import Navigation, Progress, TimedPoses, Tr
 from alight.records import Event, Frame, KeyframePosterior, Motion, Rig
 from alight.settings import MotionSettings
 
-GIVEN_SIGMA = 1e-3  # metres and radians, claimed of poses that are taken as they are
-LONGEST_GAP_NS = 1_000_000_000  # between given poses that are interpolated
+GIVEN_SIGMA = 1e-3  # metres and radians, 1-sigma of poses that are taken as exact
+LONGEST_GAP_NS = 1_000_000_000  # ns, most between given poses that are interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class GivenKeyframe:
 
 
 class GivenLane:
-    """Given poses, interpolated; each has errors of its own as large as the settings say, or none.
+    """Given poses, interpolated; each has independent errors of the size in the settings, or none.
 
     Args:
         poses: stamps in ns, ascending, and `world_from_body` at each.

@@ -1,4 +1,4 @@
-"""What the navigation lane hands out, and the interface of the three ways to find the motion."""
+"""Output of the navigation lane, and the interface of the three ways to find the motion."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Keyframes(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Navigation:
-    """One exposure with everything that the other lanes may know of its motion, by value."""
+    """One exposure with all data on its motion for the other lanes, by value."""
 
     frame: Frame
     motion: Motion | None  # None: it comes at the end, with all others (`TrueTrajectory`)
@@ -40,23 +40,23 @@ class Navigation:
     def posterior(self) -> KeyframePosterior | None:
         """Joint posterior of the keyframes after this exposure; None: poses are exact.
 
-        It is computed when it is first asked for, by the lane that asks: only keyframes of the map need it.
+        It is computed at first use, by the lane that uses it: only keyframes of the map need it.
         """
         return None if self.keyframes is None else self.keyframes.posterior()
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The motions of a whole recording in the world, refined with everything that came."""
+    """The motions of a whole recording in the world, refined with all its data."""
 
     motions: tuple[Motion, ...]  # in order of time
-    rig: Rig  # with the lens as the estimator left it
+    rig: Rig  # with the lens as estimated
     warnings: tuple[str, ...] = ()
     notes: Mapping[str, object] = field(default_factory=dict)
     joint: KeyframePosterior | None = None  # joint posterior of some or all of the poses; None: they are exact
-    photos: tuple[PhotoOutcome, ...] = ()  # what became of the tags of each photo
+    photos: tuple[PhotoOutcome, ...] = ()  # outcome of the tags of each photo
     attitude: bool = True  # one was measured, or the poses are given
-    points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, what the poses were adjusted with
+    points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, points of the adjustment
 
     @property
     def usable(self) -> dict[int, Motion]:
@@ -65,19 +65,19 @@ class Trajectory:
 
     @property
     def place(self) -> MapFrame:
-        """The place of all motions in the world: no offset is left, and the best known one limits what they share."""
+        """The place of all motions in the world: no offset is left; the smallest covariance is their common one."""
         best = min(self.usable.values(), key=lambda m: float(np.trace(m.covariance[:3, :3])))
         return MapFrame(self.motions[-1].frame_id, np.zeros(3), best.covariance[:3, :3])
 
     @property
     def reason(self) -> str:
-        """Why there is no motion at all."""
+        """Reason why there is no motion at all."""
         otherwise = "there is no GPS/INS position with height to start from (nav0), or no picture could be placed"
         return "no motion: " + (self.warnings[-1] if self.warnings else otherwise)
 
 
 def sparse(motions: Sequence[Motion]) -> tuple[Motion, ...]:
-    """Evenly spaced motions, so many that their joint covariance has a bounded size."""
+    """Evenly spaced motions, few enough to bound the size of their joint covariance."""
     return tuple(motions[:: max(1, len(motions) // _MOST_JOINT)])
 
 

@@ -1,4 +1,4 @@
-"""What a campaign shows, as numbers."""
+"""The results of a campaign as numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alight.records.campaign import OUTCOMES, PLACES, LandingRecord, LookLine
 
 CONFIDENCE = 0.95
 SUN_EDGES = (0.0, 25.0, 40.0, 55.0, 90.0)  # degrees above the horizon
-FAINT_SUN = 0.5  # strength of the sun below which its place tells nothing
+FAINT_SUN = 0.5  # strength of the sun below which its position has no effect
 P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
 WIND_EDGES = (0.0, 2.0, 4.0, 6.0)  # m/s
 NO_FAULT = "none"
@@ -31,13 +31,13 @@ class PBin:
     low: float
     high: float
     safe: int
-    unsafe: int  # by the ground, or by what stood beside it: P(safe) says nothing of speeds
+    unsafe: int  # by the ground, or by obstacles beside it: P(safe) does not include speeds
     mean_p: float
 
 
 @dataclass(frozen=True)
 class LookChange:
-    """Places by what the first look at them said and what the last one."""
+    """Number of places by the verdicts of the first and of the last look at them."""
 
     first: str
     last: str
@@ -48,14 +48,14 @@ class LookChange:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median and 95th percentile; None where there is nothing."""
+    """Median and 95th percentile; None without a value."""
 
     median: float | None
     p95: float | None
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
-        """Of numbers."""
+        """Compute them of some numbers."""
         v = np.array(list(values), np.float64)
         return cls(float(np.median(v)), float(np.percentile(v, 95))) if v.size else cls(None, None)
 
@@ -69,8 +69,8 @@ class CampaignNumbers:
     right: float | None  # share that landed safely or was rightly refused
     touchdowns: int
     unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast, or struck something
-    struck: int  # landings that struck what stood beside them in flight
-    nearest: float | None  # metres of the feet above all within the footprint, before the landing was begun: the least
+    struck: int  # landings that struck an obstacle beside them in flight
+    nearest: float | None  # metres, least height of the feet above all in the footprint before the landing was begun
     bound: float  # no more than this share of landings that did not fail ends unsafely, with 95 %
     touchdown_bound: float  # the same of landings that touched anything
     ground_bound: float  # of landings that did not fail, on unsafe ground
@@ -87,7 +87,7 @@ class CampaignNumbers:
     cpu_of: dict[str, Spread]  # of its parts
 
     def as_json(self) -> dict[str, Any]:
-        """For campaign.json."""
+        """Return the numbers as a tree for campaign.json."""
         return asdict(self)
 
 
@@ -104,7 +104,7 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
     down = [r for r in records if r.touchdown is not None or r.strike is not None]
     ground = sum(r.touchdown is not None and r.touchdown.bad_ground for r in down)
     n, unsafe = len(records), outcomes["landed unsafely"]
-    known = n - outcomes["failed"]  # of the others nobody knows how they would have ended
+    known = n - outcomes["failed"]  # the end of the others is unknown
     return CampaignNumbers(
         landings=n, outcomes=outcomes, right=sum(outcomes[p] for p in PLACES) / n if n else None,
         touchdowns=len(down), unsafe_ground=ground,

@@ -1,4 +1,4 @@
-"""The page of a campaign: the answer first, then outcomes, touchdowns that were unsafe, P(safe), looks, times."""
+"""The page of a campaign: the answer first, then outcomes, unsafe touchdowns, P(safe), looks, times."""
 
 from __future__ import annotations
 

@@ -16,19 +16,19 @@ from alight_sim.steered import SteeredFlight
 Range = tuple[float, float]
 Numbers = Mapping[str, float]
 TURN: Range = (0.0, 2.0 * math.pi)
-IN_TIME = 2.5  # m above the ground: what comes stands there before a vehicle that sinks by 1 m/s is lower. A landing
-# is not broken off below 1.5 m, and no camera that looks down sees a car come in time from there
-BRAKES = 2.0  # s that braking adds to the way, at most
+IN_TIME = 2.5  # m above the ground: a body arrives before a vehicle that sinks by 1 m/s is lower. A landing is not
+# broken off below 1.5 m, and from there no camera that looks down sees a car come in time
+BRAKES = 2.0  # s, the most that braking adds to the time of arrival
 WALK = 1.4  # m/s
 
 
 @dataclass(frozen=True)
 class CampaignFault:
-    """A kind of fault or event: the ranges of its numbers, and what it does to the vehicle."""
+    """A kind of fault or event: the ranges of its numbers, and its effect on the vehicle."""
 
     ranges: Mapping[str, Range]  # its numbers are uniform in them
     act: Callable[[SteeredFlight, Numbers], object]
-    is_body: bool = False  # something that comes to where the vehicle is
+    is_body: bool = False  # a car or person that comes to the place of the vehicle
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Draw each of its numbers, uniform in its range."""
@@ -40,13 +40,13 @@ def _along(n: Numbers) -> tuple[float, float]:
 
 
 def _time_left(v: SteeredFlight) -> float:
-    """Seconds in which a body has to come."""
+    """Seconds in which a body must arrive, for a vehicle that sinks by 1 m/s."""
     east, north, up = (float(c) for c in v.true_pose.translation)
     return up - v.world.height_at(east, north) - IN_TIME
 
 
 def _start(v: SteeredFlight, n: Numbers, speed: float) -> tuple[float, float]:
-    """Where it comes from: nearer than planned where it would be late."""
+    """Start of a body, east and north in metres: nearer than planned if it would be late."""
     (x, y), away = _along(n), min(n["from"], speed * max(_time_left(v) - BRAKES, 0.0))
     return float(v.true_pose.translation[0] + away * x), float(v.true_pose.translation[1] + away * y)
 
@@ -96,11 +96,11 @@ FAULTS: Mapping[str, CampaignFault] = {
 
 
 class Happenings:
-    """Called before every order of a landing: lets the planned faults happen, and measures the way.
+    """Called before every order of a landing: triggers the planned faults, and measures the distance flown.
 
     Args:
-        vehicle: what they happen to.
-        planned: in any order.
+        vehicle: the vehicle of the landing.
+        planned: its faults, in any order.
     """
 
     def __init__(self, vehicle: SteeredFlight, planned: tuple[FaultRecord, ...]) -> None:
@@ -109,10 +109,10 @@ class Happenings:
         self._happened: dict[int, float] = {}
         self._at = vehicle.true_pose.translation.copy()
         self.distance = 0.0  # metres
-        self.nearest: float | None = None  # metres of the feet above all within the vehicle's radius, on the way
+        self.nearest: float | None = None  # metres, least height of the feet above all within the radius
 
     def __call__(self, t: float, state: FlightState) -> None:
-        """Let happen what is due; add the way flown since the last call to `distance`, and see how near it leads.
+        """Trigger the faults that are due; update `distance` and `nearest` with the flight since the last call.
 
         Args:
             t: s of the flight.

@@ -1,4 +1,4 @@
-"""Fly one landing of a campaign and judge it. What raises in flight is an outcome like any other."""
+"""Fly one landing of a campaign and judge it. An exception in flight is an outcome like any other."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
     """Fly a landing; an exception becomes the outcome `failed`.
 
     Args:
-        conditions: all that is drawn.
+        conditions: the drawn conditions.
         settings: of the aircraft.
-        fly: in place of the true one, in tests.
+        fly: replaces `fly_landing` in tests.
 
     Raises:
         InputError: it cannot begin: the scene, the lander or the model of appearance cannot be used.
@@ -78,7 +78,7 @@ def _in_a_line(error: BaseException) -> str:
 
 
 def _raised(vehicle: SteeredFlight, conditions: Conditions, settings: Settings, error: Exception) -> Flown:
-    """A landing that raised in flight; what it met until then counts."""
+    """Record of a landing that raised in flight; its contacts until then count."""
     touchdown, strike = met(vehicle, settings)
     unsafe = strike is not None or (touchdown is not None and not touchdown.safe)
     more: dict[str, object] = {"touchdown": touchdown, "strike": strike}

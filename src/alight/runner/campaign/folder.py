@@ -34,7 +34,7 @@ class CampaignFolder:
         """Read campaign.json; None: the folder holds no campaign.
 
         Raises:
-            InputError: campaign.json is none of ours.
+            InputError: campaign.json is not of a campaign.
         """
         path = self.out / HEAD
         try:
@@ -45,7 +45,7 @@ class CampaignFolder:
             raise InputError(f"{path}: is not a campaign's ({_why(e)}); name another folder") from e
 
     def begin(self, head: CampaignHead) -> None:
-        """Make the folder, or see that it is this campaign's, take it, and mend the last line where it is torn.
+        """Make the folder, or test that it is this campaign's; lock it, and cut off a last line that is incomplete.
 
         Raises:
             OutputError: the folder holds another campaign or other files, another process writes there, or it cannot
@@ -69,11 +69,11 @@ class CampaignFolder:
         self._mend()
 
     def end(self) -> None:
-        """Give the folder back."""
+        """Release the folder."""
         release_folder(self.out)
 
     def write_head(self, head: CampaignHead, more: dict[str, Any]) -> None:
-        """Write campaign.json whole: the head first, then what was found."""
+        """Write campaign.json whole: the head first, then the results."""
         text = json.dumps(head.model_dump(mode="json") | more, indent=1)
         write_whole(self.out / HEAD, (text + "\n").encode())
 
@@ -86,7 +86,7 @@ class CampaignFolder:
             write_whole(self._path, b"".join(line + b"\n" for line in kept))
 
     def _lines(self) -> list[bytes]:
-        """The lines of landings.jsonl, and what follows the last of them: nothing where all are whole."""
+        """The lines of landings.jsonl, and the bytes after the last of them: empty if all lines are whole."""
         try:
             data = read_bytes(self._path, LARGEST_LINES)
         except FileNotFoundError:
@@ -96,7 +96,7 @@ class CampaignFolder:
         return data.split(b"\n")
 
     def read(self) -> dict[int, LandingRecord]:
-        """All landings that ended, by number; a torn last line is left out.
+        """All landings that ended, by number; an incomplete last line is left out.
 
         Raises:
             InputError: the file cannot be read, or a line before the last is damaged.
@@ -135,7 +135,7 @@ class CampaignFolder:
 
 
 def _record(line: bytes) -> LandingRecord:
-    """A line of landings.jsonl.
+    """Read a line of landings.jsonl.
 
     Raises:
         DocumentError: it is damaged.

@@ -1,4 +1,4 @@
-"""What the landings of a campaign depend on besides its seed and settings: the program, and the files that it reads."""
+"""Digests of the program and of the files that it reads, on which a campaign depends besides seed and settings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
 
 
 def _paths(tree: Any) -> Iterator[Path]:
-    """The paths in plain values."""
+    """All paths in a tree of plain values."""
     if isinstance(tree, Path):
         yield tree
     for part in tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list | tuple) else ():

@@ -1,12 +1,12 @@
-"""Which outcome a landing has, by the oracle: the true lander on the true ground.
+"""Outcome of a landing, by the oracle: the true lander on the true ground.
 
-A contact is judged wherever it happened, and is unsafe where no landing was meant. Without one, a landing that was
+A contact is judged wherever it happened, and is unsafe where no landing was intended. Without one, a landing that was
 given up is rightly refused if
 
 - the wind or the battery was truly beyond its limit when the executive gave up for that reason, or
-- the oracle finds no safe place, with the margin that the settings ask for, in the square that is searched,
+- the oracle finds no safe place, with the margin of the settings, in the square that is searched,
 
-and wrongly refused otherwise, also where the time or the search ended. Handed over is what the executive calls so.
+and wrongly refused otherwise, also where the time or the search ended. The executive decides alone on `handed over`.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def judge_landing(
     """Judge a landing that has ended.
 
     Args:
-        vehicle: as the landing left it.
-        landing: how it went.
-        settings: those it was flown with.
+        vehicle: in its state after the landing.
+        landing: its end and its diary.
+        settings: of the landing.
         start: east, north, metres: the middle of the square that is searched.
     """
     if vehicle.contacts:
@@ -70,12 +70,12 @@ def judge_landing(
 def met(
     vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf
 ) -> tuple[TouchdownLine | None, StrikeLine | None]:
-    """Judge all contacts: the worst from above, and what was struck in flight, in the landing before what was before.
+    """Judge all contacts: the worst touchdown, and the highest strike, one after `begun` before earlier ones.
 
     Args:
         vehicle: after its flight.
-        settings: those it was flown with.
-        begun: s, when the landing was begun.
+        settings: of its flight.
+        begun: s, begin of the landing.
     """
     down = [_line(vehicle, c, settings) for c in vehicle.contacts if c.struck is None]
     struck = [_strike(c, c.struck) for c in vehicle.contacts if c.struck is not None]
@@ -86,7 +86,7 @@ def met(
 
 
 def _touched(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
-    """One contact that was not meant, or a strike, makes a landing unsafe."""
+    """Judge a landing with contacts: one that was not intended, or a strike, makes it unsafe."""
     begun = max((x.t for x in landing.diary.transitions if x.after is FlightState.COMMIT), default=-math.inf)
     worst, strike = met(vehicle, settings, begun)
     early = min((contact_seconds(c) for c in vehicle.contacts if c.struck is None), default=math.inf)
@@ -123,7 +123,7 @@ def safe_share(vehicle: SteeredFlight, settings: Settings, start: tuple[float, f
     half = 0.5 * settings.executive.search_side
     lander, share = OracleLander.of(settings.lander.model_dump()), 0.0
     for step in STEPS:
-        rim = math.ceil(margin / step) * step  # the ground beyond the square is known as well
+        rim = math.ceil(margin / step) * step  # the true ground beyond the square exists as well
         out = half + rim
         places = safe_places(vehicle.world, (east - out, north - out, east + out, north + out), lander, step=step)
         k, whole = round(rim / step), places.with_margin(margin)

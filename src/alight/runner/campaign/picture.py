@@ -1,4 +1,4 @@
-"""The true ground round a contact, with all that stands on it then, as a picture."""
+"""Picture of the true ground around a contact, with all objects at that time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def ground_picture(world: World, contact: TouchdownLine | StrikeLine, radius: fl
 
     Args:
         world: with its bodies.
-        contact: where and when.
+        contact: its place and time.
         radius: metres, of the footprint.
     """
     half, e, n = AROUND * radius, contact.east, contact.north

@@ -16,11 +16,11 @@ from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.scene import built_in, read_scene
 
 MOST_WIND = 6.0  # m/s
-LIGHT = 1  # of the spawn key: a stream of chance of its own
+LIGHT = 1  # of the spawn key: random numbers of its own
 SUN = (12.0, 75.0)  # degrees above the horizon
 OVERCAST, CLOUDY = 0.25, 0.25  # shares of the landings
 FAULTY = 1.0 / 3.0  # share of the landings
-EARLIEST, LATEST = 5.0, 60.0  # s of a flight, for what happens at a time
+EARLIEST, LATEST = 5.0, 60.0  # s of a flight, for events at a time
 DELAY = 2.0  # s after a state is entered, at most
 AT_STATES = (FlightState.APPROACH, FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT)
 
@@ -49,7 +49,7 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
-    """Draw a landing: scenes take turns, all else is by chance.
+    """Draw the conditions of a landing: scenes take turns, all else is random.
 
     Args:
         scenes: names or files.
@@ -70,7 +70,7 @@ def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
 
 
 def drawn_light(rng: np.random.Generator) -> LightRecord:
-    """Any time of the day, a quarter of it overcast, a quarter with clouds that drift."""
+    """Draw the light: any time of the day, a quarter overcast, a quarter with clouds that drift."""
     place = {"azimuth_deg": rng.uniform(0.0, 360.0), "elevation_deg": rng.uniform(*SUN)}
     kind = rng.random()
     if kind < OVERCAST:
@@ -80,7 +80,7 @@ def drawn_light(rng: np.random.Generator) -> LightRecord:
 
 
 def _fault(rng: np.random.Generator) -> FaultRecord:
-    """One fault or event, at a time or at a state; a body comes only where it is in the way."""
+    """Draw one fault or event, at a time or at a state; a body comes only in states where it is in the way."""
     what = str(rng.choice(list(FAULTS)))
     fault, by_state = FAULTS[what], bool(rng.random() < 0.5)
     state = str(rng.choice([s.value for s in (AT_STATES[1:] if fault.is_body else AT_STATES)]))

@@ -1,4 +1,4 @@
-"""Fly a campaign: what is not done yet, line by line, and the report at the end."""
+"""Fly a campaign: the landings that are not done yet, one line each, and the report at the end."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LARGEST_PICTURE = 1_000_000  # bytes: ours have 20,000
 
 
 class Ended(NamedTuple):
-    """A landing that has ended, and how far the campaign is."""
+    """A landing that has ended, and the progress of the campaign."""
 
     record: LandingRecord
     done: int
@@ -66,7 +66,7 @@ class Campaign:
 
     @property
     def head(self) -> CampaignHead:
-        """The head of campaign.json, which tells one campaign from another."""
+        """The head of campaign.json, which identifies a campaign."""
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
             alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings,
@@ -74,10 +74,10 @@ class Campaign:
         )  # fmt: skip
 
     def check(self) -> None:
-        """See that landings can begin: one in each scene file, and one at least.
+        """Test that landings can begin: one in each scene file, and one at least.
 
         Raises:
-            InputError: they cannot; the scene, the lander or the model of appearance is named.
+            InputError: they cannot; the message names the scene, the lander or the model of appearance.
         """
         known = campaign_worlds()
         appearance_of(self.settings)
@@ -87,7 +87,7 @@ class Campaign:
 
 
 def wanted_landings(out: Path, asked: int | None) -> int:
-    """How many landings a campaign of named scenes has: as asked for, as the folder was begun with, or `USUAL`.
+    """Number of landings of a campaign of named scenes: `asked`, else that of the folder's campaign, else `USUAL`.
 
     Raises:
         InputError: the folder's campaign.json is damaged.
@@ -99,11 +99,11 @@ def wanted_landings(out: Path, asked: int | None) -> int:
 
 
 def continued(out: Path, landings: int | None = None) -> Campaign:
-    """The campaign of a folder, to go on with it or to report it again.
+    """Return the campaign of a folder, to continue it or to report it again.
 
     Args:
         out: the folder.
-        landings: how many there are to be; None: as many as it was begun with.
+        landings: new number of landings; None: the number that it was begun with.
 
     Raises:
         InputError: the folder holds no campaign, or one of scenes or settings that cannot be used any more.
@@ -128,23 +128,23 @@ def fly_campaign(
     tell: Callable[[Ended], None] = lambda ended: None,
     fly: FlyLanding = fly_landing,
 ) -> CampaignNumbers:
-    """Fly the landings that the folder does not hold yet, and write the report; interrupted, of what there is.
+    """Fly the landings that the folder does not hold yet, and write the report, also after an interruption.
 
     Args:
-        campaign: what is flown.
-        out: folder of the campaign; an interrupted one goes on.
+        campaign: the campaign to fly.
+        out: folder of the campaign; an interrupted one is continued.
         jobs: processes of this machine.
         scheduler: address of a Dask cluster instead.
         beside: folder of another campaign, for a table of both.
         tell: called whenever a landing ends.
-        fly: in place of the true one, in tests.
+        fly: replaces `fly_landing` in tests.
 
     Raises:
         OutputError: the folder is another campaign's, or cannot be written.
         InputError: its lines are damaged, no scheduler answers, or landings cannot begin.
     """
     if beside is not None:
-        numbers_in(beside)  # a wrong name is told before hours of work
+        numbers_in(beside)  # a wrong name is reported before hours of work
     campaign.check()
     head, folder = campaign.head, CampaignFolder(out)
     folder.begin(head)
@@ -164,7 +164,7 @@ def _go_on(
     tell: Callable[[Ended], None],
     fly: FlyLanding,
 ) -> CampaignNumbers:
-    """Fly what is open; the report is written however that ends."""
+    """Fly the open landings; the report is written however that ends."""
     done = {k for k, r in folder.read().items() if not r.was_lost}
     open_ = [k for k in range(campaign.landings) if k not in done]
     job = partial(fly_conditions, settings=campaign.settings, fly=fly)
@@ -205,7 +205,7 @@ def numbers_in(out: Path) -> CampaignNumbers:
     """The numbers of a campaign's folder.
 
     Raises:
-        InputError: it holds none.
+        InputError: it holds no campaign.
     """
     folder = CampaignFolder(out)
     if folder.head() is None:
@@ -218,14 +218,14 @@ class Again(NamedTuple):
 
     record: LandingRecord
     differing: list[str]  # names of the fields that are not the same
-    not_compared: str | None  # why there was no line to compare with; None: there was
+    not_compared: str | None  # reason why there was no line to compare with; None: there was one
 
 
 def again(campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_landing) -> Again:
-    """Fly one landing once more, and say in what it differs from its line in the folder; nothing is written.
+    """Fly one landing once more, and return the differences from its line in the folder; nothing is written.
 
     Raises:
-        InputError: the folder's campaign is damaged; that is said before the flight.
+        InputError: the folder's campaign is damaged; this is raised before the flight.
     """
     folder = CampaignFolder(out)
     there, why, old = folder.head(), "holds no campaign", None

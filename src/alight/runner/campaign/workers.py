@@ -1,4 +1,4 @@
-"""Who flies the landings: this process, several of this machine, or a Dask cluster. The results are the same."""
+"""Workers that fly the landings: this process, several of this machine, or a Dask cluster, with the same results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def fly_all(conditions: Sequence[Conditions], job: Job, jobs: int, scheduler: st
 
     Args:
         conditions: of the landings.
-        job: flies one; it can be pickled.
+        job: function that flies one landing; it can be pickled.
         jobs: processes of this machine; 1: this one.
         scheduler: address of a Dask cluster instead, such as tcp://host:8786.
 
@@ -50,7 +50,7 @@ def _one_thread() -> None:
 
 
 def _in_processes(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iterator[Flown]:
-    """A process that dies takes the pool with it: a new pool flies what is left, the suspects one at a time."""
+    """Fly in processes. One that dies ends its pool: a new pool flies the other landings, suspects one at a time."""
     left, died = {c.landing: c for c in conditions}, Counter[int]()
     while left:
         suspects = [c for c in left.values() if died[c.landing]]
@@ -67,14 +67,14 @@ def _in_processes(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iter
 
 
 def _pooled(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iterator[tuple[int, Flown | None]]:
-    """Yield landings with what came of them; None for those that were in flight when a process died."""
+    """Yield landings by number with their results; None for those that were in flight when a process died."""
     before = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")  # a forked process shares locks and threads of this one
     pool = ProcessPoolExecutor(min(jobs, len(conditions)), spawn, initializer=_one_thread)
     waiting, flying = list(reversed(conditions)), dict[Future[Flown], int]()
     try:
         while waiting or flying:
-            while waiting and len(flying) < jobs:  # no more than are flown: only those are suspects
+            while waiting and len(flying) < jobs:  # no more than are in flight: only those are suspects
                 c = waiting.pop()
                 flying[pool.submit(job, c)] = c.landing
             done = next(as_completed(flying))
@@ -87,14 +87,14 @@ def _pooled(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iterator[t
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - before:
-            process.terminate()  # or an interrupted campaign waits for what it does not want any more
+            process.terminate()  # or an interrupted campaign waits for landings that it does not need any more
 
 
 def _see_that_processes_start() -> None:
-    """Tell a landing whose process died from a machine on which every process does.
+    """Test whether processes start at all: a landing whose process died may not be the cause.
 
     Raises:
-        InputError: a process that has nothing to do dies, too.
+        InputError: a process without work dies as well.
     """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         try:
@@ -113,7 +113,7 @@ def _alone(job: Job, conditions: Conditions) -> Flown:
 
 
 def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> Iterator[Flown]:
-    """Dask flies a landing again, elsewhere, when its worker is lost."""
+    """Fly on a Dask cluster, which flies a landing again on another worker when its own is lost."""
     with dask_workers(scheduler) as client:
         import distributed
         from distributed.client import FutureCancelledError

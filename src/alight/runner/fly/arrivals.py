@@ -27,6 +27,6 @@ class Arrivals:
         self.times.append(now_ns * 1e-9)
 
     def facts(self, now_ns: int, frozen: int) -> CameraFacts:
-        """What the checks ask of the cameras; `frozen`: how many of the last pictures are the same."""
+        """Facts about the cameras for the checks; `frozen`: number of the last pictures that are the same."""
         recent = sum(now_ns * 1e-9 - t < WINDOW for t in tuple(self.times))
         return CameraFacts(self.frames, recent / WINDOW, self.delay, frozen)

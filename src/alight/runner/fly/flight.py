@@ -33,28 +33,28 @@ from alight.sources.capture import PREFIXES
 from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource, open_live
 
-PATIENCE = 90.0  # s that the checks may take until nothing is bad: an autopilot that was just started needs 40
-SETTLED = 8.0  # s after which warnings are taken as they are
+PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
+SETTLED = 8.0  # s after which warnings are accepted
 TELL_EVERY, TELEMETRY_EVERY = 0.2, 0.2  # s
-USUAL_RATE = 5.0  # exposures a second, to reckon with before the first has come
+USUAL_RATE = 5.0  # exposures a second, assumed before the first has come
 UNASKED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
 REFUSED = "the checks before the flight found something bad"
 
 
 @dataclass(frozen=True)
 class FlightRequest:
-    """The wishes of a user for one flown landing."""
+    """Options of one flown landing."""
 
     link: str  # udp:127.0.0.1:14550
     camera: str  # cameras, or a folder that is being filled
     out: Path
     settings: Settings
     rig: Path | None = None  # calibration of cameras
-    dry_run: bool = False  # orders are said, not sent
+    dry_run: bool = False  # orders are written in words, not sent
     home: Home | None = None  # for route.plan; None: the autopilot's; without a separation, the receiver's
-    separation: float | None = None  # metres, ellipsoid minus sea level; None: as the receiver reports it
+    separation: float | None = None  # metres, ellipsoid minus sea level; None: the receiver's
     take_off: float | None = None  # metres above home; None: it flies already
-    imu_rate: float = 100.0  # Hz that the autopilot is asked for; 0: no IMU
+    imu_rate: float = 100.0  # Hz requested of the autopilot; 0: no IMU
     record: bool = True
     overwrite: bool = False
 
@@ -87,12 +87,12 @@ Say = Callable[[str], None]
 
 
 def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say = lambda line: None) -> FlightOutcome:
-    """Check, take off where that is wanted, search, look, land or give up. Ctrl-C ends it with the vehicle holding.
+    """Check, take off if wanted, search, look, land or give up. Ctrl-C ends it with the vehicle holding.
 
     Args:
-        plan: what is to be flown.
-        tell: is told how it is, some times a second.
-        say: is told what happens, one line each: notices of the autopilot, changes of state, orders of a dry run.
+        plan: options of the landing.
+        tell: called with the status, some times a second.
+        say: called with one line each for notices of the autopilot, changes of state, orders of a dry run.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
@@ -135,7 +135,7 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
 def _until_well(
     checks: Callable[[], list[CheckResult]], tell: Callable[[list[CheckResult]], None], over: Callable[[], bool]
 ) -> list[CheckResult]:
-    """Wait until nothing is bad, and a little longer for what is not as it should be, or until it is over anyway."""
+    """Wait until no check is bad, and up to `SETTLED` s for warnings to end; `PATIENCE` s at most, or until `over`."""
     begin = time.monotonic()
     while True:
         found = checks()
@@ -148,13 +148,13 @@ def _until_well(
 
 
 class _Meeting:
-    """Waits until an autopilot is heard and says where it is."""
+    """Waits until an autopilot is heard and reports its position."""
 
     def __init__(self, plan: FlightRequest, feed: TelemetryFeed, tell: Tell, say: Say) -> None:
         self._plan, self._feed, self._tell, self._say, self._refused = plan, feed, tell, say, ""
 
     def wait(self, machine: Sequence[CheckResult]) -> list[CheckResult]:
-        """Return the findings, those of the machine first, when its position is known or the patience is over."""
+        """Return the findings, those of the machine first, when its position is known or `PATIENCE` is over."""
         begin, found = time.monotonic(), list[CheckResult]()
         while not self._feed.located and time.monotonic() - begin < PATIENCE:
             found = [*machine, *self._checks()]
@@ -200,7 +200,7 @@ class _Cabin:
         self._machine, self._tell, self._say = machine, tell, say
         self._vehicle: RemoteVehicle = feed.autopilot.vehicle
         self._hand: OrderTaker = SpokenVehicle(self._said_order) if plan.dry_run else self._vehicle
-        sites = plan.settings.sites.model_copy(update={"every": 0})  # judged when the executive asks
+        sites = plan.settings.sites.model_copy(update={"every": 0})  # judged on request of the executive
         settings = plan.settings.model_copy(update={"sites": sites})
         self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
         self._loop = FlightLoop(feed, self._vehicle, self._hand, self._pilot, self._status)
@@ -209,7 +209,7 @@ class _Cabin:
         self._arrivals, self._failed = Arrivals(), list[BaseException]()
         self._told = self._recorded = -math.inf
         self._checks: list[CheckResult] = []
-        self._stopped = ""  # by the user, and what the vehicle does then
+        self._stopped = ""  # in words, after a stop by the user, with the vehicle's action
 
     def close(self) -> None:
         """End the lanes."""
@@ -249,21 +249,21 @@ class _Cabin:
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
             self._failed.append(e)
 
-    # -- what is written and said
+    # -- recording and lines of text
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """As `LandingLog.order`: recorded."""
+        """As `LandingLog.order`: record it."""
         if self._run.recorder is not None:
             self._run.recorder.order(t_ns, state, words)
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """As `LandingLog.landing`: recorded and said."""
+        """As `LandingLog.landing`: record it and pass on its line."""
         if self._run.recorder is not None:
             self._run.recorder.landing(t_ns, entry)
         self._say(entry.line)
 
     def note(self, lane: str, words: str) -> None:
-        """As `LandingLog.note`: recorded and said."""
+        """As `LandingLog.note`: record it and pass on its line."""
         if self._run.recorder is not None:
             self._run.recorder.note(lane, words)
         self._say(f"{lane}: {words}")
@@ -296,7 +296,7 @@ class _Cabin:
     # -- before the landing
 
     def _refusal(self) -> str:
-        """Check and take off; return why no landing is begun, or an empty string."""
+        """Check and take off; return the reason why no landing is begun, or an empty string."""
         height = self._plan.take_off
         if not self._well(lambda: self._before(motion=height is None)):
             return REFUSED
@@ -305,7 +305,7 @@ class _Cabin:
         if why := self._loop.take_off(height, lambda hint: self.note("take-off", hint)):
             return f"take-off: {why}"
         known = self._well(lambda: [self._motion_check()], lambda: self._loop.taken)
-        if self._loop.taken:  # a landing would take it from whoever flies
+        if self._loop.taken:  # a landing would take control from somebody else
             return TAKEN
         return "" if known else f"the motion is not known after the take-off; {self._loop.hold()}"
 

@@ -1,4 +1,4 @@
-"""Pictures for an autopilot that has none: a scene, drawn where the vehicle says that it is."""
+"""Pictures for an autopilot without cameras: a scene, rendered at the poses that the vehicle reports."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
 SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
 STEP = 0.02  # s
 UNHEARD = 120.0  # s without a vehicle, after which this is an error; a SITL waits for the first link before this one
-LINGER = 5.0  # s after the touchdown, for whoever reads the pictures
+LINGER = 5.0  # s after the touchdown, for the reader of the pictures
 
 
 class _TrackReader:
-    """Makes the track of telemetry."""
+    """Makes the track of the cameras from telemetry."""
 
     def __init__(self, cameras: FollowedCameras) -> None:
         self._cameras, self.starts = cameras, 1
 
     def forget(self, starts: int) -> None:
-        """Begin anew after the autopilot has: its frame is another one."""
+        """Begin anew after a restart of the autopilot: its frame is another one."""
         self.starts = starts
         self._cameras.restart()
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
-        """Take a message of the vehicle."""
+        """Take a message of the vehicle, attitude or position, into the track."""
         if clock.known and name == "ATTITUDE_QUATERNION":
             R = border.world_from_body_of_quaternion([message.q1, message.q2, message.q3, message.q4])
             if R is not None:
@@ -46,7 +46,7 @@ class _TrackReader:
 
 
 class VehicleFollower:
-    """Draws what the cameras of a vehicle see, and never orders anything. Bytes in, bytes out; no socket.
+    """Renders the pictures of a vehicle's cameras, and never sends orders. Bytes in, bytes out; no socket.
 
     Args:
         cameras: of a scene.
@@ -61,7 +61,7 @@ class VehicleFollower:
 
     @property
     def touchdown(self) -> Touchdown | None:
-        """The oracle's verdict once the vehicle has flown, and stands disarmed."""
+        """The oracle's verdict, once the vehicle has flown and stands disarmed; None: not yet."""
         heard = self.autopilot.telemetry
         return self._cameras.touchdown() if self._flown and heard is not None and heard.is_down else None
 
@@ -89,8 +89,8 @@ def follow_vehicle(
         link: to the autopilot, one of its own beside that of `alight fly`.
         cameras: of the scene.
         folder: for the pictures, in the layout of a flight log.
-        seconds: after which it ends anyway.
-        say: is told when `alight fly` may be started, and when the first picture was written.
+        seconds: after which it ends in any case.
+        say: called with a line when `alight fly` may be started, and when the first picture was written.
 
     Returns:
         The oracle's verdict on the touchdown; None: there was none.

@@ -1,4 +1,4 @@
-"""The steps of a flight by the clock: the take-off, the landing, and the hold where either ends early."""
+"""The steps of a flight in real time: the take-off, the landing, and the hold if one of them ends early."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class FlightLoop:
 
     Args:
         feed: the link.
-        vehicle: what the autopilot reports.
-        hand: takes the orders: the vehicle itself, or one that says them.
+        vehicle: the autopilot's reports.
+        hand: takes the orders: the vehicle itself, or a `SpokenVehicle`.
         pilot: of the landing.
-        show: is told the phase, and in a landing how it is, after every step.
+        show: called after every step with the phase, and in a landing with its view.
     """
 
     def __init__(
@@ -38,11 +38,11 @@ class FlightLoop:
 
     @property
     def taken(self) -> bool:
-        """Whether nobody of us flies: not yet, or not any more."""
+        """Whether we are not in control: not yet, or not any more."""
         return not self._hand.in_control
 
     def listen(self) -> list[Notice]:
-        """Pass new notices of the autopilot to the pilot, and return them; what waits is sent."""
+        """Send waiting messages; pass new notices of the autopilot to the pilot, and return them."""
         self._feed.flush()
         with self._feed.lock:
             notices = self._feed.autopilot.notices()
@@ -51,7 +51,7 @@ class FlightLoop:
         return notices
 
     def take_off(self, height: float, note: Callable[[str], None]) -> str:
-        """Climb to a height, metres above the home; return why it did not work, or an empty string."""
+        """Climb to a height, metres above the home; return the reason if it failed, else an empty string."""
         climb, told = TakeOff(self._vehicle, self._hand, height, time.monotonic_ns()), ""
         while not climb.done and not climb.failed:
             with self._feed.lock:
@@ -66,7 +66,7 @@ class FlightLoop:
         return climb.failed
 
     def land(self, flying: bool, ended: Callable[[], bool]) -> None:
-        """Land, until the pilot is done or it is to end; `flying`: we fly already, after our own take-off."""
+        """Land, until the pilot is done or `ended` is True; `flying`: we fly already, after our own take-off."""
         self._pilot.begin(time.monotonic_ns(), flying)
         due = time.monotonic()
         while not ended():
@@ -78,10 +78,10 @@ class FlightLoop:
             time.sleep(max(due - time.monotonic(), 0.001))
 
     def hold(self) -> str:
-        """Make the autopilot hold by itself, and give control away; return in words what it does.
+        """Make the autopilot hold by itself, and give control away; return the vehicle's action in words.
 
         The order waits for a heartbeat and may be refused or lost: it is due on every turn until the mode is flown.
-        Nothing is shown or written meanwhile: that may be what has failed.
+        Nothing is shown or written meanwhile, as the display or the disk may have failed.
         """
         if self._hand is not self._vehicle:
             return "nothing was sent to the vehicle"
@@ -99,7 +99,7 @@ class FlightLoop:
         return "the vehicle holds its place" if held else UNCONFIRMED
 
     def _holds(self) -> bool:
-        """Order the hold where it is due; whether it is flown."""
+        """Order the hold if it is due; return whether it is flown."""
         with self._feed.lock:
             ordered = self._pilot.stop(time.monotonic_ns())
             return ordered and self._vehicle.alive and self._vehicle.telemetry.mode is FlightMode.HOLD

@@ -1,4 +1,4 @@
-"""How far an order may lead: near targets on the way to far ones, and positions that cannot be true."""
+"""Limits of an order: near targets on the way to far ones, and positions that are impossible."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from alight.autopilot import RemoteVehicle
 from alight.geometry import LocalFrame
 
 BRAKING, BRAKING_UP = 2.5, 1.0  # m/s^2, over the ground and upwards: ArduPilot's WPNAV_ACCEL and WPNAV_ACCEL_Z
-CLIMB = 3.0  # m/s upwards, which no order names
+CLIMB = 3.0  # m/s upwards, which no order contains
 AHEAD = 0.5  # s of flight until the autopilot has the next target, and a margin
 FASTEST, SLACK = 25.0, 5.0  # m/s, and metres on top: a way beyond that was not flown
 
 
 class OwnWay(NamedTuple):
-    """The way that the autopilot believes to have flown."""
+    """The vehicle's displacement by the autopilot's own estimate."""
 
-    way: F64 | None  # (3,) metres; None: not known, as its positions are late or have jumped
+    way: F64 | None  # (3,) metres; None: unknown, as its positions are late or have jumped
     jumped: bool = False  # they contradict each other
 
 
 def near_way(way: F64, speed: float, sink: float) -> F64:
-    """Return as much of a way as the next target should lead along it: little, and the vehicle does not slow down.
+    """Return the part (3,) of a way to the next target: short, but so long that the vehicle does not slow down.
 
     ArduPilot has no time-out for positions. After a takeover by the sticks, a lost link or the end of this program it
-    flies on to the last one, so that one is near.
+    flies on to the last one, so the target is near.
 
     Args:
         way: (3,) metres, from the vehicle to the far target.
@@ -50,10 +50,10 @@ def _reach(speed: float, braking: float) -> float:
 
 
 def own_way(vehicle: RemoteVehicle, local: LocalFrame, since_ns: int, now_ns: int) -> OwnWay:
-    """Return the way that the autopilot believes to have flown between two instants of our clock.
+    """Return the displacement between two instants of our clock, by the autopilot's own estimate.
 
     Args:
-        vehicle: what the autopilot reports.
+        vehicle: the autopilot's reports.
         local: the world, for the axes.
         since_ns: the earlier instant.
         now_ns: the later one.

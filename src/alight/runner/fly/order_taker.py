@@ -1,4 +1,4 @@
-"""Who takes orders: an autopilot, or somebody who says them."""
+"""Receivers of orders: an autopilot, or a writer of their words."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from alight.arrays import F64
 from alight.autopilot import EstimateTie, Setpoint, metres_between
 from alight.records import FlightMode, Place
 
-SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said again
+SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are given again
 SAID_SPEED = 0.1  # m/s, the same of its speed
 
 
@@ -48,14 +48,14 @@ class OrderTaker(Protocol):
         """Climb to a height in metres above the home; takes control."""
 
     def release(self) -> None:
-        """Give control away: nothing is sent any more that moves the vehicle."""
+        """Give control away: no message that moves the vehicle is sent any more."""
 
 
 class SpokenVehicle:
-    """Takes orders and says them; nothing is sent.
+    """Takes orders and gives them in words; nothing is sent.
 
     Args:
-        say: is told each order in words; a set-point again when it has moved by half a metre.
+        say: called with each order in words; with a set-point again when it has moved by half a metre.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -93,7 +93,7 @@ class SpokenVehicle:
         return self.in_control
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
-        """Say where the target is, as often as it changes by half a metre."""
+        """Say the position of the target, whenever it has changed by half a metre."""
         east, north, up = np.round(2 * target_world) / 2 + 0.0
         words = f"landing target {-up:.1f} m below, {east:+.1f} m east, {north:+.1f} m north of the vehicle"
         if words != self._last:
@@ -101,7 +101,7 @@ class SpokenVehicle:
         return self.in_control
 
     def arm(self) -> int:
-        """Say it."""
+        """Say the order to arm."""
         return self._spoken("arm")
 
     def take_off(self, height: float) -> int:
@@ -109,7 +109,7 @@ class SpokenVehicle:
         return self._spoken(f"take off to {height:.0f} m above home")
 
     def release(self) -> None:
-        """No more orders."""
+        """Say that control is given away."""
         if self.in_control:
             self._spoken("control is given away")
         self.in_control = False
@@ -121,6 +121,6 @@ class SpokenVehicle:
 
 
 def words_of(place: Place) -> str:
-    """Return a place in words: degrees, metres above the sea, and above home where that is known."""
+    """Return a place in words: degrees, metres above the sea, and above home if known."""
     above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
     return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"

@@ -1,4 +1,4 @@
-"""The executive's orders as an autopilot takes them: modes, guided set-points and landing targets."""
+"""The executive's orders for an autopilot: modes, guided set-points and landing targets."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from alight.runner.fly.contact import Contact
 from alight.runner.fly.near import near_way, own_way
 from alight.runner.fly.order_taker import OrderTaker, words_of
 
-AGAIN_NS = 2_000_000_000  # until a mode that was refused is asked for again
-OFTEN = 3  # refusals in a row, after which a person is told
+AGAIN_NS = 2_000_000_000  # until a mode that was refused is ordered again
+OFTEN = 3  # refusals in a row, after which a person is warned
 GRACE_NS = 2_000_000_000  # from the answer to a mode until heartbeats must show it
-BELOW = 1.5  # m below a high site, where guidance leads
-STAYS, STAY_SPEED, STAY_SINK = 5.0, 1.0, 0.5  # m and m/s: the way back to a place that is kept is short, and slow
+BELOW = 1.5  # m below a high site, the target of guidance
+STAYS, STAY_SPEED, STAY_SINK = 5.0, 1.0, 0.5  # m and m/s: the way back to the held place is short, and slow
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
 
 
@@ -38,15 +38,15 @@ class _Leg:
 class OrderSender:
     """Carries out the executive's orders, one call a tick.
 
-    Places go out relative to the autopilot's own estimate of the instant of the motion that they are relative to.
+    A place is sent relative to the autopilot's own estimate at the instant of the motion that it is relative to.
 
     Args:
-        vehicle: what the autopilot reports.
+        vehicle: the autopilot's reports.
         hand: takes the orders.
         local: the world, for degrees.
         farthest: metres over the ground and upwards to a target: beyond that a position has jumped.
         stale: s, age of the autopilot's position beyond which it is ordered to hold by itself.
-        tell: is told in words what a person must know.
+        tell: called with warnings to a person, in words.
     """
 
     def __init__(
@@ -56,23 +56,23 @@ class OrderSender:
     ) -> None:  # fmt: skip
         self._vehicle, self.hand, self._local, self._tell = vehicle, hand, local, tell
         self._farthest, self._stale = farthest, stale
-        self._next = near_way if hand is vehicle else _whole_way  # orders that are said are said with their goal
-        self._mode: FlightMode | None = None  # asked for
+        self._next = near_way if hand is vehicle else _whole_way  # orders in words are given with their goal
+        self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
-        self._accepted_ns: int | None = None  # when the mode was
+        self._accepted_ns: int | None = None  # instant at which the mode was accepted
         self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
-        self._wanted: tuple[FlightMode, int] | None = None  # to be asked for, and since when
-        self._held: tuple[Place, int] | None = None  # where it stays, and when that was ordered last
+        self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and the instant from which it is wanted
+        self._held: tuple[Place, int] | None = None  # held place, and instant of its last order
         self._contact = Contact()  # with a high site
-        self._site_above: float | None = None  # home, of the place of this landing, metres; None: not known
+        self._site_above: float | None = None  # metres above home of the place of this landing; None: unknown
 
     def obey(self, order: Order, state: FlightState, motion: Motion | None, now_ns: int) -> str:
-        """Carry out an order; return in words what was done.
+        """Carry out an order; return the action in words.
 
         Args:
             order: in the frame of the motion.
             state: of the executive.
-            motion: the newest one; None: not known. It then comes straight down where it was to land.
+            motion: the newest one; None: unknown. An order to land then leads straight down.
             now_ns: our clock.
         """
         if order.what == "nothing":
@@ -94,11 +94,11 @@ class OrderSender:
         return self._go(order.position, order, motion, now_ns)
 
     def stop(self, now_ns: int) -> bool:
-        """Have the autopilot hold by itself; False: it was not told yet, call it again."""
+        """Order the autopilot to hold by itself; False: not ordered yet, call it again."""
         return self._fly_as(FlightMode.HOLD, now_ns)
 
     def answered(self, ticket: int | None, ok: bool, now_ns: int) -> None:
-        """Take the answer to a command: a mode that was refused is asked for again, a little later."""
+        """Take the answer to a command: a mode that was refused is ordered again, a little later."""
         if ticket != self._ticket:
             return
         self._ticket = -1
@@ -113,29 +113,29 @@ class OrderSender:
     def strayed(self, now_ns: int) -> str:
         """Return in words that another mode is flown than the one that was ordered and accepted; empty: it is that one.
 
-        A change of mode within seconds of our own order looks like its effect: this tells them apart later.
+        A change of mode within seconds of our own order looks like its effect: this distinguishes them later.
         """
         heard = self._vehicle.telemetry
         if self._mode is None or self._accepted_ns is None or not (self.hand.in_control and heard.armed):
             return ""
         if heard.mode is self._mode or self._heartbeat_ns(now_ns) < self._accepted_ns + GRACE_NS:
             return ""
-        ends = heard.landed in (Landed.GROUND, Landed.UNKNOWN)  # what it does by itself at the end of a task
+        ends = heard.landed in (Landed.GROUND, Landed.UNKNOWN)  # it may change modes by itself at the end of a task
         if ends and (self._mode, heard.mode) in self._vehicle.firmware.natural:
             return ""
         return f"{heard.mode_name} is flown, and {self._mode.value} was ordered: somebody else has changed it"
 
     def _heartbeat_ns(self, now_ns: int) -> int:
-        """When the newest one came."""
+        """Arrival of the newest heartbeat, our clock."""
         return now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
 
     def _fly_as(self, mode: FlightMode, now_ns: int) -> bool:
-        """Ask for a mode, once; False: not yet.
+        """Order a mode, once; False: not yet.
 
-        Once we fly, the next heartbeat is waited for: a pilot who has switched since the last one is not switched back.
+        Once we fly, the order waits for the next heartbeat: a pilot's switch since the last one is not undone.
         """
         if self._mode is mode:
-            self._wanted = None  # of another mode: it is not to be asked for by an old heartbeat later
+            self._wanted = None  # of another mode: it must not be ordered after an old heartbeat later
             return True
         if self._wanted is None or self._wanted[0] is not mode:
             self._wanted = mode, now_ns
@@ -148,10 +148,10 @@ class OrderSender:
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
-        """Between two way-points it stays under guidance; while something is missing the autopilot holds by itself."""
+        """Hold: under guidance between two way-points, by the autopilot itself while an input is missing."""
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
-            self._held = None  # a place of an estimate that has jumped since would be flown to
+            self._held = None  # else it would fly to a place of an estimate that has jumped since
             self._fly_as(FlightMode.HOLD, now_ns)
             return "hold"
         self._fly_as(FlightMode.GUIDED, now_ns)
@@ -162,7 +162,7 @@ class OrderSender:
         return "stay"
 
     def _kept(self, here: Place, now_ns: int) -> Place:
-        """The place that was kept so far, or this one after a jump of the autopilot's estimate."""
+        """Return the place that was held so far, or `here` after a jump of the autopilot's estimate."""
         if self._held is None or metres_between(self._held[0], here) > STAYS:
             return here
         flown = own_way(self._vehicle, self._local, self._held[1], now_ns)
@@ -183,7 +183,7 @@ class OrderSender:
         return self._guide(leg, order)
 
     def _lost(self, motion: Motion, now_ns: int) -> str:
-        """No target can be made now. Positions that are only late are waited for a little: the last target is near."""
+        """Hold, as no target can be made now; wait a little if positions are only late, as the last target is near."""
         missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.doubts_place
         if missing and self._vehicle.place_age <= self._stale:
             return "wait: the autopilot's position is late"
@@ -199,7 +199,7 @@ class OrderSender:
         return f"fly to {words_of(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
-        """Over the place, or down with the target reported: where that is not used it goes straight down."""
+        """Fly over the place, or land with the target reported; an autopilot without targets goes straight down."""
         site = self._leg(place, motion, now_ns)
         goal = self._report(site, now_ns)
         over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
@@ -215,13 +215,13 @@ class OrderSender:
             if not self._contact.felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
                 return self._go(over, order, motion, now_ns)
             over[:2] = site.here[:2]  # no push to the side on the ground
-        if not self._fly_as(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be asked for, again
+        if not self._fly_as(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be ordered (again)
             leg = self._leg(over, motion, now_ns)
             return "land: not yet" if leg is None else self._guide(leg, order)
         return "land" if goal is None else f"land on {words_of(goal)}"
 
     def _down(self, order: Order, now_ns: int) -> str:
-        """Straight down where it is, with no target reported: it is low, and no place of ours is known any more."""
+        """Go straight down without a reported target: the vehicle is low, and our position is unknown."""
         heard = self._vehicle.telemetry
         self._held = None
         guided = self._is_high and self._mode is not FlightMode.LAND
@@ -231,14 +231,14 @@ class OrderSender:
         return "land: straight down" if self._fly_as(FlightMode.LAND, now_ns) else self._sink(order)
 
     def _sink(self, order: Order) -> str:
-        """By velocity, whatever mode is flown."""
+        """Order a velocity straight down, whatever mode is flown."""
         sink = max(order.sink, LEAST_SPEED)
         self.hand.guide(Setpoint(None, np.array([0.0, 0.0, -sink]), self._nose()))
         return f"straight down at {sink:.1f} m/s"
 
     @property
     def _is_high(self) -> bool:
-        """Whether the autopilot's LAND comes down fast here: it reckons heights from its home.
+        """Whether the autopilot's LAND comes down fast here, as its heights are relative to its home.
 
         From 0.7 m above such a site it would reach 1.1 m/s (ArduPilot, 1 m/s^2; PX4 more).
         """
@@ -247,9 +247,9 @@ class OrderSender:
         return above is not None and above > self._vehicle.firmware.high_site
 
     def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
-        """Report the target; return its place, None: not known now.
+        """Report the target; return its place, None: unknown now.
 
-        Before the landing, too: ArduPilot needs two seconds of it, and stops where it lands without.
+        It is reported before the landing as well: ArduPilot needs two seconds of it, and stops if it lands without.
         """
         attitude = self._vehicle.telemetry.world_from_body
         if site is None or attitude is None:
@@ -257,9 +257,9 @@ class OrderSender:
         return site.goal if self.hand.land_on(now_ns, site.way, attitude) else None
 
     def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
-        """The way to a target; None: the autopilot's place is not known, or one of the positions cannot be true.
+        """The way to a target; None: the autopilot's place is unknown, or one of the positions is impossible.
 
-        Where its newest positions are late, it is led from where it was at the exposure.
+        If its newest positions are late, the way begins at the vehicle's position of the exposure.
         """
         tie = self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
         flown = own_way(self._vehicle, self._local, motion.t_ns, now_ns)

@@ -1,4 +1,4 @@
-"""Between what is known and the vehicle stands the executive: situations in, orders out. No thread and no clock."""
+"""The pilot: situations for the executive from the lanes and the autopilot, its orders out. No thread and no clock."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ FAR, FAR_UP = 2.0, 60.0  # of the searched side, and m above the height of the s
 
 
 class LandingLog(Protocol):
-    """Takes what a landing does, in order; the recorder is one. Times are of our clock, in nanoseconds."""
+    """Log of a landing, in order; the recorder is one. Times are of our clock, in nanoseconds."""
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Write an order in words, with the state that it was given in."""
+        """Write an order in words, with the state in which it was given."""
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
         """Write a new entry of the diary."""
 
     def note(self, lane: str, words: str) -> None:
-        """Write something that happened to the cameras, the autopilot or a lane."""
+        """Write a note on the cameras, the autopilot or a lane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +58,15 @@ class PilotView:
 
 
 class LandingPilot:
-    """One landing. Tell it of pictures, motions and verdicts; after `begin`, `tick` it twenty times a second.
+    """One landing. Feed it pictures, motions and verdicts; after `begin`, call `tick` twenty times a second.
 
     Args:
-        settings: all of them.
+        settings: all settings.
         local: the world.
-        vehicle: what the autopilot reports.
-        hand: takes the orders: the vehicle itself, or one that says them.
-        judge: asks for a verdict on the ground below, and about a place, (2,) metres in the map's frame, if given.
-        log: is told what is done.
+        vehicle: the autopilot's reports.
+        hand: takes the orders: the vehicle itself, or a `SpokenVehicle`.
+        judge: requests a verdict on the ground below, and about a place, (2,) metres in the map's frame, if given.
+        log: takes orders, entries of the diary and notes.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class LandingPilot:
         """Whether the vehicle has landed or was handed over."""
         return self.state in ENDS
 
-    # -- what becomes known, from any thread
+    # -- inputs, from any thread
 
     def saw(self, frame: Frame, now_ns: int) -> Frame | None:
         """Take an exposure that came at `now_ns`; return it with its new pictures alone, None where there is none."""
@@ -153,7 +153,7 @@ class LandingPilot:
 
         Args:
             now_ns: the seconds of its diary count from here.
-            flying: we have taken off: if we are in control no more, somebody else is, and keeps it.
+            flying: we have taken off: if we are no longer in control, somebody else is, and keeps it.
         """
         self._begin_ns, self._starts, self._flying = now_ns, self._vehicle.starts, flying
 
@@ -168,7 +168,7 @@ class LandingPilot:
         return self._view(now)
 
     def stop(self, now_ns: int) -> bool:
-        """Tell the autopilot to hold by itself: the user wants no more. False: not told yet, call it again."""
+        """Order the autopilot to hold by itself, after a stop by the user. False: not ordered yet, call it again."""
         return self._sender.hand.in_control and self._sender.stop(now_ns)
 
     def _situation(self, now_ns: int) -> Situation:
@@ -204,12 +204,12 @@ class LandingPilot:
         )
 
     def _lags(self, motion: Motion) -> bool:
-        """Whether pictures come and their motions do not; where no pictures come, that is what is told."""
+        """Whether pictures come without their motions; missing pictures are reported by `pictures.age` instead."""
         newest = self.pictures.newest_ns
         return newest is not None and (newest - motion.t_ns) * 1e-9 > self._stale
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
-        """(3,) metres in the map's frame now: the newest motion, carried on by the autopilot's own way since then."""
+        """(3,) metres in the map's frame now: the newest motion plus the autopilot's own displacement since then."""
         way = own_way(self._vehicle, self._local, motion.t_ns, now_ns).way
         if way is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
             return None
@@ -234,7 +234,7 @@ class LandingPilot:
         self._time(now_ns, order.what in ("fly", "land"))
 
     def _time(self, now_ns: int, moves: bool) -> None:
-        """Note how late the order is; one to hold follows from a verdict as well."""
+        """Note the delays of the order: from the verdict (also for a hold), and from the motion if it moves."""
         if self._seen_ns > self._acted_ns:
             self._acted_ns = self._seen_ns
             self.way_point_times.append((now_ns - self._seen_ns) * 1e-9)

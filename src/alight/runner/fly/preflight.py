@@ -1,4 +1,4 @@
-"""Checks before a landing begins, each with its evidence and its mend."""
+"""Checks before a landing begins, each with its evidence and a remedy."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures a second
 MOST_AGE = 1.0  # s between an exposure and its arrival
 OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
 MOST_SIGMA = 0.02  # s, of the autopilot's clock
-LEAST_MB, SPARE = 200.0, 1.5  # of the disk; and times what the recording is expected to need
-LOW = 2.0  # times the height to commit from, above home: a search that begins lower is warned of
+LEAST_MB, SPARE = 200.0, 1.5  # free on the disk; and factor on the expected size of the recording
+LOW = 2.0  # times the height to commit from, above home: a search that begins lower gives a warning
 BATTERY_MARGIN = 0.1
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
 
@@ -35,13 +35,13 @@ class CameraFacts:
 
 
 def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
-    """Check the link, and who is at its other end.
+    """Check the link, and the autopilot at its other end.
 
     Args:
         name: of the link.
-        messages: that were read from it.
+        messages: number of messages that were read from it.
         vehicle: that was found; None: none.
-        refused: why somebody who was heard is not the vehicle; empty: nobody was.
+        refused: reason why a sender that was heard is not the vehicle; empty: none was heard.
     """
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
@@ -66,10 +66,10 @@ def judge_vehicle(
 
     Args:
         vehicle: that was found.
-        missing: why it gives no GPS/INS; empty: it does.
+        missing: reason why it gives no GPS/INS; empty: it does.
         settings: limits of battery and wind.
         take_off: it is to take off first.
-        dry: nothing will be sent to it.
+        dry: no message will be sent to it.
         home_given: the user has named the home.
     """
     heard = vehicle.telemetry
@@ -143,7 +143,7 @@ def _wind(heard: Telemetry, most: float) -> CheckResult:
 
 
 def _place(heard: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
-    """Check where it is; it should fly at least so many metres above home, where it is no take-off."""
+    """Check that it is ready to take off, or flies at least `least` metres above home."""
     above = "" if heard.place is None else f", {heard.place.above_home:.0f} m above home"
     if heard.landed is Landed.GROUND or not heard.armed:
         if take_off and heard.ready and heard.checks_off:
@@ -167,7 +167,7 @@ def _place(heard: Telemetry, take_off: bool, dry: bool, least: float) -> CheckRe
 
 
 def judge_cameras(facts: CameraFacts) -> CheckResult:
-    """Check that pictures come, often enough, new ones, and stamped by the right clock."""
+    """Check that new pictures come, often enough, and are stamped by the right clock."""
     if not facts.frames:
         return bad("pictures", "not one has come", "see that the camera gives pictures, or that the folder is filled")
     seen = f"{facts.rate:.1f} exposures a second, {facts.delay:.2f} s old when they come"
@@ -191,7 +191,7 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
         rig: the cameras.
         rate: exposures a second that are expected.
         seconds: of flight that are expected.
-        record: a recording is wanted.
+        record: a recording will be made.
     """
     mend = "run 'alight warmup' once; it takes minutes"
     loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)

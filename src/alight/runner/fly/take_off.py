@@ -16,7 +16,7 @@ class TakeOff:
     """A take-off. Call `tick` until `done`, or until `failed` gives the reason in words.
 
     Args:
-        vehicle: what the autopilot reports.
+        vehicle: the autopilot's reports.
         hand: takes the orders.
         height: metres above home.
         begin_ns: now.
@@ -30,7 +30,7 @@ class TakeOff:
 
     @property
     def hint(self) -> str:
-        """What a person has to do for the take-off now; empty: nothing."""
+        """Action of a person that the take-off needs now, in words; empty: none."""
         if self._vehicle.helicopter and self._step == "take off" and not self._lifted:
             return "switch on the motor interlock now: a helicopter that is armed without it is disarmed after 10 s"
         return ""
@@ -42,7 +42,7 @@ class TakeOff:
 
     @property
     def _lifted(self) -> bool:
-        """By its word; by its height where it does not say, as a height may be off by a metre on the ground."""
+        """Whether it has lifted off, by its report; by its height only without one, which may be wrong by a metre."""
         landed = self._vehicle.telemetry.landed
         return self._above > LIFTED if landed is Landed.UNKNOWN else landed is not Landed.GROUND
 
@@ -63,7 +63,7 @@ class TakeOff:
         self.done = heard.armed and self._above > NEAR * self._height
         if self.done:
             return
-        if self._armed and not heard.armed:  # whoever stopped the motors wants them to stand
+        if self._armed and not heard.armed:  # somebody stopped the motors on purpose
             self.failed = "the motors were stopped again"
             return
         self._armed = heard.armed

@@ -1,4 +1,4 @@
-"""A flight as it comes: three lanes as processes, and the threads that feed them."""
+"""A live run: three lanes as processes, and the threads that feed them."""
 
 from alight.runner.live.health import FlightHealth, LaneState
 from alight.runner.live.interface import Capacity, Listener

@@ -13,9 +13,9 @@ from alight.runner.live.nursery import PID
 
 
 def main(fileno: int) -> None:
-    """Fork a lane for each three files that come, until nobody is left to send them."""
+    """Fork a lane for each three files that are received, until the socket is closed."""
     line = socket.socket(fileno=fileno)
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # children that end leave nothing behind
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # children that end leave no zombie processes
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     compiled.load_cached(parallel=False)
     while True:

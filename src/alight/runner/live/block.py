@@ -22,14 +22,14 @@ SHARED = "/dev/shm"  # where the system keeps files in memory
 
 @dataclass(frozen=True)
 class Parcel:
-    """An object in a block: its pickle without the arrays, and where these lie."""
+    """An object in a block: its pickle without the arrays, and the spans of these."""
 
     pickled: bytes
     spans: tuple[tuple[int, int], ...]  # first byte and number of bytes
 
     @property
     def end(self) -> int:
-        """The number of bytes of the block that it takes."""
+        """Number of bytes of the block that it takes."""
         return max((first + size for first, size in self.spans), default=0)
 
 
@@ -45,7 +45,7 @@ class Block:
     """One process's end of a block.
 
     Args:
-        fileno: of the block; closed when nobody holds the block any more.
+        fileno: of the block; closed when this object is deleted.
     """
 
     def __init__(self, fileno: int) -> None:
@@ -53,7 +53,7 @@ class Block:
         self._memory: mmap.mmap | None = None
 
     def write(self, content: Any) -> Parcel:
-        """Put an object in; the one before is gone."""
+        """Write an object, which replaces the one before."""
         buffers: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(content, protocol=5, buffer_callback=buffers.append)
         arrays, spans, first = [b.raw() for b in buffers], list[tuple[int, int]](), 0
@@ -69,7 +69,7 @@ class Block:
         return parcel
 
     def read(self, parcel: Parcel) -> Any:
-        """Take an object out; it shares nothing with the block."""
+        """Read an object; it shares no memory with the block."""
         bytes_ = self._bytes(parcel.end)
         return pickle.loads(parcel.pickled, buffers=[bytes_[at : at + size].copy() for at, size in parcel.spans])
 

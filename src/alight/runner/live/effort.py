@@ -1,4 +1,4 @@
-"""Rates that adapt: how much effort the mapping lane may spend on a keyframe."""
+"""Adaptive effort: the work that the mapping lane may spend on a keyframe."""
 
 from __future__ import annotations
 

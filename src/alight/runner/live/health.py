@@ -20,7 +20,7 @@ class LaneState(Enum):
 
     WAITING = "waiting"  # for work
     BUSY = "busy"
-    LATE = "late"  # busy for longer than it should be; not killed yet
+    LATE = "late"  # busy for longer than `LATE`; not killed yet
     STARTING = "starting"  # its process is new
     LOST = "lost"  # given up
 
@@ -112,7 +112,7 @@ class Watch:
 
         Args:
             effort: of mapping.
-            frame_id: of the newest motion; None: none is known.
+            frame_id: of the newest motion; None: there is none.
         """
         now = time.perf_counter()
         with self._lock:

@@ -13,7 +13,7 @@ from alight.records.schedule import Spot
 
 @dataclass(frozen=True)
 class Listener:
-    """Functions that are called with results as soon as they are known, each on its lane's thread."""
+    """Functions that are called with results as soon as they exist, each on its lane's thread."""
 
     motion: Callable[[Motion], None] = lambda motion: None
     verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
@@ -40,7 +40,7 @@ IN_FLIGHT = Capacity()
 
 
 class Diary(Protocol):
-    """Takes what a live run does, from all its threads; the recorder is one."""
+    """Log of a live run, from all its threads; the recorder is one."""
 
     def event(self, event: Event) -> None:
         """Write an event that came in."""
@@ -52,11 +52,11 @@ class Diary(Protocol):
             kind: a field of `Schedule`.
             t_ns: of the exposure.
             value: effort of mapping.
-            about: east, north, metres in the map's frame: a place that a judged map showed too.
+            about: east, north, metres in the map's frame: a place that a judged map shows as well.
         """
 
     def note(self, lane: str, words: str) -> None:
-        """Write in words what happened to a lane."""
+        """Write a note on a lane, in words."""
 
 
 class NoDiary:

@@ -1,4 +1,4 @@
-"""The three lanes as they run in processes of their own, and how the flight calls them."""
+"""The three lanes in processes of their own, and the objects by which the flight calls them."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class NavigationProcess:
         self._lane = FilterLane(rig, settings, history=False, frame_id=frame_id)
 
     def take(self, batch: FrameBatch) -> Navigation | None:
-        """Take one exposure with the rows before it; the pictures stay where they came from."""
+        """Take one exposure with the rows before it; the result is returned without the pictures."""
         self._lane.hear(batch)
         tracked = self._lane.track(batch)
         found = None if tracked is None else self._lane.update(tracked)
         return None if found is None else replace(found, frame=Frame(found.frame.t_ns, ()))
 
     def finish(self) -> Trajectory:
-        """Return the last motion, and warnings of what went wrong."""
+        """Return the last motion, and warnings."""
         return self._lane.finish(lambda share: None)
 
 
@@ -50,7 +50,7 @@ class MappingProcess:
 
     Args:
         clock: seconds.
-        folder: where tiles go that the vehicle has left behind.
+        folder: of the store for tiles that the vehicle has left behind.
     """
 
     def __init__(self, rig: Rig, settings: StageSettings, clock: Clock, folder: Path) -> None:
@@ -86,7 +86,7 @@ class JudgingProcess:
         self._lane = JudgingLane(settings, appearance, self._timings, memory)
 
     def judge(self, seen: MapSnapshot) -> tuple[Verdict, JudgingMemory]:
-        """Judge a map; return the verdict, and what the lane must remember should its process be lost."""
+        """Judge a map; return the verdict, and the lane's memory, for a new process if this one is lost."""
         return self._lane.judge(seen), self._lane.memory
 
     def notes(self, found: Verdict) -> dict[str, object]:
@@ -107,7 +107,7 @@ class Post:
 
     Args:
         patience: s without an answer after which the process is lost.
-        lost: is told why each time.
+        lost: called with the lane and the reason each time.
     """
 
     nursery: Nursery
@@ -118,7 +118,7 @@ class Post:
     def __post_init__(self) -> None:
         self.worker = Worker(self.nursery, self.make())
         self.compiled: set[str] = set()
-        self.given_up = ""  # why, where there will be no other process
+        self.given_up = ""  # the reason why there will be no other process
 
     def call(self, method: str, *given: Any) -> Any:
         """Call the lane.
@@ -144,14 +144,14 @@ class Post:
             self.compiled |= set(self.worker.compiled)
 
     def close(self) -> None:
-        """End the process; whoever waits for it is told that it is lost."""
+        """End the process; a thread that waits for it gets `LaneLost`."""
         self.given_up = self.given_up or "the flight is over"
         with suppress(OSError):
             self.worker.close()
 
 
 class RemoteNavigation:
-    """The navigation lane as the flight calls it; frame numbers go on when its process is replaced."""
+    """Caller of the navigation lane; frame numbers continue when its process is replaced."""
 
     def __init__(self) -> None:
         self.post: Post | None = None
@@ -177,7 +177,7 @@ class RemoteNavigation:
         raise NotImplementedError("a flight feeds batches")
 
     def finish(self, progress: Callable[[float], None]) -> Trajectory:
-        """Return the last motion, and warnings of what went wrong.
+        """Return the last motion, and warnings.
 
         Raises:
             LaneLost: the process is gone.
@@ -188,7 +188,7 @@ class RemoteNavigation:
 
 
 class RemoteMapping:
-    """The mapping lane as the flight calls it: each call goes to its process."""
+    """Caller of the mapping lane: each call goes to its process."""
 
     def __init__(self, post: Post) -> None:
         self.post = post
@@ -206,7 +206,7 @@ class RemoteMapping:
         """Return the map under the newest keyframe.
 
         Args:
-            about: (2,) metres in the map's frame, a place that it is to show too.
+            about: (2,) metres in the map's frame, a place that it must show as well.
 
         Raises:
             LaneLost: the map is gone.
@@ -225,7 +225,7 @@ class RemoteMapping:
 
 
 class RemoteJudging:
-    """The judging lane as the flight calls it; what it remembers of earlier maps outlives its process."""
+    """Caller of the judging lane; its memory of earlier maps outlives its process."""
 
     def __init__(self) -> None:
         self.post: Post | None = None
@@ -242,7 +242,7 @@ class RemoteJudging:
         return self.memory.warnings
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map, and remember what the lane must know should its process be lost.
+        """Judge a map, and keep the lane's memory for a new process.
 
         Raises:
             LaneLost: this map is not judged.

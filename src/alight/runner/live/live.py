@@ -1,8 +1,8 @@
-"""A flight as it comes: each lane in a process of its own, fed through mailboxes that hold little.
+"""A live run: each lane in a process of its own, fed through mailboxes that hold few items.
 
-A lane that is too slow leaves out the oldest exposures; a lane that raises or hangs is replaced, and begins anew. What
-each lane did use is the `schedule`. A `Pipeline` that is given the same events and that schedule does the same in turn
-and gives the same bits. Nothing here grows with the flight unless the whole schedule is to be kept.
+A lane that is too slow leaves out the oldest exposures; a lane that raises or hangs is replaced, and begins anew. The
+exposures that each lane used are the `schedule`. A `Pipeline` with the same events and that schedule does the same in
+turn and gives the same bits. Memory does not grow with the flight unless the whole schedule is kept.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 NAVIGATION, MAPPING, JUDGING = LANES = ("navigation", "mapping", "judging")
 PATIENCE = {NAVIGATION: 0.9, MAPPING: 15.0, JUDGING: 30.0}  # s without an answer, after which a process is lost
 NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 6}  # navigation never waits for mapping, nor mapping for judging
-AT_END = 120.0  # s that the last judgement may take, of all that was seen
+AT_END = 120.0  # s that the last judgement may take, of the map of the whole flight
 SPARE = 2  # processors that mapping leaves to the other lanes
 
 
@@ -51,25 +51,25 @@ class _Shown(NamedTuple):
 
     t_ns: int  # of the newest exposure that it holds
     seen: MapSnapshot
-    about: F64 | None  # (2,) metres in the map's frame, the place that it was to show too
+    about: F64 | None  # (2,) metres in the map's frame, the place that it shows as well
 
 
 class Live:
     """The three lanes as processes. Feed events in the order of arrival, `finish` at the end.
 
     Args:
-        listener: is told of motions and verdicts as they become known.
-        capacity: how much may wait, and what happens then.
-        folder: where the map puts what the vehicle has left behind; None: the system's temporary folder.
-        appearance: what ground looks like.
+        listener: called with motions and verdicts as soon as they exist.
+        capacity: number of items that may wait, and whether the oldest is left out then.
+        folder: for tiles of the map that the vehicle has left behind; None: the system's temporary folder.
+        appearance: model of the appearance of ground; None: none.
         imu: noise that is stated for the IMU.
-        diary: what the run does is written there; None: nowhere.
-        clocks: tell late events and clocks that jump, by the arrival of the events; None: stamps are right.
-        nursery: where the lanes are born; None: one of its own, which ends with the flight.
-        makers: of lanes to use instead of the usual ones, by the lane's name.
+        diary: log of the run; None: none.
+        clocks: find late events and clocks that jump, by the arrival of the events; None: stamps are right.
+        nursery: process that forks the lanes; None: one of its own, which ends with the flight.
+        makers: of lanes that replace the usual ones, by the lane's name.
 
     Raises:
-        SettingsError: the settings ask for what only a recording allows.
+        SettingsError: the settings are for recordings only.
         AlightError: a lane cannot be started.
     """
 
@@ -99,8 +99,8 @@ class Live:
         self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
         self._maps = Mailbox[_Shown](1, (lambda old, new: new) if drop else None)
         self._judge_waits, self._every = threading.Event(), settings.sites.every
-        self._asked = threading.Event()  # a verdict is wanted now
-        self._about: F64 | None = None  # and about which place
+        self._asked = threading.Event()  # a verdict is requested now
+        self._about: F64 | None = None  # and the place that it is about
         self._newest: Motion | None = None
         self._pace = EffortControl()
         self._failed: list[BaseException] = []
@@ -193,10 +193,10 @@ class Live:
             self._batches.put(batch)
 
     def judge_now(self, about: F64 | None = None) -> None:
-        """Judge the map after the next exposure, whatever `sites.every` says, or as soon as the lane is free.
+        """Judge the map after the next exposure, regardless of `sites.every`, or as soon as the lane is free.
 
         Args:
-            about: (2,) metres in the map's frame, a place that the map is to show too.
+            about: (2,) metres in the map's frame, a place that the map must show as well.
         """
         self._about = about
         self._asked.set()
@@ -226,7 +226,7 @@ class Live:
         return dict(self.watch.times)
 
     def close(self) -> None:
-        """End all lanes, whatever they do; `finish` does it too."""
+        """End all lanes, whatever they do; `finish` does it as well."""
         for box in (self._batches, self._exposures, self._maps):
             box.close()
         self._judge_waits.set()
@@ -255,7 +255,7 @@ class Live:
         self._diary.note("clocks", sentence)
 
     def _lost(self, lane: str, why: str) -> None:
-        """A process is lost: this is said, and the flight goes on."""
+        """Report that a process is lost; the flight goes on."""
         self.watch.restarts[lane] += 1
         if self.posts[lane].given_up:
             self.watch.gave_up(lane)
@@ -268,7 +268,7 @@ class Live:
         self._listener.lost(lane, why)
 
     def _stepped(self, seconds: float) -> None:
-        """A step of the map is done: more or less effort for the next one."""
+        """Adapt the effort of the next step of the map to the time of this one."""
         self.watch.took(STEP, seconds)
         if self._pace.took(seconds):
             self.watch.counts[f"mapping: effort {self._pace.effort}, times chosen"] += 1
@@ -293,7 +293,7 @@ class Live:
                 log.exception("a thread of the flight has failed")
             self._failed.append(e)
             boxes = (self._batches, self._exposures, self._maps)
-        finally:  # whoever waits for this thread is let go
+        finally:  # release the threads that wait for this one
             for box in boxes:
                 box.close()
             self._judge_waits.set()

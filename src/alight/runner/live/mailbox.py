@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class Closed(Exception):  # noqa: N818  (not an error: the end of a mailbox)
-    """Nothing more will come."""
+    """The mailbox is empty and closed."""
 
 
 class Mailbox(Generic[T]):
@@ -22,7 +22,7 @@ class Mailbox(Generic[T]):
         self._changed, self._closed = Condition(), False
 
     def put(self, item: T) -> None:
-        """Add an item; nobody takes it after `close`."""
+        """Add an item; one that is added after `close` has no effect."""
         with self._changed:
             while self._merge is None and len(self._items) >= self._size and not self._closed:
                 self._changed.wait()
@@ -40,7 +40,7 @@ class Mailbox(Generic[T]):
 
         Raises:
             Closed: it is empty and will stay so.
-            TimeoutError: nothing has come.
+            TimeoutError: no item has come in time.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: self._items or self._closed, timeout):
@@ -52,7 +52,7 @@ class Mailbox(Generic[T]):
             return item
 
     def close(self) -> None:
-        """Nothing more will be put in; what is in it can still be taken."""
+        """Close it for new items; those in it can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -1,7 +1,7 @@
-"""Where lanes are born: a process that has imported everything and loaded the compiled loops, and then only forks.
+"""The nursery of the lanes: a process that has imported everything and loaded the compiled loops, and then only forks.
 
-A lane that is lost is replaced in a few milliseconds, and the memory of what all lanes import is held once. The nursery
-runs no compiled loop and starts no thread: after either, a fork is not safe.
+A lost lane is replaced in a few milliseconds, and the memory of the imports is shared by all lanes. The nursery runs no
+compiled loop and starts no thread: after either, a fork is not safe.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Nursery:
     """A handle on the process from which lanes are forked.
 
     Args:
-        threads: the most that compiled loops of a lane may use.
+        threads: most threads that compiled loops of a lane may use.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -36,7 +36,7 @@ class Nursery:
         theirs.close()
 
     def born(self, filenos: Sequence[int]) -> int:
-        """Fork a lane that talks through these three files; return its process number.
+        """Fork a lane that communicates through these three files; return its process number.
 
         Raises:
             AlightError: the nursery is gone.
@@ -51,6 +51,6 @@ class Nursery:
         return int(PID.unpack(answer)[0])
 
     def close(self) -> None:
-        """End it; lanes that are still there go on until they are closed."""
+        """End it; lanes that still run go on until they are closed."""
         self._line.close()
         self._process.wait()

@@ -1,4 +1,4 @@
-"""The whole of a live run: events in as they come, a folder of results out at the end."""
+"""A live run from its start to its end: events in as they come, a folder of results out."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def fly_live(
     """Run the lanes on events as they come, until there are no more or Ctrl-C is pressed.
 
     Args:
-        source: what the events come from.
-        events: its events, each as it is due.
+        source: of the events.
+        events: its events, each when it is due.
         out: the folder of the results; the recording goes there while the flight lasts.
         record: make the recording.
-        real_time: the events come from sensors as they happen: late ones and clocks that jump are told by the arrival.
-        tell: is told how the lanes are, about twice a second.
-        listener: is told of motions and verdicts.
+        real_time: the events come from sensors: late ones and clocks that jump are found by the time of arrival.
+        tell: called with the health of the lanes, about twice a second.
+        listener: called with motions and verdicts.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
@@ -94,7 +94,7 @@ class LiveRun:
         )  # fmt: skip
 
     def finish(self) -> RunResult:
-        """Wait until all is done, judge what was seen, and end the lanes and the recording.
+        """Wait until all is done, judge the map of the whole flight, and end the lanes and the recording.
 
         Raises:
             AlightError: no image has come, or a lane could not be started again.
@@ -114,14 +114,14 @@ class LiveRun:
         return replace(result, counts=counts)
 
     def close(self) -> None:
-        """End the lanes and the recording; more than once does no harm."""
+        """End the lanes and the recording; a second call has no effect."""
         self.live.close()
         if self.recorder is not None:
             self.recorder.close()
 
 
 def for_flight(settings: Settings) -> Settings:
-    """Settings whose map of the whole flight a small computer can judge at the end: 500 bytes a cell."""
+    """Limit the map of the whole flight to a size that a small computer can judge at the end: 500 bytes a cell."""
     most = min(settings.elevation.most_cells, MOST_CELLS)
     return settings.model_copy(update={"elevation": settings.elevation.model_copy(update={"most_cells": most})})
 
@@ -139,7 +139,7 @@ def _feed(live: Live, events: Iterator[Event], tell: Tell) -> None:
 
 
 class _Told:
-    """Passes on what becomes known, and records it."""
+    """Passes on motions and verdicts, and records them."""
 
     def __init__(self, listener: Listener, recorder: Recorder | None) -> None:
         self._to, self._recorder = listener, recorder

@@ -16,7 +16,7 @@ class ScheduleLog:
 
     Args:
         most: entries of a kind that are kept; None: all of them.
-        diary: where the run writes what it does.
+        diary: log of the run.
     """
 
     def __init__(self, most: int | None, diary: Diary) -> None:
@@ -29,20 +29,20 @@ class ScheduleLog:
         return Schedule(**{k: tuple(v) for k, v in self._kinds.items()})
 
     def anew(self, lane: str, t_ns: int) -> None:
-        """A lane, `navigation` or `mapping`, began anew before an exposure."""
+        """Note that a lane, `navigation` or `mapping`, began anew before an exposure."""
         self._entry(f"{lane}_anew", t_ns)
 
     def tracked(self, t_ns: int) -> None:
-        """The navigation lane used an exposure."""
+        """Note that the navigation lane used an exposure."""
         self._entry("tracked", t_ns)
 
     def mapped(self, t_ns: int, effort: int) -> None:
-        """The mapping lane used an exposure with an effort: 0 all of it, higher numbers less."""
+        """Note that the mapping lane used an exposure with an effort: 0 all of it, higher numbers less."""
         self._entry("mapped", t_ns, effort)
         self._kinds["effort"].append(effort)
 
     def judged(self, t_ns: int, about: F64 | None) -> None:
-        """A map was judged: its newest exposure, and (2,) metres in the map's frame, the place that it showed too."""
+        """Note a judged map: its newest exposure, and the place (2,) that it is about, metres in the map's frame."""
         place = None if about is None else (float(about[0]), float(about[1]))
         self._entry("judged", t_ns, about=place)
         self._kinds["about"].append(place)

@@ -1,9 +1,9 @@
-"""Stamps that can be relied on: what comes late is known as late, and a clock that jumps is put back.
+"""Reliable stamps: late events are found, and a jump of a sensor's clock is corrected.
 
-Stamps come from the sensors; the arrival only tells when a clock has jumped. A stamp is behind its arrival by a delay
-that varies little. One that is ahead of that by more than `JUMP` is a jump of the clock: nothing comes from the future.
-One that is behind by more is late, and left out; when a stream stays behind for `PERSISTS`, its clock has jumped back.
-The jump is taken out of all later stamps, so that time goes on.
+Stamps come from the sensors; the arrival only serves to find a jump of a clock. A stamp is behind its arrival by a
+delay that varies little. One that is ahead of that by more than `JUMP` is a jump of the clock, as no event comes from
+the future. One that is behind by more is late, and left out; when a stream stays behind for `PERSISTS`, its clock has
+jumped back. The jump is taken out of all later stamps, so that time is continuous.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from alight.records import Event, Frame, ImuSample, NavSample
 
 log = logging.getLogger(__name__)
 
-JUMP = 1.0  # s, more than any delay that is expected to vary
+JUMP = 1.0  # s, more than any expected variation of the delay
 PERSISTS = 2.0  # s of arrivals
 
 STREAMS: dict[type, str] = {Frame: "frames", NavSample: "GPS/INS rows", ImuSample: "IMU rows"}
@@ -27,22 +27,22 @@ class StreamClock:
     """The clock of one stream.
 
     Args:
-        say: is told of each jump, in a sentence.
+        say: called with a sentence on each jump.
     """
 
     name: str
     say: Callable[[str], None]
     late: int = 0  # events left out
     _shift_ns: int = 0  # added to all stamps
-    _ahead: float | None = None  # s, stamp less arrival, of what came last in time
-    _behind: list[tuple[float, float]] = field(default_factory=list)  # arrivals that were late, and by how much
+    _ahead: float | None = None  # s, stamp less arrival, of the last event on time
+    _behind: list[tuple[float, float]] = field(default_factory=list)  # arrivals of late events, and their delays in s
 
     def stamp(self, t_ns: int, arrival: float) -> int | None:
-        """Return a stamp with all jumps taken out; None: the event is late and to be left out.
+        """Return a stamp with all jumps taken out; None: the event is late and must be left out.
 
         Args:
-            t_ns: as the event bears it.
-            arrival: s of a clock that goes on steadily.
+            t_ns: stamp of the event.
+            arrival: s of a steady clock.
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
         if self._ahead is None:
@@ -72,18 +72,18 @@ class Clocks:
     """The clocks of all streams of a flight.
 
     Args:
-        say: is told of each jump, in a sentence.
+        say: called with a sentence on each jump.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.streams = {kind: StreamClock(name, say) for kind, name in STREAMS.items()}
 
     def stamped(self, event: Event, arrival: float) -> Event | None:
-        """Return an event with a stamp that can be relied on; None: it is late and to be left out.
+        """Return an event with a reliable stamp; None: it is late and must be left out.
 
         Args:
             event: as it came.
-            arrival: s of a clock that goes on steadily.
+            arrival: s of a steady clock.
         """
         t_ns = self.streams[type(event)].stamp(event.t_ns, arrival)
         if t_ns is None:

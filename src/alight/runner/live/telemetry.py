@@ -22,12 +22,12 @@ PATIENCE = 30.0  # s until the autopilot must give a position
 
 
 class TelemetryFeed:
-    """Listens to an autopilot, and asks it for what a flight needs. Stamps are of this machine's steady clock.
+    """Listens to an autopilot, and requests the streams that a flight needs. Stamps are of this machine's steady clock.
 
     Args:
         link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
         local: the world; None: it begins at the first good position.
-        separation: metres, ellipsoid minus sea level; None: as the receiver reports it.
+        separation: metres, ellipsoid minus sea level; None: the receiver's.
         rates: Hz of further streams, as of `Autopilot`.
 
     Raises:
@@ -44,16 +44,16 @@ class TelemetryFeed:
         self.autopilot = Autopilot(rates, self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
         self._samples: queue.Queue[Event] = queue.Queue()
-        self._sending = threading.Lock()  # orders leave at once, and not only when the listener comes by
+        self._sending = threading.Lock()  # orders leave at once, and do not wait for the listener
         self._ended, self._located = threading.Event(), False
         self._trouble = ""  # the newest error of the listener
         threading.Thread(target=self._listen, daemon=True).start()
 
     def wait_for_position(self) -> LocalFrame:
-        """Wait until the autopilot knows where it is; return the world that begins there.
+        """Wait until the autopilot has a position; return the world with its origin there.
 
         Raises:
-            InputError: it does not know within `PATIENCE` seconds, with the reason.
+            InputError: it has none within `PATIENCE` seconds, with the reason.
         """
         end = time.monotonic() + PATIENCE
         while not self.located:
@@ -68,13 +68,13 @@ class TelemetryFeed:
 
     @property
     def located(self) -> bool:
-        """Whether the autopilot knows where it is."""
+        """Whether the autopilot has a position."""
         return self._located and self.events_of.local is not None
 
     def flush(self) -> None:
-        """Send what orders have made ready. Call it twenty times a second: it looks whether somebody still listens.
+        """Send the messages of orders. Call it twenty times a second: it tests whether the listener still runs.
 
-        While nobody does, the vehicle counts as lost and nothing is sent: a pilot who has taken over is not seen.
+        If it does not, the vehicle counts as lost and nothing is sent: a pilot's takeover could not be noticed.
         """
         with self.lock:
             deaf = not self.autopilot.look(time.monotonic_ns())
@@ -99,12 +99,12 @@ class TelemetryFeed:
                 continue
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening, and close the link."""
         self._ended.set()
         self._link.close()
 
     def _listen(self) -> None:
-        """Listen until `close`, whatever happens: a flight must not go on without being heard."""
+        """Listen until `close`, whatever happens: a flight must not go on without telemetry."""
         try:
             while not self._ended.is_set():
                 try:
@@ -116,7 +116,7 @@ class TelemetryFeed:
                 log.error("%s: the listener has ended; the autopilot is not heard any more", self.name)
 
     def _complain(self, error: Exception) -> None:
-        """Log an error, one that comes again once, and wait a little for the next try."""
+        """Log an error, once if it repeats, and wait a little before the next try."""
         if repr(error) != self._trouble:
             self._trouble = repr(error)
             log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
@@ -137,7 +137,7 @@ class TelemetryFeed:
 
 
 def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
-    """Pictures with an autopilot's GPS/INS; the world begins where the autopilot is.
+    """Combine pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
 
     Raises:
         InputError: the source is a recording, or the autopilot gives no position.

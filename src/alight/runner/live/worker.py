@@ -1,7 +1,7 @@
 """A lane in a process of its own, and the handle by which the flight calls it.
 
-The interpreter lets one thread run at a time, and a thread that hangs cannot be ended. So each lane is a process: it
-has its own interpreter, it is killed when it does not answer, and another one takes its place.
+The interpreter lets one thread run at a time, and a thread that hangs cannot be ended. So each lane is a process with
+its own interpreter: it is killed when it does not answer, and another one takes its place.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from alight.runner.live.nursery import Nursery
 log = logging.getLogger(__name__)
 
 START = 30.0  # s that a lane may take until it is ready
-POLL = 0.05  # s between two looks at a process that does not answer
-STARVED = 6.0  # patiences after which a process is lost whatever it does
+POLL = 0.05  # s between two tests of a process that does not answer
+STARVED = 6.0  # times its patience, after which a process is lost whatever it does
 
 
 class LaneLost(Exception):  # noqa: N818  (an event of the flight; the flight goes on)
-    """A lane raised, died or did not answer in time; its process is gone. The message says which and why."""
+    """A lane raised, died or did not answer in time; its process is gone. The message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Spec:
-    """A lane that is to be made: `make(*given)`, in its process, gives the object whose methods are called."""
+    """Recipe of a lane: `make(*given)`, called in its process, returns the object whose methods are called."""
 
     name: str
     make: Any
     given: tuple[Any, ...]
-    niceness: int = 0  # the larger, the more it gives way
+    niceness: int = 0  # larger: lower priority
     threads: int = 1  # of compiled loops
 
 
@@ -59,8 +59,8 @@ class Worker:
     """A handle on a lane's process.
 
     Args:
-        nursery: where the process is born.
-        spec: what runs in it.
+        nursery: forks the process.
+        spec: recipe of the lane that runs in it.
     """
 
     def __init__(self, nursery: Nursery, spec: Spec) -> None:
@@ -85,7 +85,7 @@ class Worker:
             self._ready = True
 
     def call(self, method: str, *given: Any, timeout: float) -> Any:
-        """Call a method of the lane and wait for what it returns.
+        """Call a method of the lane, wait for its result and return it.
 
         Raises:
             LaneLost: it raised, died, or gave no answer within `timeout` seconds.
@@ -98,7 +98,7 @@ class Worker:
         return self._answer(method, timeout)
 
     def close(self) -> None:
-        """End the process; a call that waits for its answer is told that the process has died."""
+        """End the process; a call that waits for its answer gets `LaneLost`."""
         with contextlib.suppress(OSError):
             os.kill(self._pid, signal.SIGKILL)
 
@@ -115,9 +115,9 @@ class Worker:
         return self._answered.read(reply.parcel)
 
     def _answers_within(self, patience: float) -> bool:
-        """Wait for an answer; a process that wants to run and is not let run gets more time.
+        """Wait for an answer; a process that is ready to run but gets no processor time is given more time.
 
-        One that sleeps for ever has no excuse, nor has one that has worked for as long as the patience lasts.
+        A process that sleeps is not given more, nor is one that has used `patience` seconds of processor time.
         """
         begin, worked = time.monotonic(), _activity(self._pid).seconds
         while not self._line.poll(POLL):
@@ -137,14 +137,14 @@ class Worker:
 
 @dataclass(frozen=True)
 class Activity:
-    """The processor time of a process so far, and whether it wants more."""
+    """Processor time of a process so far, and whether it is ready to run."""
 
     seconds: float  # of processor time
     wants_to_run: bool  # it runs, or waits for a processor or the disk
 
 
 def _activity(pid: int) -> Activity:
-    """As the system tells it; where it does not, a process never wants to run, and only the clock counts."""
+    """Activity from /proc; without it a process counts as not ready to run, and only the clock counts."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except (OSError, ValueError):
@@ -153,9 +153,9 @@ def _activity(pid: int) -> Activity:
 
 
 def serve(line_fileno: int, received_fileno: int, answers_fileno: int) -> None:
-    """Be a lane: make it, then answer one call after the other until nobody is left to ask."""
+    """Run a lane in this process: make it, then answer one call after the other until the line is closed."""
     for s in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(s, signal.SIG_IGN)  # the flight ends its lanes itself, after they have given what they have
+        signal.signal(s, signal.SIG_IGN)  # the flight ends its lanes itself, after it has taken their results
     line, received, answers = Connection(line_fileno), Block(received_fileno), Block(answers_fileno)
     with contextlib.suppress(EOFError, OSError):
         spec: Spec = line.recv()

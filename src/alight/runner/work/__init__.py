@@ -1,4 +1,4 @@
-"""Who does the work of a set of photos: this process or a cluster, and what was done before an interruption is kept."""
+"""Workers for a set of photos: this process or a cluster; results from before an interruption are kept."""
 
 from alight.runner.work.cluster import ClusterJobs, cluster_jobs
 from alight.runner.work.saved import SavedJobs, work_key

@@ -1,4 +1,4 @@
-"""A Dask cluster does the work: features, pairs and tiles go to its workers, and the results are the same."""
+"""Work on a Dask cluster: features, pairs and tiles go to its workers, and the results are the same."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ log = logging.getLogger(__name__)
 
 AHEAD = 2  # tasks a thread of the cluster that are sent before their turn
 TRIES = 4  # of a task whose worker or whose arguments were lost
-MOST_SENT = 2_000_000_000  # bytes of arguments that the cluster is asked to hold
-_here = threading.local()  # of a worker's thread: what it keeps from task to task
+MOST_SENT = 2_000_000_000  # bytes of arguments that the cluster must hold
+_here = threading.local()  # of a worker's thread: the object that it keeps from task to task
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def cluster_jobs(scheduler: str | None) -> Iterator[Jobs]:
 
 
 class ClusterJobs:
-    """The workers of a Dask cluster do the tasks, few at a time, so that memory does not grow with their number.
+    """Tasks done by the workers of a Dask cluster, few at a time, so that memory does not grow with their number.
 
     Args:
         client: of `distributed`.
@@ -114,7 +114,7 @@ class ClusterJobs:
 
 
 def do_here(run: str, do: Callable[..., Any], *arguments: Any) -> Any:
-    """Do a task on a worker: on one thread, as its sender would."""
+    """Do a task on a worker, on one thread like its sender, for the same results."""
     compiled.use_threads(1)
     with threadpool_limits(limits=1, user_api="blas"):
         return do(*resolved(arguments, lambda sent: sent.value, partial(_kept, run)))

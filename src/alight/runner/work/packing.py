@@ -1,4 +1,4 @@
-"""Results of tasks as bytes, and back to the bit: numbers, text and known records, and nothing that could be run."""
+"""Results of tasks as bytes, and back to the same bits: numbers, text and listed records, but no code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KINDS: dict[str, type[Any]] = {
         RigCamera, Trajectory,
     )
 }  # fmt: skip
-_HEAD = struct.Struct("<16sI")  # digest of what follows and of what it rests on; length of the tree
+_HEAD = struct.Struct("<16sI")  # digest of the data and of `about`; length of the tree
 DTYPES = frozenset(["<f4", "<f8", "<i8", "<i4", "<u2", "|u1", "|b1"])
 
 
@@ -37,7 +37,7 @@ def pack_result(value: Any, about: str) -> bytes:
 
     Args:
         value: records that are listed here, arrays, numbers and text, in tuples, lists and mappings.
-        about: what else it rests on; goes into the digest alone.
+        about: further inputs of the result, as text; part of the digest alone.
     """
     arrays = list[NDArray[Any]]()
     plain = _plain(value, arrays)
@@ -55,7 +55,7 @@ def unpack_result(data: bytes) -> Any:
     """Return the value that was packed, equal to the bit.
 
     Raises:
-        ValueError: the bytes are none that were packed.
+        ValueError: the bytes are no packed result.
     """
     try:
         size = _HEAD.unpack_from(data)[1]
@@ -77,7 +77,7 @@ def _digest(about: bytes, body: bytes) -> bytes:
 
 
 def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """As JSON, arrays apart. Numbers and text are themselves; all else is a list that begins with what it is."""
+    """Convert to JSON, arrays apart. Numbers and text stay; all else becomes a list that begins with its type."""
     if isinstance(value, np.ndarray):
         arrays.append(value)
         return ["array", len(arrays) - 1]

@@ -1,4 +1,4 @@
-"""Work that is saved piece by piece, so that an interrupted run goes on where it was."""
+"""Work that is saved piece by piece, so that an interrupted run continues from there."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from alight.sources import Source
 
 
 class SavedJobs:
-    """Takes what was saved, has the rest done, and saves that.
+    """Takes saved results, has the other tasks done, and saves their results.
 
     Args:
-        doing: who does the work.
+        doing: workers for the other tasks.
         saved: pieces of work by the names of their tasks.
     """
 
     def __init__(self, doing: Jobs, saved: MutableMapping[str, bytes]) -> None:
         self._doing, self._saved = doing, saved
-        self.done: list[str] = []  # names of the tasks that were not there
+        self.done: list[str] = []  # names of the tasks that were not saved before
 
     def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
         """As `Jobs`."""
@@ -48,10 +48,10 @@ class SavedJobs:
         yield from self._known(drawn)
 
     def _known(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
-        """Yield what is saved, up to the next task that is not.
+        """Yield saved results, up to the next task without one.
 
         Raises:
-            InputError: a piece is whole and yet none of ours.
+            InputError: a piece is whole, but no packed result.
         """
         while drawn and drawn[0][1]:
             name = drawn.popleft()[0].name
@@ -63,13 +63,13 @@ class SavedJobs:
 
 
 def work_key(source: Source, digest: str, settings: Settings, *files: Path) -> dict[str, Any]:
-    """Return what the work of a run rests on: saved work of another key is not used.
+    """Return the key of a run's work, with all its inputs: saved work of another key is not used.
 
     Args:
         source: the photos.
-        digest: of them.
-        settings: all of them.
-        files: what else is read, such as given poses.
+        digest: of the photos.
+        settings: all settings.
+        files: further inputs, such as given poses.
     """
     rest = blake2b(repr((source.rig, source.local)).encode())
     for file in files:

@@ -18,7 +18,7 @@ class SharpenTuning(FrozenModel):
 
 
 class HazardsTuning(FrozenModel):
-    """Judging the ground."""
+    """Judgement of the ground."""
 
     unknown_share: Fraction = Field(0.02, description="Largest share of the footprint that was never seen")
     doubtful_share: Fraction = Field(

@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class MappingTuning(FrozenModel):
-    """When the ground is looked for, which heights are given out, and how fine the cells are."""
+    """Keyframes, search for the ground, size of the cells, and limits of the heights that are given out."""
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
     turn: Positive = Field(0.15, description="Turn of the optical axis that makes a keyframe without a step, rad")

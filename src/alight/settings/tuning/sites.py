@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class SitesTuning(FrozenModel):
-    """Choosing sites."""
+    """Choice of sites."""
 
     roomy: Positive = Field(5.0, description="Clearance beyond which more adds nothing to the score, m")
     room_weight: NonNegative = Field(1.0, description="Weight of the clearance against the quality Q")

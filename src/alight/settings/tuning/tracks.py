@@ -1,4 +1,4 @@
-"""Tuning of the feature tracks (docs/lab/tuning-constants.md says where the values come from)."""
+"""Tuning of the feature tracks (docs/lab/tuning-constants.md)."""
 
 from __future__ import annotations
 
