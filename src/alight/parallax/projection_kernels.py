@@ -29,8 +29,8 @@ def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32)
         u, v, inverse = ideal[0, c], ideal[1, c], ONE / ideal[2, c]
         t = (mapy[c] + HALF) / height - HALF
         t = t if (t > -ONE) & (t < ONE) else ZERO
-        way, bent = t * inverse, t * t - TWELFTH
-        wx, wy, wz = t * r[3] + bent * r[6], t * r[4] + bent * r[7], t * r[5] + bent * r[8]
+        way, quadratic = t * inverse, t * t - TWELFTH
+        wx, wy, wz = t * r[3] + quadratic * r[6], t * r[4] + quadratic * r[7], t * r[5] + quadratic * r[8]
         scale = ONE / (ONE - r[2] * way - wx * v + wy * u)
         x[c], y[c] = (u - r[0] * way - wy + wz * v) * scale, (v - r[1] * way - wz * u + wx) * scale
 

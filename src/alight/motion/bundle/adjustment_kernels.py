@@ -20,7 +20,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.compiled import kernel, pixelwise
 from alight.motion.bundle.lens_kernels import distort
-from alight.motion.bundle.rolling_kernels import HEIGHT, READOUT, bent, expose, row_time
+from alight.motion.bundle.rolling_kernels import HEIGHT, READOUT, expose, quadratic, row_time
 from alight.motion.point_kernels import MIN_DEPTH, to_camera
 
 READOUT_NUMBER = 9  # among the numbers of a lens: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
@@ -78,7 +78,7 @@ def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> Non
         if each == 12:
             for j in range(3):
                 turn = J[h, 3] * R[0, j] + J[h, 4] * R[1, j] + J[h, 5] * R[2, j]
-                J[h, 6 + j], J[h, 9 + j] = turn * t, turn * bent(t)
+                J[h, 6 + j], J[h, 9 + j] = turn * t, turn * quadratic(t)
 
 
 @pixelwise

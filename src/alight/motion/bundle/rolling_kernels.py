@@ -14,7 +14,7 @@ def row_time(row: float, height: float) -> float:
 
 
 @pixelwise
-def bent(t: float) -> float:
+def quadratic(t: float) -> float:
     """Factor of the quadratic turn of a photo at a time of `row_time`; that of the linear turn is `t`."""
     return t * t - 1.0 / 12.0
 
@@ -34,7 +34,7 @@ def expose(
         turn: (3, 3) out, from the row's camera to that of the middle.
         row_R, row_C: out, as `R`, `C`.
     """
-    q = bent(t)
+    q = quadratic(t)
     exponential(
         t * turns[0, 0] + q * turns[1, 0], t * turns[0, 1] + q * turns[1, 1], t * turns[0, 2] + q * turns[1, 2], turn
     )
