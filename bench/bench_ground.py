@@ -32,8 +32,8 @@ CELL = 0.2  # metres, dem.raw
 RIM = 21  # pixels at the rim that the truth calls unsafe: rows 0 to 20 and the last 21
 BEYOND = 8  # pixels by which the ground is continued, so that feet at the rim stand on something
 
-# The rule in the data's README, every heading, with what its words leave open read against the truth: plate and feet a
-# pixel further out than half of 3.4 m (terrain 1: single rocks), planes on which the lander rests, a foot on the mean
+# The rule in the data's README, every heading; its open points are settled by comparison with the truth: plate and feet
+# a pixel further out than half of 3.4 m (terrain 1: single rocks), planes on which the lander rests, a foot on the mean
 # of the ground 0.4 m about it (terrain 3: slopes). The same program made every terrain of the contest.
 RING = 1.8
 CONTEST = Lander(
@@ -45,7 +45,7 @@ CONTEST = Lander(
     belly_clearance=0.39,
     max_slope=math.radians(10.0),
 )
-# one survey: no tilt but what its pixels leave open, and nothing flattened
+# one survey: no tilt beyond the uncertainty of its pixels, and no smoothing
 SURVEY = HazardsSettings(tilt_sigma=0.001, noise_length=0.2, bridge=0.0, smoothed=False)
 
 Pixels = NDArray[np.uint8]

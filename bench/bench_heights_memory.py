@@ -40,9 +40,9 @@ DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # the p
 K = np.array([[LENS.fu, 0.0, LENS.cu], [0.0, LENS.fv, LENS.cv], [0.0, 0.0, 1.0]])
 RIG = Rig((RigCamera("cam0", LENS, Pose(DOWN, np.zeros(3))),))
 PAINT, SIDE = 0.06, 2048  # metres a texel; the plane repeats itself after 123 m
-GRAVITY = np.array([0.0, 0.0, 9.80665])  # what an accelerometer at rest feels
+GRAVITY = np.array([0.0, 0.0, 9.80665])  # specific force measured at rest
 LIBC = ctypes.CDLL(None)
-EVERY = 10  # s between two looks at the memory
+EVERY = 10  # s between two measurements of the memory
 WAYS = ("forgotten", "spilled")
 
 

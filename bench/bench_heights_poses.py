@@ -36,11 +36,11 @@ RUNGS = ("meadow/40m/test-1", "farmland/40m/test-1", "village/40m/test-1", "quar
 COUNT = 20  # exposures
 KINDS = ("none", "white", "drift", "constant")
 SEEDS = 3  # a kind and rung
-CLAIM_SEEDS = 20  # for what is claimed of offset and tilt
+CLAIM_SEEDS = 20  # for the claimed covariance of offset and tilt
 SIGMA = np.repeat([0.05, np.radians(0.2)], 3)
-SHARE = 1e-3  # of the constant error's variance that is white all the same
+SHARE = 1e-3  # share of the constant error's variance that is white nevertheless
 CHI2 = 7.815  # 95 % of three
-HELD = 16  # poses that are told of together
+HELD = 16  # poses of a joint posterior
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,7 +83,7 @@ def part_batch(_: argparse.Namespace) -> None:
 
 
 def _healthy(o: Outcome) -> bool:
-    """Whether the states are those expected of a damage, as in the docstrings of tests/test_motion_damage.py."""
+    """Return whether the states are those expected of a damage, as in the docstrings of tests/test_motion_damage.py."""
     s = o.scenario
     if s.name.startswith(("GPS", "lens")):
         late = 2.5 if s is OUTAGE else 0.6

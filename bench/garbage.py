@@ -33,7 +33,7 @@ METRE = 1 / 111_000  # degrees of latitude
 
 
 def is_good(k: int) -> bool:
-    """Whether row `k` of a stream stays unchanged."""
+    """Return whether row `k` of a stream stays unchanged."""
     return k % OF == KEPT
 
 

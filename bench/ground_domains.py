@@ -39,14 +39,14 @@ class Row:
     """Numbers of one flight."""
 
     name: str
-    safe: float  # share of what was seen
-    false: tuple[float, ...]  # of what is claimed at each of `LEVELS`
+    safe: float  # share of the seen cells
+    false: tuple[float, ...]  # share of the cells claimed at each of `LEVELS`
     claimed: tuple[int, ...]  # cells
-    found: float  # of what is truly safe, at 0.95
+    found: float  # share of the truly safe cells, at 0.95
     found_fine: tuple[int, int]  # cells found at 0.95, and truly safe, where the pixel is fine enough
-    false_coarse: float  # share of what is claimed at 0.95 where the pixel is not fine enough
+    false_coarse: float  # share of the cells claimed at 0.95 where the pixel is not fine enough
     listed: tuple[str, ...]  # each place by rank: S or C, lower case where it is not safe
-    covered: float  # of what is truly safe with `ROOM`, not refused
+    covered: float  # share of the truly safe cells with `ROOM`, not refused
     bins: tuple[tuple[float, float, int], ...]  # claimed and true frequency, cells
 
 

@@ -30,14 +30,14 @@ class GroundTruth:
 
     @cached_property
     def level(self) -> Bool:
-        """Slope and roughness of the true surface keep the lander's limits, whatever it is made of."""
+        """Slope and roughness of the true surface keep the lander's limits, whatever class the ground has."""
         foot = TrueFootprint(self.lander.radius, self.lander.max_slope, self.lander.max_roughness)
         bare = np.full_like(self.truth.label, int(Terrain.BARE))
         return np.asarray(safe_mask(self.truth.dem, bare, self.truth.grid.cell, foot), np.bool_)
 
     @cached_property
     def even(self) -> Bool:
-        """As `level`, and no rock stands in the footprint: from afar the height of a stone is uncertain."""
+        """`level` holds, and no rock stands in the footprint: from afar the height of a stone is uncertain."""
         return self.level & self._away_from((self.truth.label == Terrain.ROCK) & self._standing)
 
     @cached_property

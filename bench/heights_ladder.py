@@ -15,7 +15,7 @@ from ladder import rung
 from true_views import exposures
 
 COUNTS = (10, 20)  # exposures
-MIDDLE = 40  # metres: where everything is asked
+MIDDLE = 40  # metres: height at which everything is measured
 HEIGHTS = (20, 40, 60, 100, 150)
 SCENES = ("meadow", "farmland", "village", "quarry", "forest", "lakes", "desert", "yard")
 FEW = ("meadow", "farmland", "village", "quarry")  # at the other heights

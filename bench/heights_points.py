@@ -16,7 +16,7 @@ from alight.spread import nmad
 from alight_sim import SimulatedFlight
 
 POINTS = 20_000
-LEAST = 50  # points that a percentage is worth naming of
+LEAST = 50  # least number of points of a percentage
 OPEN = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 STEP, BESIDE = 0.5, 0.5  # metres: of a height step, and beside it
 BAD = 0.5  # metres
@@ -38,9 +38,9 @@ class Points:
 class Answer:
     """Heights of a matcher at the points."""
 
-    height: F64  # (N,) metres, NaN where nothing
-    sigma: F64  # (N,) NaN where it claims none
-    given: Mask  # what it would give out
+    height: F64  # (N,) metres, NaN = no height
+    sigma: F64  # (N,) NaN = no claim
+    given: Mask  # heights that it would give out
 
 
 def points_of(flight: SimulatedFlight, shots: list[list[View]]) -> Points:

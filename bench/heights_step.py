@@ -35,7 +35,7 @@ VIEWS = 7
 CELL = HEIGHT / 480.0  # metres: a pixel of the camera
 SPACING = 0.8  # metres between exposures, 2 % of the height
 REPEATS = 12
-PARTS = {  # what is timed apart, outer before inner
+PARTS = {  # functions that are timed separately, outer before inner
     "prepare the newest picture": (pictures, "prepare_view"),
     "which views see what": (refine, "view_geometry"),
     "what to do": (blocks.Blocks, "plan"),

@@ -13,7 +13,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "bench-heights"
-# what a measured number hangs on: another source is another number
+# sources on which a measured number depends: after a change it is measured again
 SOURCES = (
     "src/alight/geometry", "src/alight/raster", "src/alight/parallax", "src/alight/pipeline", "src/alight_sim",
     "src/alight/elevation", "src/alight/settings", "bench/scenes", "bench/matchers.py", "bench/subjects.py",
@@ -52,7 +52,7 @@ class Row:
 
 
 def meets(value: float, limit: float | tuple[float, float] | None) -> bool:
-    """Whether a value is within a limit."""
+    """Return whether a value is within a limit."""
     if limit is None:
         return True
     return limit[0] <= value <= limit[1] if isinstance(limit, tuple) else value <= limit

@@ -113,7 +113,7 @@ def rows(seeds: str) -> list[Row]:
         judged = OF_GIVEN if limit == DEEP else OF_KIND
         for m in METHODS:
             mean = {k: float(np.mean([f[m][k] for f in found])) for k in found[0][m]}
-            asked = (1.0, 0.1)  # water whose bed shows is flagged by the terrain stage: what a run gives out is judged
+            asked = (1.0, 0.1)  # water whose bed shows is flagged by the terrain stage: the output of a run is judged
             at_once, after = ((), asked) if limit == DEEP else (asked, ())
             out.append(Row(f"off > {limit} m and not flagged, % {judged}: {which}, {m}", mean[judged], *at_once))
             other = OF_KIND if judged == OF_GIVEN else OF_GIVEN

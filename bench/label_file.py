@@ -53,7 +53,7 @@ class Labels:
     name: str
     width: int  # px, of every photo
     height: int  # px
-    times: dict[str, int]  # ns, capture time of a photo by its file name: how a run's trajectory knows it
+    times: dict[str, int]  # ns, capture time of each photo by its file name, as in a run's trajectory
     polygons: tuple[Label, ...]
 
     def of_photo(self, photo: str) -> tuple[Label, ...]:
@@ -123,14 +123,14 @@ def _ring_problems(p: Label, labels: Labels) -> Iterator[str]:
 
 
 def _crosses_itself(ring: F64) -> bool:
-    """Whether two edges of a closed ring that are no neighbours cross."""
+    """Return whether two edges of a closed ring that are no neighbours cross."""
     edges = list(pairwise([*ring, ring[0]]))
     n = len(edges)
     return any(_meet(*edges[i], *edges[j]) for i, j in combinations(range(n), 2) if j - i > 1 and (i or j < n - 1))
 
 
 def _meet(a: F64, b: F64, c: F64, d: F64) -> bool:
-    """Whether the segments a-b and c-d cross."""
+    """Return whether the segments a-b and c-d cross."""
 
     def side(p: F64, q: F64, r: F64) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

@@ -129,7 +129,7 @@ class PhotoCells:
     """The cells of a map that one photo shows, and the pixel of each."""
 
     def __init__(self, grid: Grid, up: F32, camera: Camera, world_from_cam: Pose) -> None:
-        """`up`: (R, C) metres, NaN = unknown."""
+        """Find the pixel of each cell that the photo shows; `up`: (R, C) metres, NaN = unknown."""
         known = np.isfinite(up)
         self._shape = grid.shape
         east, north = grid.xy()
@@ -177,7 +177,7 @@ def filled(up: F32, grid: Grid) -> F64:
 
 
 def hidden(grid: Grid, up: F32, points: F64, centre: F64) -> Mask:
-    """Whether known ground stands between points and a camera by more than `HIDDEN_BY`.
+    """Return whether known ground stands between points and a camera by more than `HIDDEN_BY`.
 
     Args:
         grid: of the heights.

@@ -43,18 +43,18 @@ TUNING = tuple(f"{family}/looks/tuning-{k}" for k in (1, 2) for family in FAMILI
 TEST = tuple(f"{family}/looks/test-1" for family in FAMILIES)
 FIRST_SEED = {"tuning": 3000, "test": 7000}
 PLACES = 6  # of a flight
-TRIES, CLEAR, MOST_ABOVE = 50, 5.0, 2.0  # places tried; m about a place, within which nothing is higher than so much
+TRIES, CLEAR, MOST_ABOVE = 50, 5.0, 2.0  # places tried; m about a place; m above the median there, at most
 AREA = 30.0  # m, half the side of the square in which they lie
 HEIGHTS = ((6.5, 10.0), (3.7, 5.2))  # m above the place, of its two looks: drawn between
 START = 25.0  # m above the ground
 BASE, LEAST_BASE = 0.15, 1.5  # half the length of a leg: over the height; m
 CRUISE, SLOW, SINK = 5.0, 2.0, 2.0  # m/s: to a leg, on it, down
 NEAR_ENOUGH, PATIENCE = 1.0, 40.0  # m to a way-point; s
-REACH = 4.0  # m about the place that count
-BEYOND = 4.0  # m about these, of which the truth is wanted
+REACH = 4.0  # m about the place, radius of the cells that count
+BEYOND = 4.0  # m about these, within which the truth is needed
 KEPT = 15.0  # m, half the side of the map about the place that is kept
 STEP = 0.1  # s
-MARGIN = 0.3  # m by which a safe place is safe
+MARGIN = 0.3  # m of clearance of a safe place
 _NAME = re.compile(r"([a-z_]+)/looks/(tuning|test)-(\d+)")
 
 

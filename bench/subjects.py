@@ -33,7 +33,7 @@ class Points:
     xyz: F64  # (N, 3) metres, world
     kind: NDArray[np.uint8]  # (N,) Terrain codes, 0 where the reference has no classes
     open: NDArray[np.bool_]  # (N,) the ground about it is smooth, and no water
-    feature: NDArray[np.bool_]  # (N,) descriptors match there: the only places that a reference knows
+    feature: NDArray[np.bool_]  # (N,) descriptors match there; a reference has only such places
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Subject:
     name: str
     source: Source
     settings: Settings
-    poses: str  # what `alight run --poses` would take
+    poses: str  # argument of `alight run --poses`
     at: dict[int, Pose]  # world_from_body by time, ns
     truth: FlightTruth | None  # a flight's rasters
     cloud: F64 | None  # (N, 3) a reference's points

@@ -32,7 +32,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def warm() -> None:
-    """All loops of a run are compiled: a live run begins with them."""
+    """Compile all loops of a run, as before a live run."""
     if not compiled.is_warm():
         compile_kernels(lambda stage, share: None)
 
@@ -51,7 +51,7 @@ def photos(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def threads() -> Iterator[Callable[[int], None]]:
-    """Sets how many threads the kernels use, until the test is over."""
+    """Yield the setter of the number of threads of the kernels; the number is restored after the test."""
     before = numba.get_num_threads()
     yield numba.set_num_threads
     numba.set_num_threads(before)
@@ -59,7 +59,7 @@ def threads() -> Iterator[Callable[[int], None]]:
 
 @pytest.fixture
 def on_one_and_all(threads: Callable[[int], None]) -> Callable[[Callable[[], T]], tuple[T, T]]:
-    """What a call gives on one thread, and on as many as there are."""
+    """Return a function that makes a call on one thread and on all threads, and returns both results."""
 
     def both(call: Callable[[], T]) -> tuple[T, T]:
         threads(1)

@@ -1,4 +1,4 @@
-"""What `import alight` gives."""
+"""Public interface of `import alight`."""
 
 from __future__ import annotations
 

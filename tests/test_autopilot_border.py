@@ -150,7 +150,7 @@ def test_modes_of_px4_are_those_of_pymavlink() -> None:
 def test_targets_keep_their_place_relative_to_the_vehicle(
     lat: float, lon: float, east: float, north: float, up: float, wrong_lat_m: float, wrong_alt: float
 ) -> None:
-    """Whatever the autopilot gets wrong of its place, the way to the target is the same; measured by pymavlink."""
+    """The vector to a target stays the same for any error of the autopilot's position, measured by pymavlink."""
     local = LocalFrame(lat, lon, 120.0)
     ours = np.array([20.0, -10.0, 30.0])
     at = local.to_geodetic(ours)
@@ -166,7 +166,7 @@ def test_targets_keep_their_place_relative_to_the_vehicle(
 
 
 def tie() -> EstimateTie:
-    """We are 3 m east of where the autopilot thinks to be; its home is 40 m below."""
+    """Return a tie of a place 3 m east of the autopilot's estimate; its home is 40 m below."""
     return EstimateTie(LOCAL, np.array([3.0, 0.0, 40.0]), Place(47.6, 13.4, 540.0, 40.0))
 
 
@@ -199,7 +199,7 @@ def test_a_setpoint_without_sense_is_refused(setpoint: Setpoint) -> None:
 
 
 def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
-    """30 m north and 10 m down, at 2 m/s and 0.5 m/s: with 0.5 1/s it is 4 m ahead and 1 m lower."""
+    """30 m to the north and 10 m down, at 2 m/s and 0.5 m/s: at 0.5 1/s the set-point is 4 m ahead and 1 m lower."""
     here = Place(47.6, 13.4, 540.0, 40.0)
     far = target_of(Setpoint(np.array([3.0, 30.0, 30.0]), speed=2.0, sink=0.5), tie())
     near = far.ahead(here, 0.5).place
@@ -222,7 +222,7 @@ def some_route() -> Route:
 
 
 def test_a_mission_by_hand() -> None:
-    """Heights above the vehicle's own home: we are 40 m over it, whatever our own zero is."""
+    """Heights of a mission are above the vehicle's own home, 40 m below us, and independent of our own zero."""
     items = mission_of(some_route(), tie(), look_time=2.0)
     assert [i.command for i in items] == [178, 115, 16, 178, 115, 16, 178, 115, 21]
     speeds = [i.parameters[:3] for i in items if i.command == 178]
@@ -245,7 +245,7 @@ def test_item_0_is_the_home_for_ardupilot_only() -> None:
     assert len(copter) == len(items) + 1
     m = copter[0].message(0, 1, 1)
     assert (m.frame, m.command, m.x, m.z, m.current) == (0, 16, 470000000, 480.0, 1)
-    assert [i.command for i in px4] == [178, 16, 16, 21]  # it takes a speed downwards for one over the ground
+    assert [i.command for i in px4] == [178, 16, 16, 21]  # PX4 takes a speed downwards for a speed over the ground
 
 
 def test_a_mission_needs_the_height_above_home() -> None:
@@ -254,7 +254,7 @@ def test_a_mission_needs_the_height_above_home() -> None:
 
 
 def test_items_are_what_pymavlinks_own_mission_file_holds(tmp_path: Path) -> None:
-    """MISSION_ITEM_INT, read back as the degrees of pymavlink's loader for QGroundControl's text format."""
+    """A MISSION_ITEM_INT holds the degrees that pymavlink's loader reads from QGroundControl's text format."""
     place = Place(-33.1234567, 151.7654321, 0.0, 12.5)
     m = land(place, 0.25).message(0, 1, 1)
     row = [m.seq, 1, m.frame, m.command, m.param1, m.param2, m.param3, m.param4, m.x * 1e-7, m.y * 1e-7, m.z, 1]
@@ -269,7 +269,7 @@ def test_items_are_what_pymavlinks_own_mission_file_holds(tmp_path: Path) -> Non
 
 
 def test_landing_targets_by_hand() -> None:
-    """Level, nose east, target 10 m below and 1 m north: 1 m to the left of the nose."""
+    """For a level vehicle with the nose to the east, a target 10 m below and 1 m north is 1 m left of the nose."""
     R = world_from_body_of_angles(0.0, 0.0, math.pi / 2)
     assert R is not None
     m = ArduPilotFirmware().landing_target(7 * MS, np.array([0.0, 1.0, -10.0]), R)
@@ -380,7 +380,7 @@ def test_positions_without_attitudes_do_not_pile_up() -> None:
 
 
 def test_imu_samples_by_hand() -> None:
-    """At rest, level: the accelerometer feels one g upwards."""
+    """At rest and level, the accelerometer measures one g upwards."""
     messages = [
         mavlink.MAVLink_highres_imu_message(1_000_000, 0, 0, -9.80665, 0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0, 0, 0),
         mavlink.MAVLink_scaled_imu_message(1000, 0, 0, -1000, 100, 200, 300, 0, 0, 0),

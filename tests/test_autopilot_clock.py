@@ -1,4 +1,4 @@
-"""The autopilot's clock is carried to ours: offset, drift, jumps; time-outs pass at its own pace."""
+"""Conversion between the autopilot's clock and ours: offset, drift, jumps; time-outs run on the autopilot's clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OFFSET = 1_700_000_000 * SECOND
 
 
 def exchange(clock: VehicleClock, theirs_s: float, there_s: float, back_s: float, drift: float = 0.0) -> None:
-    """A question that takes `there_s` to the autopilot, whose clock then shows `theirs_s`."""
+    """Exchange a TIMESYNC request that takes `there_s` to the autopilot, whose clock then shows `theirs_s`."""
     arrived = OFFSET + round(theirs_s / (1 + drift) * SECOND)
     asked = clock.question(arrived - round(there_s * SECOND))
     assert clock.answer(asked, round(theirs_s * SECOND), arrived + round(back_s * SECOND))
@@ -28,7 +28,7 @@ def error_ms(clock: VehicleClock, theirs_s: float, drift: float = 0.0) -> float:
 
 @pytest.mark.parametrize("drift", [0.0, 40e-6, -40e-6])
 def test_short_round_trips_decide(drift: float) -> None:
-    """Delays of 2 to 150 ms, unequal: the offset is known to a millisecond or two."""
+    """With unequal delays of 2 to 150 ms, the offset is known to 3 ms."""
     rng, clock = np.random.default_rng(3), VehicleClock()
     for k in range(120):
         there, back = 0.002 + rng.exponential(0.03, 2)
@@ -77,7 +77,7 @@ def test_a_jump_is_seen_and_the_new_offset_counts() -> None:
 
 
 def test_one_late_clock_is_not_a_jump() -> None:
-    """A simulated autopilot that waits for its machine is 80 ms late once, and again two answers later."""
+    """A simulated autopilot that waits for its machine is 80 ms late once, and again two answers later: no jump."""
     clock = VehicleClock()
     for k in range(20):
         arrived, late = OFFSET + (50 + k) * SECOND, 80 * MS if k in (12, 14) else 0
@@ -101,7 +101,7 @@ def test_an_unknown_clock_is_not_guessed() -> None:
 
 
 def test_patience_is_the_autopilots_own() -> None:
-    """It runs at a fifth of our speed: waiting counts its seconds, until it is silent."""
+    """While the autopilot runs at a fifth of our speed, time-outs run on its clock; when it is silent, on ours."""
     pace, now = Pace(), OFFSET
     pace.tick(now)
     for k in range(100):
@@ -127,7 +127,7 @@ def test_a_clock_that_goes_back_has_started_again() -> None:
 
 @pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 def test_rows_bear_the_instant_at_which_they_were_true(dialect: str) -> None:
-    """Over a slow, uneven link and with a drifting clock; the vehicle flies at 5 m/s, so 10 ms are 5 cm."""
+    """Rows have the right stamps over a slow, uneven link with a drifting clock; at 5 m/s, 10 ms are 5 cm."""
     link = {"delay": 0.03, "jitter": 0.06, "loss": 0.1}
     rig = Rig(dialect, seed=2, link=link, step=0.01, drift=40e-6)
 

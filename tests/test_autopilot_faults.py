@@ -1,4 +1,4 @@
-"""Rare faults of a flight: half missions, a pilot's quiet switch, positions that cannot be."""
+"""Rare faults of a flight: incomplete missions, a pilot's quiet takeover, impossible positions."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 S = 1_000_000_000
 
 
-# -- half missions
+# -- incomplete missions
 
 
 def torn(dialect: str = "ardupilot") -> tuple[Rig, int]:
-    """An upload whose uplink dies after nine items, over a mission that was there."""
+    """Break the uplink after nine items of an upload, over a mission that was stored before."""
     rig = met(Rig(dialect))
     assert rig.answered(rig.vehicle.upload(long_mission(8)), 20, NoticeKind.UPLOAD).ok
     ticket = rig.vehicle.upload(long_mission())
@@ -55,7 +55,7 @@ def test_an_upload_whose_uplink_dies_says_that_a_part_may_be_there(dialect: str)
 
 @BOTH
 def test_a_part_is_deleted_when_the_link_comes_back(dialect: str) -> None:
-    """However late: it is asked for until the autopilot confirms it, and said once."""
+    """The part is deleted however late the link is back: the request is repeated until confirmed, and reported once."""
     rig, ticket = torn(dialect)
     rig.answered(ticket, 120, NoticeKind.UPLOAD)
     rig.run(120)
@@ -72,7 +72,7 @@ def test_a_part_is_deleted_when_the_link_comes_back(dialect: str) -> None:
 
 
 def test_a_part_is_not_taken_from_under_a_mission_that_somebody_flies() -> None:
-    """The pilot may have sent another one by now: it is not ours to delete while it is flown."""
+    """The part is not deleted while a mission is flown: the pilot may have sent another one by now."""
     rig, ticket = torn()
     rig.answered(ticket, 120, NoticeKind.UPLOAD)
     rig.sim.logic.doing = Doing.MISSION
@@ -114,7 +114,7 @@ def bad_item() -> tuple[Any, ...]:
 
 
 def test_a_new_upload_takes_the_place_of_a_deletion() -> None:
-    """It is whole or it fails: a part of an older one is remembered over it."""
+    """A new upload is stored whole or it fails; while it fails, the part of the older one is still remembered."""
     rig, ticket = torn()
     rig.answered(ticket, 120, NoticeKind.UPLOAD)
     again = rig.vehicle.upload(long_mission(3))
@@ -139,11 +139,11 @@ def test_a_mission_that_was_refused_at_once_leaves_the_old_one() -> None:
     assert stored(rig)
 
 
-# -- a pilot's quiet switch
+# -- a pilot's quiet takeover
 
 
 def test_a_pilot_who_holds_during_our_landing_of_px4_takes_over() -> None:
-    """At the end of a landing PX4 goes to Hold by itself, but on the ground."""
+    """PX4 changes to Hold by itself at the end of a landing, but only on the ground; in the air a pilot did it."""
     rig = Rig("px4")
     rig.up_and_flying(15.0)
     assert rig.answered(rig.vehicle.set_mode(FlightMode.LAND)).ok
@@ -166,7 +166,7 @@ def test_px4_that_holds_after_its_landing_is_no_takeover() -> None:
 
 @pytest.mark.parametrize("order", [FlightMode.LAND, FlightMode.RETURN])
 def test_px4_that_leaves_the_mode_of_its_landing_as_it_stops_the_motors_is_no_takeover(order: FlightMode) -> None:
-    """Since 1.14 it goes back to the last mode that may be armed in: the heartbeat that says disarmed says OFFBOARD."""
+    """Since 1.14 PX4 goes back to the last mode in which it can be armed: the disarmed heartbeat has OFFBOARD."""
     rig = Rig("px4")
     rig.up_and_flying(5.0)
     rig.vehicle.set_mode(order)
@@ -191,7 +191,7 @@ def test_a_change_of_mode_at_the_end_of_a_landing_is_natural_on_the_ground_only(
 @pytest.mark.parametrize("early", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_pilot_may_choose_the_mode_that_we_asked_for_before_the_last(seen: bool, early: float) -> None:
-    """BRAKE, GUIDED, and the pilot's BRAKE 1.5 s later; whether heartbeats showed our own BRAKE or not."""
+    """After our BRAKE and GUIDED, a BRAKE 1.5 s later is the pilot's, whether heartbeats showed our BRAKE or not."""
     rig = Rig()
     rig.up_and_flying(15.0)
     rig.run(3 + early)
@@ -208,7 +208,7 @@ def test_a_pilot_may_choose_the_mode_that_we_asked_for_before_the_last(seen: boo
 
 
 def watch() -> ControlWatch:
-    """In control of a Copter that is in GUIDED."""
+    """Return a watch that is in control of a Copter in GUIDED."""
     found = ControlWatch(ArduPilotFirmware())
     found.ordered(FlightMode.GUIDED, 0)
     assert found.mode(FlightMode.GUIDED, "GUIDED", 1 * S) is None
@@ -216,7 +216,7 @@ def watch() -> ControlWatch:
 
 
 def test_a_heartbeat_that_was_under_way_settles_nothing() -> None:
-    """It left before BRAKE was heard of; then the next order is lost, and the heartbeat shows our own BRAKE."""
+    """A heartbeat that left before BRAKE took effect uses up no order: our BRAKE and GUIDED may still follow it."""
     control = watch()
     control.ordered(FlightMode.HOLD, 10 * S)
     control.ordered(FlightMode.GUIDED, 10 * S + 300_000_000)
@@ -227,7 +227,7 @@ def test_a_heartbeat_that_was_under_way_settles_nothing() -> None:
 
 
 def test_an_order_that_waits_for_its_answer_may_take_effect_again() -> None:
-    """Its answer was lost: each try brings the mode again."""
+    """An order whose answer was lost is sent again, and each try may bring its mode again."""
     control = watch()
     control.ordered(FlightMode.HOLD, 10 * S)
     assert control.mode(FlightMode.HOLD, "BRAKE", 11 * S) is None
@@ -236,7 +236,7 @@ def test_an_order_that_waits_for_its_answer_may_take_effect_again() -> None:
 
 
 def test_an_order_that_is_accepted_late_is_ours() -> None:
-    """It was sent after a second of set-points, and five tries were lost."""
+    """A mode that is accepted after a second of set-points and five lost tries is still ours."""
     control = ControlWatch(Px4Firmware())
     control.mode(FlightMode.HOLD, "AUTO.LOITER", 0)
     control.ordered(FlightMode.GUIDED, 0)
@@ -280,7 +280,7 @@ def test_a_lost_answer_makes_no_takeover_of_the_next_try() -> None:
     assert not rig.of(NoticeKind.TAKEOVER)
 
 
-# -- positions that cannot be
+# -- impossible positions
 
 MAX = 2**31 - 1
 WILD = {
@@ -328,7 +328,7 @@ def test_a_velocity_that_cannot_be_is_not_carried_on() -> None:
 
 
 def test_a_place_that_jumps_is_unknown_until_reports_agree() -> None:
-    """An estimator that has begun anew must not lock us out for ever."""
+    """A position that jumps is unknown until the new reports agree: a restarted estimator must not lock us out."""
     state, away = VehicleState(ArduPilotFirmware()), WILD["a street away"]
     told(state, report(1000, HERE))
     assert not any(told(state, *(report(1100 + 100 * k, away) for k in range(10))))
@@ -372,7 +372,7 @@ def farthest(r: PilotRig) -> float:
 
 
 def lie(r: Rig, numbers: tuple[int, int, int, int]) -> Callable[[], None]:
-    """Have the autopilot report this place; the call ends it."""
+    """Make the autopilot report this place, until the returned function is called."""
     make = r.sim.reports._make
     true = make[33]
     make[33] = lambda now: report(now.boot_ms, numbers)
@@ -408,7 +408,7 @@ def test_an_estimate_that_jumps_and_stays_is_taken_after_a_second(dialect: str) 
 
 
 def test_px4_gets_no_farther_setpoint_while_its_place_is_unknown() -> None:
-    """A set-point far away is flown to with all speed: it is moved closer by where the vehicle is."""
+    """PX4 flies to a far set-point at full speed: while its place is unknown, it gets none that is farther."""
     rig = Rig("px4")
     rig.up_and_flying(15.0)
     tie = rig.vehicle.tie(LOCAL, rig.truth(), rig.now_ns)

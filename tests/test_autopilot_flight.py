@@ -1,4 +1,4 @@
-"""Whole flights: guided, by mission, and down on a target, while the autopilot is wrong about its place."""
+"""Whole flights with an error of the autopilot's position: guided, by mission, and down on a target."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ TARGET = np.array([12.0, 9.0, 0.0])
 
 
 def over(up: float, east: float = 0.0, north: float = 0.0) -> np.ndarray:
-    """A point near the target."""
+    """Return a point relative to the target."""
     return TARGET + np.array([east, north, up])
 
 
 def aligned(rig: Rig) -> EstimateTie:
-    """We know our true position (from the cameras), the autopilot believes another."""
+    """Return a tie with our true position (from the cameras); the autopilot's estimate is another."""
     got = rig.vehicle.tie(LOCAL, rig.truth(), rig.now_ns)
     assert got is not None
     return got
@@ -40,7 +40,7 @@ def flying(dialect: str, height: float = 15.0, **more: object) -> Rig:
 
 @BOTH
 def test_a_guided_target_is_reached_in_our_world(dialect: str) -> None:
-    """The autopilot is off by 3.9 m; commands are relative to its own estimate, so the vehicle is not."""
+    """The autopilot is off by 3.9 m; commands are relative to its own estimate, so the vehicle is not off."""
     rig = flying(dialect)
     goal = np.array([20.0, -14.0, 22.0])
     rig.vehicle.guide(Setpoint(goal, heading=math.radians(120)), aligned(rig))
@@ -52,7 +52,7 @@ def test_a_guided_target_is_reached_in_our_world(dialect: str) -> None:
 
 @BOTH
 def test_guided_flight_begins_where_the_vehicle_is(dialect: str) -> None:
-    """An order to fly guided on the ground must not bring it down again after take-off."""
+    """An order to fly guided on the ground must not bring the vehicle down again after take-off."""
     rig = flying(dialect)
     before = rig.sim.estimated
     rig.run(8)
@@ -73,7 +73,7 @@ def test_a_guided_velocity_is_flown(dialect: str) -> None:
 
 @BOTH
 def test_a_setpoint_is_flown_to_no_faster_than_it_says(dialect: str) -> None:
-    """ArduPilot forgets the speed when its controller starts anew: after the take-off, and after a hold."""
+    """A set-point keeps its speed although ArduPilot forgets it after take-off and after a hold."""
     rig = flying(dialect)
     goal = Setpoint(np.array([60.0, 0.0, 8.0]), heading=math.radians(-90), speed=2.0, sink=0.5)
     for _ in range(2):
@@ -81,7 +81,7 @@ def test_a_setpoint_is_flown_to_no_faster_than_it_says(dialect: str) -> None:
         for k in range(60):
             rig.vehicle.guide(goal, aligned(rig))
             rig.run(0.1)
-            if k > 2:  # it may take a moment until it knows
+            if k > 2:  # the speed takes effect after a moment
                 fastest = max(fastest, float(np.hypot(*rig.sim.vehicle.velocity[:2])))
                 sinking = max(sinking, -float(rig.sim.vehicle.velocity[2]))
         assert 1.5 < fastest < 2.15
@@ -95,7 +95,7 @@ def test_a_setpoint_is_flown_to_no_faster_than_it_says(dialect: str) -> None:
 
 
 def test_a_speed_is_given_again_where_its_setpoint_was_lost() -> None:
-    """The set-point after the speed starts ArduPilot's controller, and with it the speed is gone."""
+    """ArduPilot forgets the speed when the next set-point starts its controller; so the speed is sent again."""
     rig = flying("ardupilot")
     rig.vehicle.set_mode(FlightMode.HOLD)
     rig.run(2.0)
@@ -128,7 +128,7 @@ def test_ardupilot_turns_its_nose_where_no_heading_is_named() -> None:
 
 @BOTH
 def test_each_leg_of_a_mission_has_its_heading(dialect: str) -> None:
-    """Speeds that do not change from leg to leg: the heading must not be what ArduPilot does before the leg starts."""
+    """With one speed for all legs, the heading must be that of the leg, not the one before ArduPilot starts the leg."""
     rig = flying(dialect)
     start = rig.truth()
     ways = [(0, 0, 0), (30, 0, 0), (30, 30, 0), (30, 30, -15)]
@@ -144,7 +144,7 @@ def test_each_leg_of_a_mission_has_its_heading(dialect: str) -> None:
 
 
 def descent_route(start: np.ndarray) -> Route:
-    """To over the target, a look, down, land."""
+    """Return a route: to a point above the target, a look, down, land."""
     stops = [("start", start, 0.0, False), ("transit", over(15.0), 6.0, True),
              ("approach", over(8.0), 1.2, True), ("touchdown", TARGET, 1.0, False)]  # fmt: skip
     return Route(tuple(Waypoint(n, p, 0.8, v, 0.0, look) for n, p, v, look in stops))
@@ -179,7 +179,7 @@ def test_a_mission_is_flown_to_the_ground(dialect: str) -> None:
 
 @pytest.mark.parametrize("seed", first(1, range(2)))
 def test_ardupilot_lands_on_a_target_that_is_reported(seed: int) -> None:
-    """Wind, gusts, a tilted vehicle, an estimate that is off and wanders: within 0.1 m, as the target is true."""
+    """In wind and gusts, tilted, with an estimate that is off and wanders, it lands within 0.1 m of the target."""
     body = PointMass(wind_world=np.array([4.0, 2.0, 0.0]), gusts=0.4, seed=seed)
     rig = Rig("ardupilot", step=0.04, vehicle=body, estimate=EstimateError(WRONG, walk=0.05, seed=seed), seed=seed,
               link={"loss": 0.1, "delay": 0.03})  # fmt: skip
@@ -201,7 +201,7 @@ def test_ardupilot_lands_on_a_target_that_is_reported(seed: int) -> None:
 
 
 def test_a_target_that_is_reported_in_fast_flight_is_where_it_is() -> None:
-    """At 5 m/s a position that is 0.2 s old would be off by a metre."""
+    """The reported target must be of the present position: at 5 m/s one that is 0.2 s old would be off by a metre."""
     rig = flying("ardupilot")
     aimed: list[np.ndarray] = []
     rig.sim.logic.aim_landing = lambda target, t: aimed.append(target)  # type: ignore[method-assign]
@@ -219,7 +219,7 @@ def test_a_target_that_is_reported_in_fast_flight_is_where_it_is() -> None:
 
 
 def test_a_wrong_sign_in_the_target_would_show() -> None:
-    """The test above can fail: with the target mirrored the vehicle lands elsewhere."""
+    """With a mirrored target the vehicle lands elsewhere, so that the test above can fail."""
     rig = flying("ardupilot", 8.0)
     rig.vehicle.guide(Setpoint(over(8.0, 1.5, -1.0)), aligned(rig))
     rig.run(12)
@@ -253,7 +253,7 @@ def test_a_helicopter_of_ardupilot_is_a_vehicle_too() -> None:
 
 @BOTH
 def test_telemetry_follows_the_true_flight(dialect: str) -> None:
-    """Attitude, velocity and place as rows of GPS/INS, against the simulated vehicle in a turn with wind."""
+    """Rows of GPS/INS follow attitude, velocity and place of the simulated vehicle in a turn with wind."""
     body = PointMass(wind_world=np.array([-5.0, 3.0, 0.0]))
     rig = Rig(dialect, step=0.02, vehicle=body)
     rig.up_and_flying(10.0)

@@ -1,4 +1,4 @@
-"""Whatever a link does to the bytes: good messages come through, damaged ones do no harm."""
+"""Framing over damaged links: good messages come through, damaged ones do no harm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SECOND = 1_000_000_000
 
 
 def spoken(count: int, system: int = 1, component: int = 1, first: int = 0) -> list[bytes]:
-    """Messages as pymavlink's own packing makes them."""
+    """Return messages packed by pymavlink."""
     talker = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
     out = []
     for k in range(count):
@@ -47,10 +47,10 @@ def test_pieces_of_any_length_give_the_same_messages(cuts: list[int], count: int
 @given(st.lists(st.binary(max_size=60), min_size=4, max_size=4), st.booleans())
 @example([b"", b"", b"\xfe\xf7\x00\x00\x00\xca\x00", bytes(13)], False)  # an unknown message by chance
 def test_rubbish_between_messages_costs_none_of_them(rubbish: list[bytes], with_markers: bool) -> None:
-    """Rubbish may hold markers and claim any length; once enough bytes have followed, every good message is out."""
+    """Rubbish may hold markers and claim any length: every good message is out once enough bytes have followed."""
     good, framing = spoken(4), Framing(255, 191)
     pieces = [b"\xfd" * with_markers + r + g for r, g in zip(rubbish, good, strict=True)]
-    tail = b"".join(spoken(16, first=4))  # longer than any frame: what a false header waits for
+    tail = b"".join(spoken(16, first=4))  # longer than any frame, so that a false header gets all its bytes
     got = stamps(framing, b"".join(pieces) + tail)
     assert got[:4] == [0, 1, 2, 3]
 
@@ -176,7 +176,7 @@ def test_the_vehicle_that_was_named_is_taken() -> None:
 
 
 def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
-    """Its acknowledgements, missions and answers to TIMESYNC pass by on the same link."""
+    """Acknowledgements, missions and TIMESYNC answers of another ground station on the link change nothing of ours."""
     rig = Rig()
     assert rig.run(5, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
     ticket = rig.vehicle.arm()
@@ -207,7 +207,7 @@ QUIET = {  # messages that move nothing
 
 
 def packed(kind: Any, talker: Any, payload: bytes) -> bytes:
-    """A frame with this payload and a true checksum."""
+    """Return a frame with this payload and a true checksum."""
     head = bytes([0xFD, len(payload), 0, 0, talker.seq, talker.srcSystem, talker.srcComponent])
     frame = head + kind.id.to_bytes(3, "little") + payload
     checksum = mavlink.x25crc(frame[1:] + bytes([kind.crc_extra])).crc
@@ -222,7 +222,7 @@ def packed(kind: Any, talker: Any, payload: bytes) -> bytes:
     st.sampled_from([3, 12]),
 )
 def test_whatever_numbers_a_vehicle_sends_nothing_raises(messages: list[tuple[str, bytes]], autopilot: int) -> None:
-    """Every field of every message that is used takes any value that its bits can have, NaN included."""
+    """Every field of every message in use may have any value of its bits, NaN included."""
     ours = Autopilot(events=TelemetryEvents())
     ours.receive(heartbeat(autopilot, 2), 0)
     assert ours.vehicle is not None

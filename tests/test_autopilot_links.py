@@ -38,7 +38,7 @@ def drive(link: Link, ours: Autopilot, seconds: float, until: Callable[[], bool]
 
 @pytest.mark.parametrize("dialect", [None, SpokenPx4()])
 def test_a_flight_over_a_real_socket(dialect: Any) -> None:
-    """Ten times as fast as the clock, over UDP that loses a tenth: heard, armed, up, and the clock carried over."""
+    """Over UDP with a loss of a tenth, ten times as fast as the clock: heard, armed, up, and the clocks tied."""
     link, events = open_link(f"udp:{LOCAL}:0"), TelemetryEvents()
     ours, bad = Autopilot(events=events), LossyChannel(loss=0.1, seed=1)
     sim = SimulatedAutopilot(dialect)
@@ -77,7 +77,7 @@ def test_udp_out_speaks_to_one_address_and_listens_to_no_other() -> None:
 
 
 def test_a_patient_link_waits_for_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A SITL opens its second port when somebody has come to the first."""
+    """A SITL opens its second port only after a connection to the first one; a patient link waits for it."""
     from alight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.05)
@@ -141,7 +141,7 @@ def test_a_serial_port_is_read_and_written() -> None:
 
 
 def test_a_serial_port_that_nobody_reads_makes_nobody_wait() -> None:
-    """What is full loses whole messages: the rest of one that began goes first, and none is cut."""
+    """A full port drops whole messages: the rest of a started message is sent first, and none is cut."""
     ours, theirs = pty.openpty()
     link: Any = open_link(f"serial:{os.ttyname(theirs)}:57600")
     start, sent, full = time.monotonic(), 0, False
@@ -167,7 +167,7 @@ def test_a_serial_port_that_nobody_reads_makes_nobody_wait() -> None:
 
 
 def test_tcp_is_resolved_once_and_opened_again_in_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While the reader opens it nobody ticks: 1.2 s of that count as a vehicle that nobody listens to."""
+    """Nobody ticks while the reader opens the link, and 1.2 s without ticks count as a vehicle without a listener."""
     from alight.autopilot import links
 
     server, closed = (socket.create_server((LOCAL, 0)) for _ in range(2))
@@ -249,7 +249,7 @@ def test_reading_waits_no_longer_than_told() -> None:
 
 
 def test_a_link_that_is_closed_under_its_reader_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`select` says ValueError of a socket that another thread has closed, pyserial says TypeError of a port."""
+    """`select` raises ValueError for a socket that another thread has closed, pyserial raises TypeError for a port."""
     from alight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.02)
@@ -276,7 +276,7 @@ def test_a_link_that_is_closed_under_its_reader_is_opened_again(monkeypatch: pyt
 
 
 def test_only_the_reader_closes_and_opens(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A write that fails leaves the socket to the thread that may be waiting on it."""
+    """A failed write leaves the socket open for the thread that may be waiting on it."""
     from alight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.02)
@@ -301,7 +301,7 @@ def test_only_the_reader_closes_and_opens(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_link_that_is_closed_and_written_by_others_never_raises(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One thread reads; the other breaks the link again and again, and closes it at the end."""
+    """One thread reads; the other breaks the link again and again, and closes it at the end: nothing is raised."""
     from alight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.0)
@@ -330,7 +330,7 @@ def test_a_link_that_is_closed_and_written_by_others_never_raises(monkeypatch: p
 
 
 def parameters(binary: Path, folder: Path) -> str:
-    """Files of parameters: those of ArduPilot's own tree where the binary lies in it, and a precision landing."""
+    """Return files of parameters: those of ArduPilot's own tree, if the binary lies in it, and a precision landing."""
     own = folder / "alight.parm"
     own.write_text(
         "FRAME_CLASS 1\nPLND_ENABLED 1\nPLND_TYPE 1\nPLND_STRICT 0\nINS_GYRO_FILTER 80\nINS_ACCEL_FILTER 80\n"
@@ -341,7 +341,7 @@ def parameters(binary: Path, folder: Path) -> str:
 
 @pytest.fixture
 def sitl(tmp_path: Path) -> Any:
-    """A running ArduPilot Copter, in a folder of its own."""
+    """Start an ArduPilot Copter in a folder of its own."""
     binary = os.environ.get("ALIGHT_SITL")
     if not binary:
         pytest.skip("no ArduPilot SITL: set ALIGHT_SITL to its arducopter binary")
@@ -356,7 +356,7 @@ def sitl(tmp_path: Path) -> Any:
 
 
 def ready_vehicle(sitl: str, events: TelemetryEvents) -> tuple[Any, Autopilot, Any]:
-    """The link to a simulator that has just been started, our side of it, and its vehicle, ready to fly."""
+    """Return the link to a simulator that was just started, our side of it, and its vehicle, ready to fly."""
     link, end = None, time.monotonic() + 30
     while link is None:
         try:

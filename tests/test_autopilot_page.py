@@ -1,4 +1,4 @@
-"""What docs/autopilot.md says is what the code does."""
+"""Agreement of docs/autopilot.md with the code."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_example_of_the_simulated_autopilot_runs(capsys: pytest.CaptureFixtu
 
 
 def test_the_table_claims_nothing_of_an_autopilot_that_no_test_runs() -> None:
-    """The columns of real autopilots stay 'not run' until somebody has run them and says so here."""
+    """The columns of real autopilots stay 'not run' until somebody has run them and changes this test."""
     table = PAGE.split("## What was checked")[1].split("*Simulated*")[0]
     rows = [[c.strip() for c in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")][2:]
     assert len(rows) >= 10

@@ -20,7 +20,7 @@ BAD = {"loss": 0.3, "delay": 0.05, "jitter": 0.1, "double": 0.2}
 
 
 def long_mission(count: int = 16) -> tuple[MissionItem, ...]:
-    """Way-points in a row, 3 m apart and ever higher."""
+    """Return a mission of way-points in a row, each higher than the last."""
     points = [Waypoint(str(k), np.array([3.0 * k, 2.0 * k, 10.0 + k]), 0.3, 4.0, 0.0) for k in range(count)]
     return mission_of(Route(tuple(points)), EstimateTie(LOCAL, np.zeros(3), Place(47.6, 13.4, 500.0, 0.0)))
 
@@ -35,7 +35,7 @@ def sent(items: tuple[Item, ...]) -> list[tuple[int, int, int, float]]:
 
 
 def met(rig: Rig) -> Rig:
-    """Heard, and with all streams."""
+    """Step until the autopilot is heard and all streams come."""
     assert rig.run(30, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
     return rig
 
@@ -48,7 +48,7 @@ def place(rig: Rig) -> Telemetry:
 @BOTH
 @pytest.mark.parametrize("seed", first(1, range(3)))
 def test_an_upload_arrives_whole_over_a_bad_link(dialect: str, seed: int) -> None:
-    """30 % of the packets are lost, 20 % come twice, many out of order."""
+    """An upload arrives whole although 30 % of the packets are lost, 20 % come twice, and many out of order."""
     rig = met(Rig(dialect, seed=10 * seed, link=BAD, step=0.04))
     items = long_mission()
     got = rig.answered(rig.vehicle.upload(items), 240, NoticeKind.UPLOAD)
@@ -68,7 +68,7 @@ def test_an_upload_over_a_good_link_asks_for_each_item_once(dialect: str) -> Non
 
 @BOTH
 def test_a_break_in_the_middle_is_resumed(dialect: str) -> None:
-    """The link is gone for 6 s, less than the autopilot waits: it goes on with the item it lacks."""
+    """The link is gone for 6 s, less than the autopilot waits: the upload goes on with the missing item."""
     rig = met(Rig(dialect))
     ticket = rig.vehicle.upload(long_mission())
     assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
@@ -81,7 +81,7 @@ def test_a_break_in_the_middle_is_resumed(dialect: str) -> None:
 
 @BOTH
 def test_a_transfer_that_the_autopilot_gave_up_is_begun_again(dialect: str) -> None:
-    """The link is gone for longer than the autopilot waits."""
+    """The link is gone for longer than the autopilot waits: the upload begins anew."""
     rig = met(Rig(dialect))
     ticket = rig.vehicle.upload(long_mission())
     assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
@@ -134,7 +134,7 @@ def test_a_refused_mission_says_why(dialect: str) -> None:
 
 
 def test_a_part_of_a_mission_is_neither_kept_nor_flown() -> None:
-    """ArduPilot stores items as they come, over the mission that it had: what is left after a failure is neither."""
+    """ArduPilot stores items over its old mission as they come: after a failure the mixture is deleted, not flown."""
     rig = Rig()
     rig.up_and_flying(15.0)
     assert rig.answered(rig.vehicle.upload(long_mission(8)), 20, NoticeKind.UPLOAD).ok
@@ -198,7 +198,7 @@ def test_it_is_ready_when_the_autopilot_says_so(dialect: str) -> None:
 
 
 def test_it_is_ready_where_the_user_has_switched_off_the_checks() -> None:
-    """ARMING_CHECK = 0: the pre-arm bit is present, and neither enabled nor healthy."""
+    """With ARMING_CHECK = 0 the vehicle is ready: the pre-arm bit is present, and neither enabled nor healthy."""
     rig = Rig()
     rig.sim.checks = False
     rig.run(8)
@@ -208,7 +208,7 @@ def test_it_is_ready_where_the_user_has_switched_off_the_checks() -> None:
 
 
 def test_px4_gets_setpoints_before_the_order_to_fly_guided() -> None:
-    """It looks at them twice a second, and refuses the mode until it has seen them."""
+    """PX4 looks for set-points twice a second, and refuses the guided mode until it has seen some."""
     rig = met(Rig("px4"))
     assert rig.answered(rig.vehicle.set_mode(FlightMode.GUIDED)).ok
     rig.run(1.5)
@@ -249,7 +249,7 @@ def test_streams_come_at_their_rates(dialect: str) -> None:
 
 
 def test_a_build_without_highres_imu_is_asked_for_raw_imu() -> None:
-    """ArduPilot denies what it does not have. A ground station that streams RAW_IMU as well doubles no sample."""
+    """If ArduPilot denies HIGHRES_IMU, RAW_IMU is requested; RAW_IMU for another ground station doubles no sample."""
     rig = Rig(rates={"HIGHRES_IMU": 25.0}, step=0.02)
     rig.sim.reports.lacks = {105}
     met(rig).run(3)
@@ -265,7 +265,7 @@ def test_a_build_without_highres_imu_is_asked_for_raw_imu() -> None:
 
 
 def test_ardupilot_has_room_for_all_intervals() -> None:
-    """It keeps ten different intervals a link, and a ground station may use some."""
+    """ArduPilot keeps ten different intervals a link, of which a ground station may use some."""
     assert len({*ArduPilotFirmware.rates.values(), 100.0}) <= 6
 
 
@@ -340,7 +340,7 @@ def test_progress_is_waited_for() -> None:
 
 def test_an_order_does_not_wait_behind_requests_for_streams() -> None:
     rig = met(Rig(link={"delay": 0.4}, rates={"RANGEFINDER": 1.0, "VFR_HUD": 1.0, "RAW_IMU": 1.0}))
-    rig.vehicle._streams.rebooted()  # asks for everything, 0.8 s each
+    rig.vehicle._streams.rebooted()  # requests everything, 0.8 s each
     rig.step()
     start = rig.t
     assert rig.answered(rig.vehicle.set_mode(FlightMode.GUIDED)).ok
@@ -348,7 +348,7 @@ def test_an_order_does_not_wait_behind_requests_for_streams() -> None:
 
 
 def test_the_newest_order_counts() -> None:
-    """The first order is lost again and again; after the second one it must not come through."""
+    """The first order is lost again and again; after the second one it must not be sent any more."""
     rig = met(Rig())
     rig.up.loss = 1.0
     rig.vehicle.set_mode(FlightMode.LAND)
@@ -362,7 +362,7 @@ def test_the_newest_order_counts() -> None:
 
 @BOTH
 def test_a_pilot_takes_over_and_nothing_of_ours_moves_the_vehicle_any_more(dialect: str) -> None:
-    """Our order to land is being lost when the pilot switches: its next try must not undo that."""
+    """Our order to land is lost when the pilot switches the mode: its next try must not undo the switch."""
     rig = Rig(dialect)
     rig.up_and_flying(15.0)
     assert rig.vehicle.in_control
@@ -440,7 +440,7 @@ def test_a_link_that_breaks_and_comes_back(dialect: str) -> None:
 
 
 def test_time_outs_wait_for_a_slow_autopilot() -> None:
-    """It runs at a tenth of our speed and answers after 0.4 s of its own: a command is sent once, not four times."""
+    """The autopilot runs at a tenth of our speed and answers after 0.4 s: a command is sent once, not four times."""
     rig = met(Rig(link={"delay": 0.0}))
     rig.run(3)
     seen: list[int] = []
@@ -455,7 +455,7 @@ def test_time_outs_wait_for_a_slow_autopilot() -> None:
 
 
 def test_a_slow_autopilot_is_not_lost() -> None:
-    """At a tenth of our speed its heartbeats come every ten seconds; the rest of the telemetry shows that it lives."""
+    """At a tenth of our speed heartbeats come every ten seconds; other telemetry shows that the autopilot is alive."""
     rig = met(Rig())
     rig.run(3)
     step = rig.sim.step
@@ -479,7 +479,7 @@ def test_texts_of_the_autopilot_are_passed_on() -> None:
 
 
 def test_a_long_text_comes_in_pieces() -> None:
-    """A piece may come twice; where one is lost, the rest is passed on with the next text, or soon."""
+    """A piece may come twice; if one is lost, the rest is passed on with the next text or a little later."""
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
     rig, long = met(Rig()), "Preflight Fail: No connection to the ground control station, or none at all by now"
@@ -500,7 +500,7 @@ def test_a_long_text_comes_in_pieces() -> None:
 
 
 def test_positions_of_an_instant() -> None:
-    """The autopilot's place at our instants, between and just after its reports."""
+    """The autopilot's place is known at our instants, between and just after its reports."""
     rig = met(Rig(step=0.01))
     start = rig.t
 

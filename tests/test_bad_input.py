@@ -1,4 +1,4 @@
-"""Bad input all the way through `alight run`: an error in one line, or a warning and the rest of the work done."""
+"""Bad input through the whole of `alight run`: an error in one line, or a warning and the rest of the work done."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Run = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
-    """`alight run` on a folder; gives the exit code, stdout and stderr."""
+    """Return a function that runs `alight run` on a folder and returns exit code, stdout and stderr."""
 
     def call(source: Path, *options: str) -> tuple[int, str, str]:
         code = cli.call(["run", str(source), "--out", str(tmp_path / "out"), *options])
@@ -33,13 +33,13 @@ def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 def told(out: Path) -> dict[str, Any]:
-    """run.json of a run."""
+    """Read the run.json of a run."""
     tree: dict[str, Any] = json.loads((out / "run.json").read_text(encoding="utf-8"))
     return tree
 
 
 def refused(answer: tuple[int, str, str], *words: str) -> None:
-    """The exit code is 2 and one line says why."""
+    """Assert the exit code 2 and one line with the reason."""
     code, out, err = answer
     assert (code, out) == (2, "")
     assert err.startswith("error: ")
@@ -110,7 +110,7 @@ def test_no_image_can_be_read(run: Run, flight: Path) -> None:
 
 @pytest.fixture
 def loss(run: Run, flight: Path, tmp_path: Path) -> Callable[..., str]:
-    """The flight is run in spite of its damage: exit code 0, everything that can be written is; gives stderr."""
+    """Return a function that runs the damaged flight, asserts exit code 0 and all possible files; it returns stderr."""
 
     def check(*options: str) -> str:
         code, out, err = run(flight, *options)
@@ -127,7 +127,7 @@ def loss(run: Run, flight: Path, tmp_path: Path) -> Callable[..., str]:
 
 
 def test_a_healthy_flight_is_run_without_a_complaint_but_its_answer(run: Run, flight: Path, tmp_path: Path) -> None:
-    """Noise has no parallax: that is the answer, and no warning is due for how it was read."""
+    """Noise has no parallax: this is the answer, and the reader gives no warning."""
     code, out, err = run(flight)
     assert code == 0
     assert out.startswith("NO SITE  ")
@@ -220,7 +220,7 @@ def test_euroc_is_read_without_a_complaint(run: Run, shared_data: Path) -> None:
 
 
 def write_tum(path: Path, times: list[int], step: float) -> None:
-    """Level body poses, `step` metres apart, the nose northwards."""
+    """Write level body poses, `step` metres apart, the nose northwards."""
     lines = []
     for k, t in enumerate(times):
         x, y, z, w = np.roll(Pose(so3_exp([0.0, 0.0, np.pi / 2]), np.zeros(3)).quaternion, -1)
@@ -230,7 +230,7 @@ def write_tum(path: Path, times: list[int], step: float) -> None:
 
 @pytest.mark.parametrize("down", [False, True])
 def test_euroc_with_poses_is_refused_with_the_reason(run: Run, shared_data: Path, tmp_path: Path, down: bool) -> None:
-    """The vehicle stands still; its cameras look forward, or are said to look down."""
+    """A vehicle that stands still has no site; its cameras look forward, or are declared to look down."""
     flight = tmp_path / "euroc"
     shutil.copytree(shared_data / "euroc-excerpt", flight)
     for cam in ("cam0", "cam1"):

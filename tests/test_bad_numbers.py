@@ -1,4 +1,4 @@
-"""Numbers out of range, clocks that do not meet, odd names, through `alight run`: named, and the rest is done."""
+"""Numbers out of range, clocks without a common time and odd names, in `alight run`: named, and the rest is done."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from alight.records import SettingsError
 
 
 def ran(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of `alight run`."""
+    """Run `alight run`; return exit code, stdout and stderr."""
     code = call(["run", str(source), "--out", str(tmp_path / "out"), *options])
     said = capsys.readouterr()
     assert "could not be made" not in said.err

@@ -1,4 +1,4 @@
-"""Rasters that are no heights, or of an odd size, through `alight hazards`: one line that says what to mend."""
+"""Rasters that hold no heights or have an odd size, in `alight hazards`: one line that names the remedy."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from alight.cli import call
 
 
 def ground(shape: tuple[int, int] = (81, 81)) -> np.ndarray:
-    """Level ground as a survey has it: with noise of 5 mm."""
+    """Return level ground as from a survey, with noise of 5 mm."""
     return np.random.default_rng(0).normal(100.0, 0.005, shape).astype(np.float32)
 
 
 def judged(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of `alight hazards` on a raster."""
+    """Run `alight hazards` on a raster; return exit code, stdout and stderr."""
     code = call(["hazards", str(path), "--sigma", "0.01", "--out", str(path.parent / "out"), *options])
     said = capsys.readouterr()
     return code, said.out, said.err
 
 
 def refused(answer: tuple[int, str, str], *words: str) -> None:
-    """Exit code 2, one line with these words."""
+    """Assert the exit code 2 and one line with these words."""
     code, out, err = answer
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert err.startswith("error: ")

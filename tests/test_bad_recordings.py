@@ -1,4 +1,4 @@
-"""Damaged recordings through `alight run`: what is damaged is left out, or one line says what to mend."""
+"""Damaged recordings in `alight run`: the damaged part is left out, or one line names the remedy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Change = Callable[[Event], Event]
 
 @pytest.fixture
 def record(flight: Path, tmp_path: Path) -> Callable[..., Path]:
-    """Write a recording of the flight log over noise, each event changed."""
+    """Return a function that writes a recording of the flight log over noise, each event changed."""
 
     def write(change: Change = lambda event: event, entries: tuple[tuple[str, int], ...] = ()) -> Path:
         source = open_source(flight, Settings())
@@ -40,7 +40,7 @@ def record(flight: Path, tmp_path: Path) -> Callable[..., Path]:
 
 
 def ran(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a run."""
+    """Run a recording; return exit code, stdout and stderr."""
     code = call(["run", str(path), "--out", str(path.parent / "out")])
     told = capsys.readouterr()
     assert "could not be made" not in told.err
@@ -48,7 +48,7 @@ def ran(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
 
 
 def of_kind(kind: type, **values: Any) -> Change:
-    """Change the events of a kind."""
+    """Return a function that changes the events of a kind."""
     return lambda event: replace(event, **values) if isinstance(event, kind) else event
 
 

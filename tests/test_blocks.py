@@ -1,4 +1,4 @@
-"""Which blocks a recursive step works on: budgets, rotation, what changed, what is swept, and the levels of effort."""
+"""Choice of blocks for a recursive step: budgets, rotation, changed and swept blocks, and the levels of effort."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TUNING = RecursiveTuning(least_cells=1, watched=0.0)
 
 
 def kinds(grid: Grid, fresh: float = 0.0) -> np.ndarray:
-    """All cells known, but for a share of the columns in the east, which a sweep may look at."""
+    """Kinds of all cells: known, except a share of the columns in the east, which is new and may be swept."""
     rows, cols = (-(-n // EVERY) for n in grid.shape)
     new = np.zeros((rows, cols), np.bool_)
     new[:, cols - round(fresh * cols) :] = True
@@ -28,7 +28,7 @@ def kinds(grid: Grid, fresh: float = 0.0) -> np.ndarray:
 
 
 def taken(blocks: Blocks, grid: Grid, fresh: float = 0.0, effort: int = 0, sweep: SweepCost = CHEAP) -> Plan:
-    """One step, after which nothing has changed."""
+    """Plan one step, and record its blocks as visited and unchanged."""
     blocks.move_to(grid)
     middle = (0.5 * grid.rows, 0.5 * grid.cols)
     plan = blocks.plan(blocks.counted(kinds(grid, fresh), EVERY), middle, sweep, effort_of(effort))
@@ -39,7 +39,7 @@ def taken(blocks: Blocks, grid: Grid, fresh: float = 0.0, effort: int = 0, sweep
 
 
 def cells(plan: Plan, grid: Grid = WINDOW) -> np.ndarray:
-    """How many of the rectangles hold each cell."""
+    """Number of rectangles that hold each cell."""
     out = np.zeros(grid.shape, int)
     for box in plan.refine:
         out[box] += 1
@@ -59,7 +59,7 @@ def test_steps_cost_alike_and_leave_out_no_cell_for_long() -> None:
 
 
 def test_a_new_block_is_refined_with_every_keyframe_and_an_old_one_now_and_then() -> None:
-    """With a budget for all: the wait grows with the number of refinements."""
+    """With a budget for all blocks, the wait between refinements grows with their number."""
     blocks = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000, watched=0.0))
     visits = np.array([cells(taken(blocks, WINDOW))[0, 0] for _ in range(60)])
     assert visits[:4].sum() == 4
@@ -69,7 +69,7 @@ def test_a_new_block_is_refined_with_every_keyframe_and_an_old_one_now_and_then(
 
 
 def test_ground_below_the_vehicle_is_looked_at_with_every_keyframe() -> None:
-    """Whatever else is due, within 1.5 m; and the rest gets no less for it."""
+    """Ground within 1.5 m below is refined with every keyframe, and the rest hardly less than without."""
     below = (slice(192 - 15, 192 + 15), slice(256 - 15, 256 + 15))
     watching, plain = Blocks(RecursiveTuning(least_cells=1, watched=1.5)), Blocks(TUNING)
     seen, without = ([cells(taken(b, WINDOW)) for _ in range(40)] for b in (watching, plain))
@@ -96,7 +96,7 @@ def test_blocks_in_which_much_changed_are_new_again() -> None:
 
 
 def test_what_was_done_moves_along_with_the_raster() -> None:
-    """A window that moves by whole cells finds its blocks again; where it is new they are new."""
+    """A window that moves by whole cells keeps the state of its blocks; blocks of new ground are new."""
     still, moving = Blocks(TUNING), Blocks(TUNING)
     for _ in range(12):
         taken(still, WINDOW)
@@ -114,7 +114,7 @@ def test_what_was_done_moves_along_with_the_raster() -> None:
 
 
 def test_new_cells_are_swept_within_a_few_steps_and_refined_at_once() -> None:
-    """All at once in the beginning: a third of them with each step, the same work each time."""
+    """All cells are new at the start: the sweeps are spread over several steps, and swept cells are refined at once."""
     tuning = RecursiveTuning(least_cells=1, share=0.5, least_sweep=1)
     blocks, left, done = Blocks(tuning), kinds(WINDOW, fresh=1.0), []
     for _ in range(6):
@@ -150,7 +150,7 @@ def test_few_new_cells_wait_and_are_not_forgotten() -> None:
 
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_less_effort_does_less(level: int) -> None:
-    """Each level works on a smaller share of the window than the one before."""
+    """Each level of effort works on a smaller share of the window than the level before."""
 
     def share(effort: int) -> float:
         blocks = Blocks(RecursiveTuning(least_cells=1, share=0.5))
@@ -196,7 +196,7 @@ def level_flight(count: int) -> list[View]:
 
 
 def flown(effort: int) -> bytes:
-    """The map of a short flight, as bytes."""
+    """Make the map of a short flight; return its bytes."""
     views = level_flight(10)
     lane = RecursiveMap(load_settings("", ["tuning.elevation.tile=64", "elevation.max_sigma=5"]).stages())
     assert lane.find_ground(views), lane.reason

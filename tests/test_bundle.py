@@ -75,7 +75,7 @@ def flight(strips: int, photos: int) -> tuple[F64, F64]:
 
 
 def a_photo(pixels: F64, colours: F64 | None = None) -> PhotoFeatures:
-    """Features without descriptors."""
+    """Return features without descriptors."""
     grey = np.full((len(pixels), 3), 100.0) if colours is None else colours
     return PhotoFeatures(pixels, np.empty((len(pixels), 128), np.uint8), grey.astype(np.float32))
 
@@ -110,7 +110,7 @@ def told(
     readout: float | None = None,
     **settings: object,
 ) -> Priors:
-    """What GPS (with noise), gimbal (with a mounting error) and maker say."""
+    """Priors by GPS (with noise), gimbal (with a mounting error) and the maker's calibration."""
     rng = np.random.default_rng(23)
     off = so3_exp(np.zeros(3) if mounting is None else mounting)
     nav = [
@@ -172,7 +172,7 @@ def test_noise_and_wrong_matches_cost_little(noisy: Scene) -> None:
 
 
 def test_the_covariance_is_honest(noisy: Scene) -> None:
-    """The normalised error of centres and rotations stays at the order of its 6 degrees of freedom."""
+    """The NEES of centres and rotations stays at the order of its 6 degrees of freedom."""
     out = solved(noisy, told(noisy, lens="held"))
     nees = []
     for i in out.registered:
@@ -183,7 +183,7 @@ def test_the_covariance_is_honest(noisy: Scene) -> None:
 
 
 def test_the_joint_covariance_holds_poses_and_lens_together(noisy: Scene) -> None:
-    """In order of time, the lens in units of its own sigma; all errors at once, and those of the body, are honest."""
+    """Poses are in order of time, the lens in units of its own sigma; errors, also of the body, fit the covariance."""
     rig_lever = Pose(LOOKS_FORWARD, [0.2, 0.0, -0.1])
     out = solved(noisy, told(noisy, lens="free"))
     motions = []
@@ -223,7 +223,7 @@ def test_tags_half_a_turn_off_are_turned_back(noisy: Scene) -> None:
 
 
 def test_headings_that_are_known_well_are_believed() -> None:
-    """By a receiver with two antennas, say: GPS of 1.5 m tells the heading of eight photos to some degrees only."""
+    """Headings known to 2 mrad, as by two antennas, are kept: GPS of 1.5 m determines them to some degrees only."""
     s = scene(strips=2, photos=4, noise=0.3)
     priors = replace(told(s, sigma=1.5), sigma_rotation=np.full((8, 3), 2e-3))
     assert errors(s, solved(s, priors))[1] < np.radians(0.4)
@@ -231,7 +231,7 @@ def test_headings_that_are_known_well_are_believed() -> None:
 
 @pytest.mark.parametrize("degrees", [20.0, -50.0])
 def test_headings_that_are_all_off_alike_lose_against_gps(degrees: float) -> None:
-    """A compass that is off: with GPS of 1.5 m the map is neither turned nor shrunk, and a warning says so."""
+    """With a compass that is off and GPS of 1.5 m, the map is neither turned nor shrunk, and a warning is given."""
     s = scene(strips=3, photos=8, noise=0.3)
     priors = told(s, sigma=1.5)
     off = so3_exp(np.array([0.0, 0.0, np.radians(degrees)]))
@@ -281,7 +281,7 @@ def test_consumer_gps_converges_within_its_sigma(noisy: Scene) -> None:
 
 
 def test_altitude_tags_that_climb_lose_against_the_pictures() -> None:
-    """Three strips at one height whose tags climb by 60 m, without attitude."""
+    """Three strips are flown at one height, without attitude; the pictures win against tags that climb by 60 m."""
     s = scene(strips=3, noise=0.4)
     priors = told(s, sigma=1.0)
     free = replace(priors, world_from_body=np.full_like(priors.world_from_body, np.nan))
@@ -294,13 +294,13 @@ def test_altitude_tags_that_climb_lose_against_the_pictures() -> None:
     assert np.ptp(off) < 3.0  # the tags: 60 m
     common = float(np.std(np.linspace(-30.0, 30.0, 18)))
     up = out.joint[2 : 6 * 18 : 6, 2 : 6 * 18 : 6]
-    assert np.sqrt(up[0, 0]) == pytest.approx(common, rel=0.1)  # what is claimed of the height in the world
-    assert np.sqrt(up[0, 0] + up[1, 1] - 2 * up[0, 1]) < 2.0  # and of one photo over another
+    assert np.sqrt(up[0, 0]) == pytest.approx(common, rel=0.1)  # claimed for the height in the world
+    assert np.sqrt(up[0, 0] + up[1, 1] - 2 * up[0, 1]) < 2.0  # and for one photo relative to another
     assert np.sqrt(out.joint[0, 0]) < 2.0
 
 
 def test_a_straight_strip_is_held_by_the_gimbal() -> None:
-    """Positions on a line leave the roll about it free: the attitude decides, and the covariance says how well."""
+    """Positions on a line leave the roll about it free: the attitude fixes it, and the covariance is larger there."""
     s = scene(strips=1, photos=7, noise=0.4)
     out = solved(s, told(s, lens="held"))
     sigma = np.sqrt(np.mean([np.diag(out.covariance[i])[3:] for i in out.registered], axis=0))
@@ -309,7 +309,7 @@ def test_a_straight_strip_is_held_by_the_gimbal() -> None:
 
 
 def test_a_wrong_lens_is_found_by_many_photos() -> None:
-    """Twelve photos and more: principal point and decentring come out, and the poses with them."""
+    """With twelve photos or more, principal point and decentring are estimated well, and with them the poses."""
     s = scene(strips=2, photos=7, noise=0.3)
     maker = replace(CAMERA, cu=CAMERA.cu + 5.0, cv=CAMERA.cv - 4.0, distortion=(-0.31, 0.13, 0.0, 0.0))
     out = solved(s, told(s, camera=maker))
@@ -384,7 +384,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
 
 
 def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None:
-    """A strip of 210 photos, each tied to its neighbours, and lens numbers tied to all."""
+    """A strip of 210 photos, each coupled with its neighbours, and lens numbers coupled with all photos."""
     rng = np.random.default_rng(3)
     n, k = 6 * 210, 5
     near = np.abs(np.arange(210)[:, None] - np.arange(210)) <= 3
@@ -406,7 +406,7 @@ def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
     pairs = [
         Pair(0, 1, np.array([[0, 0], [1, 1]]), *none),
         Pair(1, 2, np.array([[0, 0], [1, 1]]), *none),
-        Pair(0, 2, np.array([[0, 0], [2, 1]]), *none),  # photo 0 sees the second track as 1 and as 2
+        Pair(0, 2, np.array([[0, 0], [2, 1]]), *none),  # photo 0 observes the second track twice, as 1 and as 2
     ]
     out = tracks(features, pairs)
     assert out.points == 1
@@ -415,7 +415,7 @@ def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
 
 
 def test_match_is_mutual_and_clear() -> None:
-    """Against the plain table of distances."""
+    """The matches are those of the plain table of distances."""
     rng = np.random.default_rng(7)
     b = rng.normal(size=(700, 128)).astype(np.float32)
     a = np.concatenate(
@@ -452,11 +452,11 @@ def test_photos_without_position_are_paired_in_time() -> None:
 # -- rolling shutter
 
 READOUT = 0.08  # s
-BETWEEN = 1.2  # s from photo to photo: 5 m/s, 10 px of way while a photo is read out
+BETWEEN = 1.2  # s from photo to photo: 5 m/s, 10 px of motion during a readout
 
 
 def rolled(s: Scene, way: F64, turn: F64, noise: float = 0.3) -> Scene:
-    """The same photos, each camera moving by its way (n, 3) m and turning by (n, 2, 3) rad while it is read out."""
+    """Return the scene with cameras that move by `way` (n, 3) m and turn by `turn` (n, 2, 3) rad during the readout."""
     rng = np.random.default_rng(2)
     features = []
     for i in range(len(s.features)):
@@ -486,7 +486,7 @@ def small() -> Scene:
 
 @pytest.mark.parametrize("turning", first(1, [0.03, 0.0]))
 def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float) -> None:
-    """The readout is found, with it the poses; by one that turns as well, too. At once, they are far off."""
+    """Readout and poses are estimated, also of a camera that turns; without a readout the attitude is far off."""
     seconds = BETWEEN * np.arange(len(survey.centres))
     turn = np.random.default_rng(3).normal(0, turning, (len(seconds), 2, 3))
     seen = rolled(survey, velocity_of(survey, seconds) * READOUT, turn)
@@ -519,7 +519,7 @@ def test_a_readout_that_the_maker_tells_is_held(small: Scene, readout: float) ->
 
 
 def test_rows_that_are_exposed_at_once_stay_so(small: Scene) -> None:
-    """A readout of noise is not believed, and nothing turns."""
+    """A readout that fits only noise is rejected, and no turns are estimated."""
     seconds = BETWEEN * np.arange(len(small.centres))
     seen = rolled(small, np.zeros((len(seconds), 3)), np.zeros((len(seconds), 2, 3)))
     out = solve_bundle(
@@ -533,7 +533,7 @@ def test_rows_that_are_exposed_at_once_stay_so(small: Scene) -> None:
 
 
 def test_velocity_is_told_by_the_photos_of_the_same_strip() -> None:
-    """Of two ways that lead elsewhere the quicker tells; long pauses, other cameras and hovering tell nothing."""
+    """At the end of a strip the faster way gives the velocity; long pauses, other cameras and hovering give none."""
     centres = np.array([[0, 0, 9], [4, 0, 9], [8, 0, 9], [8, 3, 9], [4, 3, 9], [4, 3, 9]], float)
     seconds = np.array([0.0, 2, 4, 10, 12, 14])
     one = np.zeros(6, np.int64)
@@ -547,7 +547,7 @@ def test_velocity_is_told_by_the_photos_of_the_same_strip() -> None:
 
 
 def test_points_of_two_photos_count_only_beside_surer_ones() -> None:
-    """A hundred wrong matches of two photos, all 30 m above the ground, say nothing; with few sure points all count."""
+    """A hundred wrong matches of two photos, 30 m above the ground, do not count; with few sure points all count."""
     rng = np.random.default_rng(4)
     ground = np.c_[rng.uniform(0, 100, (400, 2)), rng.normal(0, 1, 400)]
     wrong = np.c_[rng.uniform(40, 44, (100, 2)), rng.normal(30, 1, 100)]
@@ -574,7 +574,7 @@ def test_variances_are_positive_where_rounding_left_no_information() -> None:
 
 
 def exposed(s: Scene, factors: F64) -> list[PhotoFeatures]:
-    """The features with the colours of the ground under an exposure of each photo (n, 3); some show another colour."""
+    """Return the features with colours of the ground by the exposure of each photo (n, 3); some have another colour."""
     rng = np.random.default_rng(3)
     ground = rng.uniform(60, 120, (len(s.points), 3))
     out = []
@@ -593,7 +593,7 @@ def test_photos_of_any_exposure_show_the_same_ground_alike() -> None:
     assert gains.shape == factors.shape
     together = np.log(gains * factors)
     assert np.abs(together - together.mean(axis=0)).max() < 0.03  # 0.6 before
-    assert np.abs(np.log(gains).mean(axis=0)).max() < 0.1  # bright and dark ones meet in the middle
+    assert np.abs(np.log(gains).mean(axis=0)).max() < 0.1  # the mean exposure of all photos stays
 
 
 def test_a_photo_that_shares_nothing_keeps_its_exposure() -> None:

@@ -1,4 +1,4 @@
-"""The loops of the bundle adjustment against differences, and against their NumPy twins."""
+"""Kernels of the bundle adjustment against differences and their NumPy twins."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def camera(request: pytest.FixtureRequest) -> Camera:
 
 
 def coordinates() -> F64:
-    """Ideal coordinates over the picture, on the axes, close to the centre, and in it."""
+    """Ideal coordinates all over the picture, on the axes, close to the centre, and at the centre."""
     rng = np.random.default_rng(1)
     edge = np.array([[0.3, 0.0], [0.0, -0.2], [1e-5, 2e-5], [1e-8, 0.0], [1e-12, 1e-12], [0.0, 0.0]])
     return np.concatenate([rng.uniform(-0.45, 0.45, (40, 2)), edge])
@@ -74,7 +74,7 @@ def test_beyond_the_fold_of_a_lens_there_is_no_way_back_but_a_number() -> None:
 def survey(
     cameras: tuple[Camera, ...], turning: float, seed: int = 3
 ) -> tuple[BundleState, BundleObservations, Priors]:
-    """Photos from 40 m, in turn by the cameras, of points that two to five of them see, a few pixels off."""
+    """Photos from 40 m by the cameras in turn; two to five photos see each point, with errors of a few pixels."""
     rng = np.random.default_rng(seed)
     centres = np.column_stack([6.0 * np.arange(PHOTOS), rng.normal(0, 3, PHOTOS), 40 + rng.normal(0, 1, PHOTOS)])
     down = np.diag([1.0, -1.0, -1.0])
@@ -101,7 +101,7 @@ def survey(
 
 
 def _sizes(camera: Camera) -> F64:
-    """How far the numbers of a lens are off in the survey: scale aspect cu cv distortion... readout."""
+    """Errors of the lens numbers in the survey: scale aspect cu cv distortion... readout."""
     return np.array([0.01, 0.01, 3.0, 3.0, *[0.001] * len(camera.distortion), 0.1])
 
 
@@ -114,7 +114,7 @@ def cameras(request: pytest.FixtureRequest) -> tuple[Camera, ...]:
 
 
 def parts(system: Adjustment) -> tuple[F64, F64]:
-    """The normal equations that `linearise` left, in full: photos, free lens numbers, mounting, points."""
+    """Return the normal equations after `linearise` in full: photos, free lens numbers, mounting, points."""
     p, obs = system.size, system.obs
     H, g = np.zeros((p + 3 * obs.points,) * 2), np.zeros(p + 3 * obs.points)
     H[:p, :p], g[:p] = np.tril(system.U) + np.tril(system.U, -1).T, system.b
@@ -130,7 +130,7 @@ def parts(system: Adjustment) -> tuple[F64, F64]:
 
 
 def expected(system: Adjustment, state: BundleState) -> tuple[F64, F64]:
-    """The same, of the twin's rows and the priors' blocks."""
+    """Return the normal equations from the twin's rows and the blocks of the priors."""
     p, each = system.size, system.each
     r, J = twins.rows(state, system.obs, system.priors, each)
     mounting = each * system.photos + len(system.free)
@@ -144,14 +144,14 @@ def expected(system: Adjustment, state: BundleState) -> tuple[F64, F64]:
 
 
 def close(found: F64, wanted: F64, size: F64, tolerance: float) -> None:
-    """Equal but for a share of the sizes of the unknowns, of a matrix (p, p) or a right side (p,)."""
+    """Assert equality up to a share of the sizes of the unknowns, for a matrix (p, p) or a right side (p,)."""
     unit = np.multiply.outer(size, size) if found.ndim == 2 else size * np.abs(wanted / size).max()
     np.testing.assert_allclose(found / unit, wanted / unit, atol=tolerance)
 
 
 @pytest.mark.parametrize("turning", [0.0, 0.02])
 def test_blocks_are_those_of_the_rows_written_out(cameras: tuple[Camera, ...], turning: float) -> None:
-    """Every lens, with turns and without, several cameras with free numbers of their own."""
+    """The blocks agree for every lens, with and without turns, and for several cameras with their own free numbers."""
     state, obs, priors = survey(cameras, turning)
     system = Adjustment(obs, priors, sigmas(obs), LOSS)
     system.linearise(state)
@@ -164,9 +164,9 @@ def test_blocks_are_those_of_the_rows_written_out(cameras: tuple[Camera, ...], t
 
 @pytest.mark.parametrize("turning", [0.0, 1e-7])
 def test_rows_are_those_of_differences(cameras: tuple[Camera, ...], turning: float) -> None:
-    """Those of the twin, which the kernels are compared with: pixels predicted before and after steps of the unknowns.
+    """The twin's derivatives agree with differences of predicted pixels before and after steps of the unknowns.
 
-    At turns near zero: eq. 11 leaves out what a turn does to the way the next one turns.
+    The turns are near zero: eq. 11 neglects the effect of one turn on the next.
     """
     state, obs, priors = survey(cameras, turning)
     each = 12 if turning else 6
@@ -193,7 +193,7 @@ def test_rows_are_those_of_differences(cameras: tuple[Camera, ...], turning: flo
 def test_the_reduced_system_is_the_dense_schur_complement(
     cameras: tuple[Camera, ...], turning: float, damping: float
 ) -> None:
-    """Matrix, right side, and the steps of points that follow, by the whole system solved at once."""
+    """Matrix, right side and steps of the points agree with the solution of the whole system."""
     state, obs, priors = survey(cameras, turning)
     system = Adjustment(obs, priors, sigmas(obs), LOSS)
     system.linearise(state)
@@ -229,7 +229,7 @@ def test_a_point_behind_a_camera_is_far_off_and_no_reason_to_stop() -> None:
 
 @pytest.mark.parametrize("turning", [0.0, 0.02])
 def test_predictions_and_rays_are_those_of_numpy(cameras: tuple[Camera, ...], turning: float) -> None:
-    """And a ray goes through every point whose pixel is its prediction."""
+    """Predicted pixels agree with NumPy, and so do directions and origins of the rays of observed pixels."""
     state, obs, priors = survey(cameras, turning)
     lenses = priors.lenses.moved(state.lens)
     pixels, _ = project_points(state, obs, lenses, priors.velocity)
@@ -244,7 +244,7 @@ def test_predictions_and_rays_are_those_of_numpy(cameras: tuple[Camera, ...], tu
 
 
 def sigmas(obs: BundleObservations) -> F64:
-    """(N,) px, some of features, some of patches."""
+    """Sigmas (N,) in px, some of features and some of patches."""
     return np.where(np.arange(len(obs.photo)) % 3, SIGMA, 0.2 * SIGMA)
 
 
@@ -253,7 +253,7 @@ def starts_of(obs: BundleObservations) -> I64:
 
 
 def test_points_are_where_their_rays_meet() -> None:
-    """Reweighted as NumPy does it; one ray is far off."""
+    """The points are those of NumPy with the same reweighting; one ray is far off."""
     state, obs, priors = survey((BROWN4,), 0.02)
     obs.pixels[np.flatnonzero(np.bincount(obs.point)[obs.point] > 4)[0]] += [60.0, 0.0]
     lenses = priors.lenses.moved(state.lens)

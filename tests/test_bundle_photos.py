@@ -73,7 +73,7 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def adjusted(survey: tuple[list[Frame], list[NavSample], F64, F64]) -> tuple[BundleResult, list[float]]:
-    """The adjustment of the survey with every gimbal tag turned half round."""
+    """Adjust the survey with every gimbal tag turned by half a turn; return the result and its progress."""
     frames, nav, _, _ = survey
     turned = [
         NavSample(
@@ -172,7 +172,7 @@ def test_missing_pycolmap_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_real_photos_of_one_strip(shared_data: Path) -> None:
-    """Five photos at half size stand where structure from motion of all 32 puts them."""
+    """Five photos at half size get the poses that structure from motion of all 32 photos gives."""
     pytest.importorskip("pycolmap")
     sources = pytest.importorskip("alight.sources")
     from alight.geometry import LocalFrame

@@ -1,4 +1,4 @@
-"""Campaigns with made-up landings: the plan, what is done is not flown again, outcomes, workers, the report."""
+"""Campaigns with made-up landings: the plan, no landing flown twice, outcomes, workers, the report."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SMALL = ["executive.search_side=12"]
 
 
 def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
-    """A scene file: level ground of one class."""
+    """Write a scene file with level ground of one class."""
     path = folder / f"{name}.yaml"
     path.write_text(f"ground:\n  {FLAT.format(cover=cover)}\n")
     return str(path)
@@ -50,7 +50,7 @@ def small(names: list[str], landings: int = 4, seed: int = 3) -> Campaign:
 
 
 def diary(*steps: tuple[S, E, S]) -> FlightDiary:
-    """Transitions a second apart, with a look that raised P(safe)."""
+    """Diary of transitions a second apart, with a look that raised P(safe)."""
     out = FlightDiary([Transition(float(k), a, e, b, e.value, None, 0.97) for k, (a, e, b) in enumerate(steps, 1)])
     out.looks.append(LookRecord(1.5, (0.0, 0.0, 0.0), 15.0, "candidate", 0.6, "relief"))
     out.looks.append(LookRecord(1.8, (0.0, 0.0, 0.0), 6.0, "site", 0.97))
@@ -58,7 +58,7 @@ def diary(*steps: tuple[S, E, S]) -> FlightDiary:
 
 
 def touch(vehicle: SteeredFlight, sink: float = 0.4, at: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Let the vehicle meet the ground."""
+    """Add a contact of the vehicle with the ground."""
     place = np.array([*at, vehicle.world.height_at(*at)])
     speed = np.array([0.0, 0.0, -sink])
     vehicle.contacts.append(TrueContact(START_NS + 10**10, Pose(np.eye(3), place), speed, 0.35))
@@ -88,7 +88,7 @@ def raises(vehicle: SteeredFlight, *_: object) -> Landing:
 
 
 def dies_once(vehicle: SteeredFlight, *others: object) -> Landing:
-    """The first process that flies the landing of this seed is killed; another flight is not."""
+    """Kill the process that flies the landing of one seed, as often as a file states; fly the other landings."""
     told = Path(os.environ["ALIGHT_TEST_DIES"])
     seed, times = (int(v) for v in told.read_text().split())
     if vehicle.seed == seed and times:
@@ -129,7 +129,7 @@ def test_scenes_take_turns_wind_is_bounded_and_a_third_has_a_fault() -> None:
 
 
 def test_the_light_is_that_of_any_time_of_the_day() -> None:
-    """It has a stream of chance of its own: older campaigns are drawn as they were."""
+    """The light has a random stream of its own, so that older campaigns are drawn as before."""
     lights = [c.light for c in (conditions_of(("lake",), 1, k) for k in range(600)) if c.light is not None]
     assert len(lights) == 600
     heights = np.array([light.elevation_deg for light in lights])
@@ -166,7 +166,7 @@ def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -
 
 
 def done_to(vehicle: SteeredFlight) -> str:
-    """All that a fault may change."""
+    """Text of everything that a fault may change."""
     sensors = vehicle._sensors.imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
     return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.world.bodies), *sensors))
 
@@ -283,7 +283,7 @@ def test_another_campaign_or_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def conditions(name: str, **more: object) -> Conditions:
-    """Of a calm landing without faults."""
+    """Conditions of a calm landing without faults."""
     return conditions_of((name,), 0, 0).model_copy(update={"faults": (), "wind": (0.0, 0.0), **more})
 
 
@@ -389,7 +389,7 @@ def test_a_refusal_is_right_only_where_there_is_no_place(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("off", [0.0, 0.2, 0.3, 0.4])
 def test_a_strip_that_is_just_wide_enough_makes_a_refusal_wrong(tmp_path: Path, off: float) -> None:
-    """Bare ground between tall grass, 4.3 m wide: its centres keep a radius of 1.5 m and a margin of 0.5 m in 0.3 m."""
+    """Bare ground between tall grass is 4.3 m wide: only centres within 0.3 m keep a radius of 1.5 m and 0.5 m more."""
     ground = "  cover: tall_vegetation\n  size: [60, 60]\n  cell: 0.1\n  relief: []\n  layers:\n"
     path = f"[[{off - 20}, -30], [{off - 20}, 30]]"
     strip = f"  - {{thing: road, path: {path}, width: 4.3, ragged: 0, look: sand, kind: bare}}\n"
@@ -506,7 +506,7 @@ def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None
 
 
 def test_a_real_flight_is_the_same_again() -> None:
-    """Seven seconds, in which no landing is begun; the cameras freeze meanwhile."""
+    """A flight of seven seconds, without a landing and with frozen cameras, has the same record again."""
     fault = FaultRecord(what="cameras frozen", after=4.5, numbers={"seconds": 1.0})
     given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
     one, two = (
@@ -522,7 +522,7 @@ def test_a_real_flight_is_the_same_again() -> None:
 
 @long
 def test_a_real_landing_on_concrete() -> None:
-    """All of it: search, looks, commit, touchdown, and cameras that freeze for 20 s: it says so and waits."""
+    """In a whole landing, cameras that freeze for 20 s are reported and waited for; then come looks and touchdown."""
     fault = FaultRecord(what="cameras frozen", after=5.0, numbers={"seconds": 20.0})
     given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
     record = fly_conditions(given, Settings()).record
@@ -545,7 +545,7 @@ def test_a_real_landing_on_concrete() -> None:
 
 @pytest.fixture
 def deadly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], object]:
-    """Let the process that flies a seed die so many times."""
+    """Return a function that lets the process that flies a seed die so many times."""
     monkeypatch.setenv("ALIGHT_TEST_DIES", str(tmp_path / "dies"))
     return lambda seed, times: (tmp_path / "dies").write_text(f"{seed} {times}")
 
@@ -560,7 +560,7 @@ def test_a_killed_process_loses_nothing(deadly: Callable[[int, int], object], tm
     one, two = repeatable(tmp_path / "one"), repeatable(tmp_path / "two")
     if times > 1:
         assert two[1]["outcome"] == "failed"
-        fly_campaign(campaign, tmp_path / "two", fly=lands)  # goes on: what was lost is flown again
+        fly_campaign(campaign, tmp_path / "two", fly=lands)  # goes on: lost landings are flown again
         two = repeatable(tmp_path / "two")
     assert one == two
 
@@ -676,7 +676,7 @@ def test_the_page_tells_outcomes_pictures_looks_and_another_campaign(tmp_path: P
 
 @pytest.fixture
 def faked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command line flies made-up landings."""
+    """Let the command line fly made-up landings."""
     real, once_more = runner.fly_campaign, runner.again
     monkeypatch.setattr(runner, "fly_campaign", lambda *a: real(*a, fly=lands))
     monkeypatch.setattr(runner, "again", lambda *a: once_more(*a, fly=lands))

@@ -34,7 +34,7 @@ NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 @cache
 def flight() -> SimulatedFlight:
-    """A lawn mower's lines with turns, 15 m above the demo's meadow, two cameras of 240 x 180, wind and gusts."""
+    """A flight along parallel lines, 15 m above the demo's meadow, two cameras of 240 x 180, wind and gusts."""
     rig = Rig(tuple(RigCamera(c.name, m, c.body_from_cam) for c, m in zip(default_rig().cameras, LENSES, strict=True)))
     plan = FlightPlan(pattern="lawn_mower", length=12.0, lines=3, spacing=8.0, height=15.0)
     return fly("demo", 1, plan=plan, rig=rig, rate_hz=8.0)
@@ -42,7 +42,7 @@ def flight() -> SimulatedFlight:
 
 @cache
 def events() -> tuple[Event, ...]:
-    """Its first seconds."""
+    """Events of the first seconds of the flight."""
     out = list[Event]()
     for event in flight().events():
         if isinstance(event, Frame) and event.t_ns > 1_700_000_000_000_000_000 + SECONDS * 1e9:
@@ -53,12 +53,12 @@ def events() -> tuple[Event, ...]:
 
 @cache
 def evidence() -> RigEvidence:
-    """What the checks see of it."""
+    """Evidence of the checks from these events."""
     return gather_evidence(flight().rig, events(), SECONDS)
 
 
 def frames(change: Callable[[int, Frame], Frame]) -> list[Event]:
-    """The events with other pictures."""
+    """Return the events with changed frames."""
     out, count = list[Event](), 0
     for event in events():
         out.append(change(count, event) if isinstance(event, Frame) else event)
@@ -67,7 +67,7 @@ def frames(change: Callable[[int, Frame], Frame]) -> list[Event]:
 
 
 def pictures(change: Callable[[int, U8], U8 | None], camera: int | None = None) -> list[Event]:
-    """The events with every picture, or those of one camera, changed."""
+    """Return the events with every picture changed, or with those of one camera."""
 
     def changed(count: int, frame: Frame) -> Frame:
         images = (
@@ -80,13 +80,13 @@ def pictures(change: Callable[[int, U8], U8 | None], camera: int | None = None) 
 
 
 def one_camera(change: Callable[[int, U8], U8 | None]) -> list[CheckResult]:
-    """Results of camera 0 alone, with other pictures."""
+    """Check camera 0 alone, with changed pictures."""
     alone = [replace(e, images=e.images[:1]) if isinstance(e, Frame) else e for e in pictures(change, 0)]
     return check_evidence(gather_evidence(Rig(flight().rig.cameras[:1]), alone, SECONDS))
 
 
 def rig_with(*turns: tuple[int, Sequence[float]], swap: str = "") -> Rig:
-    """The rig with cameras whose calibration is turned by rotation vectors about their own axes, rad."""
+    """Return the rig with the calibration of cameras turned by rotation vectors about their own axes, rad."""
     cameras = list(flight().rig.cameras)
     for k, turn in turns:
         pose = cameras[k].body_from_cam
@@ -101,19 +101,19 @@ def rig_with(*turns: tuple[int, Sequence[float]], swap: str = "") -> Rig:
 
 
 def wrong(results: Sequence[CheckResult]) -> dict[str, CheckResult]:
-    """The checks that found something."""
+    """Return the checks that found a fault, by name."""
     return {r.name: r for r in results if r.verdict is Judged.BAD}
 
 
 def only(results: Sequence[CheckResult], name: str) -> CheckResult:
-    """The one check that found something; it has a mend."""
+    """Assert that one check alone found a fault, and names a remedy; return its result."""
     assert list(wrong(results)) == [name], [r.line for r in wrong(results).values()]
     assert wrong(results)[name].mend
     return wrong(results)[name]
 
 
 def with_imu(rates: F64 | float = 1.0, forces: F64 | float = 1.0, axes: F64 | None = None) -> RigEvidence:
-    """The evidence with another IMU."""
+    """Return the evidence with another IMU."""
     imu, axes = evidence().imu, np.eye(3) if axes is None else axes
     return replace(
         evidence(),
@@ -124,7 +124,7 @@ def with_imu(rates: F64 | float = 1.0, forces: F64 | float = 1.0, axes: F64 | No
 
 
 def with_nav(**columns: Any) -> RigEvidence:
-    """The evidence with other columns of GPS/INS."""
+    """Return the evidence with other columns of GPS/INS."""
     return replace(evidence(), nav=replace(evidence().nav, **columns))
 
 
@@ -155,7 +155,7 @@ def test_a_rig_without_imu_passes() -> None:
 
 
 def test_a_flight_straight_on_does_not_claim_to_know_the_time_offset() -> None:
-    """Without turns the pictures move alike at all times."""
+    """Without turns the pictures move alike at all times, so that the time offset is not observable."""
     nav, imu = evidence().nav, evidence().imu
     calm = NavTable.of(
         [
@@ -211,7 +211,7 @@ def test_a_turned_second_camera_is_measured(axis: int, word: str) -> None:
 
 
 def test_cameras_that_look_past_each_other_are_found_by_their_depths() -> None:
-    """A turn about the vertical moves the matches along their epipolar lines: only another depth shows it."""
+    """A turn about the vertical moves the matches along their epipolar lines: it shows in their depths only."""
     found = only(check_evidence(replace(evidence(), rig=rig_with((1, (0.0, 0.015, 0.0))))), "stereo cam0 cam1")
     assert "turned towards each other" in found.evidence
 
@@ -279,7 +279,7 @@ def test_a_focal_length_that_is_off_is_measured() -> None:
 
 
 def test_one_focal_length_that_is_off_shows_in_the_matches() -> None:
-    """The second camera alone: its flow and the matches say so."""
+    """The second camera alone is wrong; its flow and the matches between the cameras show this."""
     e = evidence()
     rig = Rig((e.rig.cameras[0], long_lens().rig.cameras[1]))
     half = replace(e, rig=rig, cameras=(e.cameras[0], long_lens().cameras[1]))
@@ -326,7 +326,7 @@ def test_wrong_units_and_axes_are_named(changed: Callable[[], RigEvidence], name
 
 
 def read_as_xyzw() -> F64:
-    """The attitudes as they are read from a log that has the real part of the quaternion last."""
+    """Attitudes from a log that has the real part of the quaternion last, read as if it were first."""
     x, y, z, w = Rotation.from_matrix(evidence().nav.world_from_body).as_quat().T
     return Rotation.from_quat(np.stack([y, z, w, x], axis=-1)).as_matrix()  # read as w = x, x = y, y = z, z = w
 
@@ -339,7 +339,7 @@ def brighter(_: int, image: U8) -> U8:
 
 
 def spotted(_: int, image: U8) -> U8:
-    """A crumb, 20 px wide, and a thumb in the corner."""
+    """Draw a crumb, 20 px wide, and a thumb in the corner."""
     out = image.copy()
     cv2.circle(out, (150, 60), 10, (60, 55, 50), -1)
     cv2.rectangle(out, (0, 150), (40, 180), (20, 20, 25), -1)
@@ -347,7 +347,7 @@ def spotted(_: int, image: U8) -> U8:
 
 
 def wet(_: int, image: U8) -> U8:
-    """A drop of water that blurs."""
+    """Blur a part of the picture, as a drop of water does."""
     out = image.copy()
     out[40:75, 160:200] = cv2.GaussianBlur(image, (0, 0), 6.0)[40:75, 160:200]
     return out

@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line for every mistake, and what goes to which stream."""
+"""The command line: exit codes, one line for every mistake, and the use of stdout and stderr."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_set_wins_over_the_file(tmp_path: Path) -> None:
 
 
 def found(monkeypatch: pytest.MonkeyPatch, **changes: object) -> None:
-    """Let the work be done, with this result."""
+    """Replace the work of a run by a made-up result."""
     monkeypatch.setattr(replay, "find", lambda *_: some_run(**changes))
 
 
@@ -259,7 +259,7 @@ def test_ctrl_c_in_a_process_leaves_whole_files_and_no_traceback(tmp_path: Path)
 
 
 def test_nobody_reads_the_answer(tmp_path: Path) -> None:
-    """`alight settings | true`."""
+    """`alight settings | true` ends without an error."""
     with subprocess.Popen([*ALIGHT, "settings"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None

@@ -1,4 +1,4 @@
-"""Sweeps from coarse to fine: which heights are tried where, and what is kept ready for them."""
+"""Sweeps from coarse to fine: the heights that each ray tries, and the images that are kept for them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_ray_tries_the_planes_about_what_was_found_beside_it() -> None:
 
 
 def test_between_coarse_and_fine_a_ray_tries_what_was_found_some_cells_away() -> None:
-    """What coarse cells are too large for, a beam or a twig, stands near something that they show."""
+    """A beam or a twig, too small for coarse cells, stands near something that they show."""
     found = np.zeros((20, 30), np.float32)
     found[:, 20:] = 2.0
     spans = Spans.about(found, (40, 60), LEVELS, sweeps.BROAD)
@@ -43,7 +43,7 @@ def test_between_coarse_and_fine_a_ray_tries_what_was_found_some_cells_away() ->
 
 
 def test_at_the_border_of_a_picture_a_ray_tries_the_nearest_heights() -> None:
-    """Small pixels reach further towards the border than large ones; the lowest plane was given out there once."""
+    """Small pixels lie closer to the border than large ones; once the lowest plane was given out there."""
     found = np.full((20, 20), 1.5, np.float32)
     found[:, :4] = np.nan
     spans = Spans.about(found, (40, 40), LEVELS)
@@ -61,7 +61,7 @@ def test_costs_lie_one_ray_after_the_other() -> None:
 
 def test_the_search_narrows_to_what_was_found_and_never_widens() -> None:
     found = np.random.default_rng(0).uniform(0.0, 1.0, (50, 50)).astype(np.float32)
-    found[0, 0] = 40.0  # one ray does not widen it
+    found[0, 0] = 40.0  # one ray does not widen the range
     low, high = narrowed(found, (-5.0, 50.0), 0.1)
     assert (low, high) == pytest.approx((-0.7, 1.7), abs=0.05)
     assert narrowed(found, (-0.1, 0.9), 0.1) == (-0.1, 0.9)
@@ -115,7 +115,7 @@ def test_cells_are_no_finer_than_the_lander_needs(quality: str, finest: float) -
 
 
 def test_tiles_are_matched_in_blocks_where_the_pictures_are_large() -> None:
-    """Every cell under the views lies in one block, without its margin, once."""
+    """Every cell under the views lies in exactly one block, not counting the margins."""
     views = Scene(spacing=2.0).views(4)
     lane = BatchMap(load_settings("", ["tuning.elevation.tile=64", "parallax.cell=0.01"]).stages())
     assert lane.find_ground(views), lane.reason

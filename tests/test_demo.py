@@ -24,14 +24,14 @@ def call(*words: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def landed(tmp_path_factory: pytest.TempPathFactory) -> Done:
-    """`alight demo`, run once."""
+    """Run `alight demo` once."""
     out = tmp_path_factory.mktemp("demo") / "out"
     return out, call("demo", "--out", out)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Done:
-    """The recorded flight of docs/start.md: simulated, run, compared with its truth."""
+    """Simulate and run the recorded flight of docs/start.md, and compare it with its truth."""
     folder = tmp_path_factory.mktemp("recorded")
     flight, out = folder / "flight", folder / "found"
     for words in (["simulate", "demo", "--seed", 1, "--out", flight], ["run", flight, "--out", out]):
@@ -41,7 +41,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Done:
 
 
 def rows(text: str) -> dict[str, str]:
-    """The comparison with the truth, by name."""
+    """Read the comparison with the truth by name."""
     pairs = [line.strip().rsplit("  ", 1) for line in text.splitlines() if line.startswith("  ")]
     return {pair[0].strip(): pair[1] for pair in pairs if len(pair) == 2}
 
@@ -89,7 +89,7 @@ def test_the_page_for_newcomers_shows_the_landing(landed: Done) -> None:
 
 @long
 def test_the_comparison_shows_a_sound_run(recorded: Done) -> None:
-    """The bounds are loose: they tell a broken stage from a sound one. docs/lab/flights.md has the figures."""
+    """The bounds are loose: only a broken stage exceeds them. docs/lab/flights.md has the figures."""
     found = rows(recorded[1].stdout)
     assert found["best site truly safe, registered"] == "yes"
     good, of = map(int, found["sites truly safe, registered"].split(" of "))
@@ -107,7 +107,7 @@ def test_the_page_for_newcomers_shows_lines_of_the_comparison(recorded: Done) ->
     found = rows(recorded[1].stdout)
     assert len(shown) >= 4
     assert set(shown) <= set(found)
-    for numbers in (shown, found):  # how many, hangs on a machine's rounding; that all are safe does not
+    for numbers in (shown, found):  # the number of sites depends on a machine's rounding; their safety does not
         assert re.fullmatch(r"([1-9]\d*) of \1", numbers["sites truly safe, registered"])
 
 
@@ -117,7 +117,7 @@ def test_the_recorded_run_is_whole_and_the_command_prints_what_the_function_give
     assert {p.name for p in out.iterdir()} == {*FILES, "run.json"}
     info = json.loads((out / "run.json").read_text(encoding="utf-8"))
     assert info["not_written"] == {}
-    assert info["notes"]["cameras"] == ["cam0", "cam1"]  # as it is, not as words
+    assert info["notes"]["cameras"] == ["cam0", "cam1"]  # a list, not text
     assert info["counts"]["cam0 images"] == info["counts"]["exposures"]
     assert evaluate(out, out.with_name("flight")).lines()[1:] == process.stdout.splitlines()[1:]
 

@@ -1,4 +1,4 @@
-"""What would have been found: curves, the share that stays unseen, the pixel that settles a doubt."""
+"""Probability of detection: curves, the share that stays unseen, and the pixel that settles a doubt."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_an_obstacle_is_missed_where_neither_heights_nor_pixels_show_it() -> Non
 
 
 def test_the_unseen_share_is_the_integral_over_the_sizes() -> None:
-    """By plain sums over a fine grid of widths, weighted by how many there are of each."""
+    """The share agrees with plain sums over a fine grid of widths, weighted by the frequency of each."""
     limit, g, p = 0.15, 0.12, 0.06
     width = np.linspace(WIDE * limit, LARGEST * WIDE * limit, 20001)
     weight = width**-STEEP

@@ -42,7 +42,7 @@ HOSTILE = {
 
 
 def refused(said: str, *words: str) -> None:
-    """One line of an error with these words."""
+    """Assert that an error is one line with these words."""
     assert said.startswith("error: "), said
     assert said.count("\n") == 1
     assert len(said) < 1000
@@ -117,7 +117,7 @@ def test_what_is_healthy_is_read() -> None:
 
 
 def bytes_of(arrays: dict[str, np.ndarray]) -> bytes:
-    """An archive of arrays."""
+    """Return an archive of arrays."""
     out = io.BytesIO()
     np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
     return out.getvalue()
@@ -125,7 +125,7 @@ def bytes_of(arrays: dict[str, np.ndarray]) -> bytes:
 
 @cache
 def damaged_models() -> dict[str, bytes]:
-    """The package's model, in ways in which it must not be used."""
+    """Damaged copies of the package's model that must not be used."""
     good = DEFAULT_MODEL.read_bytes()
     arrays = arrays_of(good)
     weights = next(k for k in arrays if k.endswith(".weights"))

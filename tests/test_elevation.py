@@ -22,12 +22,12 @@ SPAN = CELL * SIDE
 
 
 def aligned(col: int, row: int, rows: int, cols: int) -> Grid:
-    """The grid whose first cell is cell (row, col) of the world, rows counted north."""
+    """Return the grid whose first cell is cell (row, col) of the world, rows counted north."""
     return Grid((col + 0.5) * CELL, (row + 0.5) * CELL, CELL, rows, cols)
 
 
 def heights(grid: Grid, seed: int = 0, **changes: Any) -> Heights:
-    """Heights that are all different, all seen and trusted, unless `changes` say otherwise."""
+    """Return heights that are all different, seen and trusted; `changes` replace fields."""
     rng = np.random.default_rng(seed)
     shape = grid.shape
     fields: dict[str, Any] = {
@@ -45,7 +45,7 @@ def heights(grid: Grid, seed: int = 0, **changes: Any) -> Heights:
 
 
 def same(a: Any, b: Any) -> None:
-    """All fields of two maps, bit for bit."""
+    """Assert that all fields of two maps are equal, bit for bit."""
     for k in FIELDS:
         assert_array_equal(getattr(a, k), getattr(b, k), err_msg=k)
 
@@ -62,7 +62,7 @@ def fused(*steps: Heights) -> float:
 
 
 def held(e: TiledElevation) -> int:
-    """Tiles in memory."""
+    """Number of tiles in memory."""
     return sum(len(layer._near) for layer in e._layers.values())
 
 
@@ -75,7 +75,7 @@ size = st.integers(1, 40)
 @given(index, index, size, size)
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
 def test_what_is_added_anywhere_is_read_back(col: int, row: int, rows: int, cols: int) -> None:
-    """Over tile borders, on both sides of the origin."""
+    """Heights are read back from any place, over tile borders and on both sides of the origin."""
     e = TiledElevation(CELL, SIDE)
     h = heights(aligned(col, row, rows, cols))
     e.add(h)
@@ -134,7 +134,7 @@ def test_what_was_never_seen_reads_as_unknown() -> None:
     assert not got.trusted.any()
 
 
-# -- which height stays
+# -- choice of the height
 
 
 @pytest.mark.parametrize("flag", [f for f in Flag if f & REFUSED and f != Flag.UNSEEN])
@@ -150,7 +150,7 @@ def test_among_equals_the_smaller_sigma_stays(flags: int) -> None:
 
 
 def test_a_note_is_no_reason() -> None:
-    """STEP and FEW do not make a height refused, so that the smaller sigma decides."""
+    """STEP and FEW do not refuse a height, so that the smaller sigma decides."""
     assert fused(one(1.0, 0.05), one(2.0, 0.02, int(Flag.STEP | Flag.FEW))) == 2.0
 
 
@@ -260,25 +260,25 @@ def test_nothing_seen_is_no_snapshot() -> None:
 
 
 def at_level(level: int, south: int, north: int, west: int, east: int) -> Grid:
-    """Cells by number, both ends included."""
+    """Return the grid of the cells between these numbers, both ends included."""
     cell = CELL * 2.0**level
     return Grid((west + 0.5) * cell, (north + 0.5) * cell, cell, north - south + 1, east - west + 1)
 
 
 def slanted(grid: Grid, **changes: Any) -> Heights:
-    """Heights of one plane, whatever the grid; sigma in proportion to the cell."""
+    """Return heights on one plane for any grid; sigma is in proportion to the cell."""
     x, y = np.meshgrid(*grid.xy())
     return heights(grid, height=0.3 * x - 0.2 * y, **({"sigma": 0.1 * grid.cell, "flags": 0} | changes))
 
 
 def off_plane(m: Any) -> np.ndarray:
-    """Heights less the plane, NaN where nothing is."""
+    """Heights minus the plane, NaN where there is no height."""
     x, y = np.meshgrid(*m.grid.xy())
     return np.asarray(m.height - (0.3 * x - 0.2 * y).astype(np.float32))
 
 
 def by_cell(fine: Any, level: int) -> dict[tuple[int, int], list[tuple[int, int]]]:
-    """The cells of a grid by the number of the coarser cell that they lie in: plain integers."""
+    """Group the cells of a grid by the number of the coarser cell around them, in plain integers."""
     out: dict[tuple[int, int], list[tuple[int, int]]] = {}
     x, y = fine.grid.xy()
     for r, c in np.ndindex(fine.grid.shape):
@@ -290,7 +290,7 @@ def by_cell(fine: Any, level: int) -> dict[tuple[int, int], list[tuple[int, int]
 @given(index, index, size, size)
 @settings(derandomize=True, database=None, deadline=None, max_examples=25)
 def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, rows: int, cols: int) -> None:
-    """Cell by cell in plain Python: anywhere on the raster, over tile borders."""
+    """The means agree with plain Python, cell by cell, anywhere on the raster and over tile borders."""
     grid = aligned(col, row, rows, cols)
     rng = np.random.default_rng([col + 100, row + 100])
     fine = heights(grid, flags=rng.choice([0, int(Flag.MOVING), int(Flag.UNSEEN), int(Flag.STEP)], grid.shape))
@@ -319,7 +319,7 @@ def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, 
 @given(index, index, st.integers(-3, 3), st.integers(-4, 2))
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
 def test_a_plane_is_the_same_plane_at_every_cell_size(col: int, row: int, written: int, coarser: int) -> None:
-    """No shift by half a cell: what was added at one level reads as the same plane at any other."""
+    """Heights added at one level are the same plane at any other, without a shift by half a cell."""
     e = TiledElevation(CELL, SIDE)
     e.add(slanted(at_level(written, row, row + 23, col, col + 31)))
     asked, scale = written + coarser, 0.5**coarser
@@ -335,7 +335,7 @@ def test_a_plane_is_the_same_plane_at_every_cell_size(col: int, row: int, writte
 
 
 def test_the_finer_stands_and_the_coarser_shows_around_it() -> None:
-    """A patch seen from near in what was seen from afar: one map, no gap and no step between them."""
+    """A patch seen from near lies in ground seen from afar: one map, without a gap or a step between them."""
     e = TiledElevation(CELL, SIDE)
     e.add(slanted(at_level(2, -10, 10, -10, 10)))
     e.add(slanted(at_level(-1, -20, 20, -20, 20), sigma=0.01), replace_all=True)
@@ -347,11 +347,11 @@ def test_the_finer_stands_and_the_coarser_shows_around_it() -> None:
     assert (got.sigma[patch] == np.float32(0.01)).all()
     assert (got.sigma[~patch] > 0.02).all()
     assert np.median(got.sigma[~patch]) > 0.09
-    assert (e.read(at_level(2, -1, 0, -1, 0)).sigma == np.float32(0.01)).all()  # the coarse cells know it too
+    assert (e.read(at_level(2, -1, 0, -1, 0)).sigma == np.float32(0.01)).all()  # coarse cells get them too
 
 
 def test_a_coarser_layer_that_comes_later_knows_what_is_there() -> None:
-    """A climb: packed tiles count as well."""
+    """In a climb, a new coarser layer contains the finer tiles, packed ones included."""
     e = TiledElevation(CELL, SIDE)
     fine = slanted(at_level(0, -40, 39, -40, 39))
     e.add(fine)
@@ -363,7 +363,7 @@ def test_a_coarser_layer_that_comes_later_knows_what_is_there() -> None:
 
 
 def test_refused_cells_do_not_leak_into_their_neighbours() -> None:
-    """Interpolation goes between trusted cells only; beside others a cell keeps its own value."""
+    """Interpolation is between trusted cells only; beside other cells a cell keeps its own value."""
     e = TiledElevation(CELL, SIDE)
     coarse = at_level(1, 0, 3, 0, 3)
     flags = np.zeros((4, 4), np.uint16)
@@ -383,14 +383,14 @@ def test_batch_at_a_finer_cell_keeps_what_is_better_known_coarsely() -> None:
     got = e.read(at_level(0, 0, 7, 0, 7))
     assert got.trusted.all()
     assert (got.height[:, :3] == 1.0).all()
-    assert (got.height[:, 3] <= 1.5).all()  # half way between the coarse cells
+    assert (got.height[:, 3] <= 1.5).all()  # half-way between the coarse cells
     assert (got.height[:, 4:] == 3.0).all()
 
 
 def test_a_snapshot_is_as_fine_as_a_twentieth_of_it_and_no_larger_than_asked() -> None:
     e = TiledElevation(CELL, SIDE)
     e.add(slanted(at_level(0, -30, 29, -40, 39)))
-    e.add(slanted(at_level(-2, 0, 39, 0, 79)), replace_all=True)  # 3200 fine cells of what would be 76800
+    e.add(slanted(at_level(-2, 0, 39, 0, 79)), replace_all=True)  # 3200 fine cells; the whole map would have 76800
     few = e.snapshot()
     assert few is not None
     assert few.grid == at_level(0, -30, 29, -40, 39)
@@ -414,7 +414,7 @@ def test_a_snapshot_is_as_fine_as_a_twentieth_of_it_and_no_larger_than_asked() -
 
 
 def test_forgotten_tiles_are_gone_and_memory_is_bounded() -> None:
-    """A long way at two cell sizes: what is held does not grow, and no coarse cell is left of what is forgotten."""
+    """On a long way at two cell sizes, memory does not grow, and the coarse cells of forgotten tiles are gone."""
     e = TiledElevation(CELL, SIDE, NullStore())
     e.window((0, 0), (0, 0), level=2)
     most = []

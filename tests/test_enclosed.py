@@ -17,7 +17,7 @@ SETTINGS = Settings().stages().terrain
 
 
 def canal(fall: float = 0.0, bank: float = 0.5, noise: float = 0.01) -> np.ndarray:
-    """40 x 30 m: a canal of 6 m that runs through the whole map along its columns, `fall` metres a metre."""
+    """Heights of 40 x 30 m with a canal of 6 m through the whole map along its columns; gradient `fall`."""
     rng = np.random.default_rng(0)
     x, y = np.meshgrid(np.arange(300) * CELL, np.arange(400) * CELL)
     lawn = 0.02 * x + 0.1 * np.sin(y / 7)
@@ -28,7 +28,7 @@ def canal(fall: float = 0.0, bank: float = 0.5, noise: float = 0.01) -> np.ndarr
 
 
 def middle(values: np.ndarray) -> float:
-    """The share of the water, clear of its banks, that is taken for enclosed."""
+    """Share of the water, without its margins, that is found to be enclosed."""
     return float((values[20:-20, 130:170] > 0.5).mean())
 
 
@@ -70,7 +70,7 @@ def test_doubtful_heights_are_no_bank() -> None:
 
 
 def roof(height: float = 4.0) -> np.ndarray:
-    """40 x 30 m of ground that leans a little, with a flat roof of 16 x 12 m in its middle."""
+    """Heights of 40 x 30 m of gently sloping ground, with a flat roof of 16 x 12 m in the middle."""
     rng = np.random.default_rng(1)
     x, y = np.meshgrid(np.arange(300) * CELL, np.arange(400) * CELL)
     lawn = 0.02 * x + 0.01 * y
@@ -97,7 +97,7 @@ def test_a_low_slab_a_terrace_and_a_canal_are_not_raised() -> None:
 
 
 def test_a_roof_whose_rim_is_not_seen_cannot_be_told() -> None:
-    """The middle of it from near by; and a step at the rim of the map, of which one side is known."""
+    """The middle of a roof seen from near by, or a step at the rim of the map with one known side, is no roof."""
     near = roof()
     near[:125] = near[275:] = np.nan
     near[:, :95] = near[:, 205:] = np.nan

@@ -84,7 +84,7 @@ def a_run() -> RunResult:
     poses = [Pose(turn, np.array([k, 0.0, 30.0]) + OFFSET) for k in range(6)]
     motions = [Motion(T0 + k * STEP, p, (p,), np.eye(6) * 1e-4) for k, p in enumerate(poses)]
     first = some_run().sites.sites[0]
-    # truly 1.85 m west of the box: safe; where the run says it is, the footprint touches the box
+    # truly 1.85 m west of the box: safe; at its place in the run, the footprint touches the box
     beside = replace(first, east=BOX[0] - 1.85 + OFFSET[0], north=5.0 + OFFSET[1])
     pond = replace(first, rank=2, east=POND[1] + OFFSET[0] - 0.5, north=POND[3] + OFFSET[1] - 0.5)
     listed = Sites((beside, pond), candidates=(replace(pond, rank=3, kind="candidate"),))
@@ -118,7 +118,7 @@ def test_nmad_and_rms() -> None:
 
 
 def test_heights_as_they_are(found: Evaluation) -> None:
-    """Moved by 0.8 m on a slope of 0.05: 4 cm of the offset are the slope's."""
+    """A shift of 0.8 m on a slope of 0.05 makes 4 cm of the offset."""
     assert number(found, "ground offset (median), m") == pytest.approx(OFFSET[2] - 0.05 * OFFSET[0], abs=0.003)
     assert number(found, "ground NMAD, m") == pytest.approx(NOISE, rel=0.1)
     assert number(found, "ground P95 of |error|, m") > 0.5
@@ -151,7 +151,7 @@ def test_acceptance_wrong_cells_and_coverage(found: Evaluation) -> None:
 
 
 def test_coverage_with_the_common_tilt(truth: Path, tmp_path: Path) -> None:
-    """A map that leans by 4 mrad and says 4 mrad: its own sigma covers little of it, both together enough."""
+    """A map leans by 4 mrad and claims 4 mrad: its sigma alone covers too few errors, with the tilt enough."""
     result = a_run()
     assert result.elevation is not None
     e, _ = np.meshgrid(*result.elevation.grid.xy())
@@ -167,7 +167,7 @@ def test_coverage_with_the_common_tilt(truth: Path, tmp_path: Path) -> None:
 
 
 def test_a_map_is_registered_by_its_own_heights(truth: Path, tmp_path: Path) -> None:
-    """A path that is off otherwise than the map; over one slope only the sum of all three shows in the heights."""
+    """The path has another offset than the map; over one slope, heights show only the sum of its three components."""
     result = a_run()
     path = tuple(replace(m, world_from_body=Pose(np.eye(3), [k, 0.0, 31.0])) for k, m in enumerate(result.motions))
     write_run(replace(result, motions=path), tmp_path)
@@ -188,7 +188,7 @@ def test_the_decision_as_it_is_and_registered(found: Evaluation) -> None:
 
 
 def test_candidates_and_what_is_not_refused(found: Evaluation, truth: Path, tmp_path: Path) -> None:
-    """The doubt about the western half refuses nothing; a refusal of it would."""
+    """The doubt about the western half counts as not refused; a refusal of it counts as refused."""
     assert found.values["candidates truly safe, registered"] == "0 of 1"
     assert "first candidate truly safe, registered" not in found.values  # there is a site
     name = "seen and truly safe with 1 m of clearance, and not refused, %, registered"
@@ -305,7 +305,7 @@ def test_the_high_pass_takes_out_what_is_wider_than_a_metre() -> None:
 
 
 def test_photos_against_their_reference(tmp_path: Path) -> None:
-    """Heights off by a plane and noise, cameras by 5 cm; the reference has another origin."""
+    """Heights are off by a plane and noise, cameras by 5 cm; the reference has another origin."""
     rng = np.random.default_rng(4)
     run = a_run()
     assert run.elevation is not None
@@ -372,7 +372,7 @@ def test_lines_are_named_numbers() -> None:
 
 
 def damaged(run: Path, key: str, value: object) -> None:
-    """Put another value into run.json."""
+    """Replace a value in run.json."""
     tree = json.loads((run / "run.json").read_text(encoding="utf-8"))
     *way, last = key.split(".")
     inner = tree

@@ -1,4 +1,4 @@
-"""The executive over made-up ground: it looks until a place is a site or falls; faults lead where the table says."""
+"""The executive over made-up ground: it looks until a place is a site or refused; faults lead to the table's states."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def settings(*more: str):  # type: ignore[no-untyped-def]
 
 @dataclass
 class Ground:
-    """Places with what a look from a height says of each: P(safe) by the height, 0 is refused."""
+    """Made-up ground with places; P(safe) of each depends on the height of the look, 0 is refused."""
 
     places: dict[tuple[float, float], Callable[[float], float]]
     frame_id: int = 0
@@ -95,7 +95,7 @@ class Ground:
 
 @dataclass
 class Flight:
-    """A vehicle that does what it is told, over made-up ground; `change` may change the situation."""
+    """A vehicle that obeys its orders over made-up ground; `change` may change the situation."""
 
     ground: Ground
     executive: Executive
@@ -142,12 +142,12 @@ class Flight:
 
 
 def clearer_from_below(height: float) -> float:
-    """A good place: in doubt from high up, a site from near by."""
+    """P(safe) of a good place: in doubt from high up, a site from near by."""
     return 0.97 if height < 9.0 else 0.8 if height < 17.0 else 0.6
 
 
 def bad_from_below(height: float) -> float:
-    """Stones that only a near look shows."""
+    """P(safe) of a place with stones that only a near look shows."""
     return 0.0 if height < 9.0 else 0.7
 
 
@@ -171,7 +171,7 @@ def test_it_looks_again_from_lower_down_and_lands() -> None:
 
 
 def test_a_look_passes_beside_the_place() -> None:
-    """One camera straight above sees no parallax: each leg is at least 0.24 of the height long."""
+    """One camera straight above a place has no parallax: each leg is at least 0.24 of the height long."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     f.fly()
     for look in f.executive.diary.looks:
@@ -181,7 +181,7 @@ def test_a_look_passes_beside_the_place() -> None:
 
 
 def test_a_look_is_judged_at_the_end_of_its_leg() -> None:
-    """`crosses` tells while the leg is flown; every look was noted when it was over."""
+    """`crosses` is true while a leg is flown, and every look is recorded at the end of its leg."""
     crossed = list[tuple[float, bool]]()
 
     def note(now: Situation, executive: Executive) -> Situation:
@@ -211,7 +211,7 @@ def test_a_place_that_falls_gives_way_to_the_next() -> None:
 
 
 def test_a_place_in_much_doubt_waits_until_all_was_searched() -> None:
-    """What the rest of the search shows may be better, and then that is looked at first."""
+    """A better place may show in the rest of the search, and is then looked at first."""
     ground = Ground({(-8.0, 2.0): lambda h: 0.6, (22.0, 18.0): lambda h: 0.97 if h < 9 else 0.8}, sees=12.0)
     f = Flight(ground, Executive(settings()))
     assert f.fly() is S.LANDED
@@ -230,7 +230,7 @@ def test_a_site_breaks_the_search_off() -> None:
 
 
 def test_a_look_takes_the_better_place_beside() -> None:
-    """From 8 m up a better place 2.6 m away is seen; the next look is at that."""
+    """From 8 m up a better place 2.6 m away is seen; the next look is at that place."""
     ground = Ground({(10.0, 5.0): lambda h: 0.92, (12.4, 6.0): lambda h: 0.97 if h < 9 else 0.0})
     f = Flight(ground, Executive(settings()))
     assert f.fly() is S.LANDED
@@ -245,7 +245,7 @@ def test_ground_without_a_place_is_searched_and_left() -> None:
     spots, shown = np.array([p[:2] for s, _, p in f.orders if s is S.SEARCH]), 30.0 * 0.75
     for e in np.linspace(-30.0, 30.0, 13):
         for n in np.linspace(-30.0, 30.0, 13):  # every place was in a picture
-            assert np.abs(spots - [e, n]).max(axis=1).min() <= 0.5 * shown + 2.0  # of the last lane 2 m are left
+            assert np.abs(spots - [e, n]).max(axis=1).min() <= 0.5 * shown + 2.0  # the last lane may end 2 m early
     assert np.abs(spots).max() < 20.0  # no farther than that takes
 
 
@@ -269,7 +269,7 @@ def test_a_place_in_doubt_from_the_lowest_look_is_looked_at_from_lower_still() -
 
 
 def test_a_place_in_doubt_is_left_for_a_clearly_better_one() -> None:
-    """The first is not gone down to; the other one is, and a slightly better one is not worth it."""
+    """The first place is left after one look for a clearly better one, but not for a slightly better one."""
     for other, looks in ((0.88, 1), (0.7, 4)):
         ground = Ground(
             {(10.0, 5.0): lambda h: 0.9 if h > 12.0 else 0.6, (-12.0, 0.0): lambda h, p=other: p if h > 9 else 0.97}
@@ -282,7 +282,7 @@ def test_a_place_in_doubt_is_left_for_a_clearly_better_one() -> None:
 
 @pytest.mark.parametrize("first", [0.96, 0.85])
 def test_without_looking_again_the_first_good_place_is_landed_on(first: float) -> None:
-    """And so are stones that only a near look shows: what the loop is for."""
+    """Without looks the vehicle lands also on stones that only a near look shows."""
     stones = {(10.0, 5.0): lambda h: 0.0 if h < 9.0 else first}
     plain = Flight(Ground(stones), Executive(settings("executive.look_again=false")))
     assert plain.fly() is S.LANDED
@@ -308,7 +308,7 @@ def test_it_climbs_over_what_stands_in_the_way() -> None:
 
 
 def test_wind_does_not_carry_it_away_while_it_climbs() -> None:
-    """Seen in a campaign: a gust blew it into the tree that it climbed for, because it climbed wherever it was."""
+    """Seen in a campaign: the vehicle climbed for a tree, and a gust blew it into that tree meanwhile."""
     ground = Ground({(28.0, 0.0): clearer_from_below}, sees=40.0, tall=26.0)
     low = list[float]()
 
@@ -318,7 +318,7 @@ def test_wind_does_not_carry_it_away_while_it_climbs() -> None:
                 f.position[:] = (0.0, 0.0, 8.0)
                 low.append(now.t)
             assert now.position is not None
-            aside = np.array([0.0, min(0.1 * (now.t - low[0]), 3.0), 0.0])  # a gust that it does not hold against
+            aside = np.array([0.0, min(0.1 * (now.t - low[0]), 3.0), 0.0])  # a gust that the vehicle does not resist
             return replace(now, position=f.position + aside)
         return now
 
@@ -331,7 +331,7 @@ def test_wind_does_not_carry_it_away_while_it_climbs() -> None:
 
 
 def test_it_comes_down_to_a_look_only_on_its_way() -> None:
-    """Seen in a campaign: a gust blew it 4 m off, into a tree, and it went on down meanwhile."""
+    """Seen in a campaign: a gust blew the vehicle 4 m off, into a tree, and it went on down meanwhile."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     heights, left = list[float](), list[float]()
 
@@ -353,7 +353,7 @@ def test_it_comes_down_to_a_look_only_on_its_way() -> None:
 
 
 def test_a_return_that_ends_on_the_ground_is_no_landing() -> None:
-    """The autopilot lands at home: the answer is the reason of the return."""
+    """The autopilot lands at home: the diary ends with the reason of the return."""
     f = Flight(Ground({}), Executive(settings()))
     assert f.executive.diary.end is None
     assert f.fly() is S.RETURN
@@ -369,7 +369,7 @@ def test_a_return_that_ends_on_the_ground_is_no_landing() -> None:
 
 
 def in_state(wanted: FlightState, change: Callable[[Situation], Situation]) -> Callable[..., Situation]:
-    """Change the situation from the moment that a state is reached, for good."""
+    """Return a change of the situation that begins when a state is reached, and stays."""
     hit = []
 
     def changed(now: Situation, executive: Executive) -> Situation:
@@ -382,7 +382,7 @@ def in_state(wanted: FlightState, change: Callable[[Situation], Situation]) -> C
 
 
 def test_a_car_on_the_site_breaks_the_landing_off() -> None:
-    """Two verdicts refuse it: up, and to another place."""
+    """After two verdicts that refuse the site, the vehicle climbs and lands at another place."""
     there = {(10.0, 5.0): clearer_from_below, (-12.0, 0.0): lambda h: 0.97 if h < 9.0 else 0.5}
     ground = Ground(there)
 
@@ -399,8 +399,8 @@ def test_a_car_on_the_site_breaks_the_landing_off() -> None:
 
 
 def test_a_car_beside_which_good_ground_is_left_breaks_the_landing_off_too() -> None:
-    """Seen in a campaign: the site was refused, a listed one 1.6 m beside it was taken for it, and the vehicle swerved
-    to that at two metres of height and came down on the car's edge. Two verdicts that see P(safe) fall are enough."""
+    """Seen in a campaign: the site was refused, and a listed one 1.6 m beside it was taken for it. The vehicle swerved
+    to that at a height of two metres and came down on the car's edge. Two verdicts with a lower P(safe) are enough."""
     there = {(10.0, 5.0): clearer_from_below, (-12.0, 0.0): lambda h: 0.97 if h < 9.0 else 0.5}
     ground, since = Ground(there), list[float]()
 
@@ -441,7 +441,7 @@ def test_verdicts_a_little_below_the_limit_do_not_break_a_landing_off(every: int
 
 @pytest.mark.parametrize(("p_safe", "verdicts"), [(0.88, 5), (0.7, 2)])
 def test_a_place_that_comes_into_doubt_and_stays_there_breaks_a_landing_off(p_safe: float, verdicts: int) -> None:
-    """Seen in a campaign: from the commit on P(safe) was 0.88 in thirty verdicts, and it landed on a kerb."""
+    """Seen in a campaign: from the commit on P(safe) was 0.88 in thirty verdicts, and the vehicle landed on a kerb."""
     taken = set[float]()
 
     def doubt(now: Situation, executive: Executive) -> Situation:
@@ -461,7 +461,7 @@ def test_a_place_that_comes_into_doubt_and_stays_there_breaks_a_landing_off(p_sa
 
 @pytest.mark.parametrize("p_safe", [0.99, 0.86])
 def test_from_low_down_it_waits_for_enough_verdicts_to_break_the_landing_off(p_safe: float) -> None:
-    """A place in doubt is looked at from 4 m: on the way down to 3 m there is no time for five verdicts."""
+    """The last look is from 4 m: down to 3 m there is no time for five verdicts, so that the vehicle waits."""
     ground = Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.92})
     f = Flight(ground, Executive(settings()))
 
@@ -474,7 +474,7 @@ def test_from_low_down_it_waits_for_enough_verdicts_to_break_the_landing_off(p_s
     f.fly(120.0)
     assert f.executive.diary.looks[-1].height == 4.0
     waits = [o for s, o, _ in f.orders if s is S.COMMIT and not o.down]
-    assert len({o.height for o in waits}) == 1  # whatever the wind does meanwhile
+    assert len({o.height for o in waits}) == 1  # independent of the wind
     assert waits[0].height == pytest.approx(4.0, abs=0.6)
     assert f.states[f.states.index(S.COMMIT) + 1] is (S.LANDED if p_safe > 0.9 else S.ABORT)
 
@@ -499,7 +499,7 @@ def test_one_low_verdict_does_not_break_a_landing_off() -> None:
 
 @pytest.mark.parametrize(("height", "holds", "broken_off"), [(4.5, True, True), (2.5, True, False), (2.5, False, True)])
 def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds: bool, broken_off: bool) -> None:
-    """Grass sways all over a picture from 2 m; without a place of its own the autopilot drifts."""
+    """From 2 m swaying grass fills the picture, and the landing goes on; without its own place the autopilot drifts."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
 
     def weak(now: Situation, executive: Executive) -> Situation:
@@ -513,7 +513,7 @@ def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds
 
 
 def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:
-    """Seen in a campaign: it touched down with 0.59 m/s sideways, where 0.5 is allowed."""
+    """Seen in a campaign: the vehicle touched down with 0.59 m/s sideways, where 0.5 is allowed."""
     there = {(10.0, 5.0): clearer_from_below}
 
     def shift(now: Situation, executive: Executive) -> Situation:
@@ -528,7 +528,7 @@ def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:
 
 
 def test_it_comes_down_above_the_place() -> None:
-    """Beside it it keeps its height, but near the ground, where a landing is not broken off any more."""
+    """Beside the place the vehicle keeps its height, but not near the ground, where a landing goes on in any case."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     pushed = set[float]()
 
@@ -549,7 +549,7 @@ def test_it_comes_down_above_the_place() -> None:
     assert {o.speed <= 0.4 for s, o, _ in f.orders if s is S.COMMIT and o.down} == {True}
     assert {o.speed > 1.0 for s, o, _ in f.orders if s is S.COMMIT and not o.down} == {True}
     kept = [k for k, (down, _, height) in enumerate(landing) if not down and height < 3.0]
-    assert kept  # once, from the first gust; the second comes too low
+    assert kept  # once, after the first gust; the second comes too low
     assert kept == list(range(kept[0], kept[-1] + 1))
 
 
@@ -600,7 +600,7 @@ def test_a_limit_that_is_broken_in_a_landing_lets_it_climb_and_return(change: di
 
 @pytest.mark.parametrize("limit", [{"battery": 0.1}, {"t": 1000.0}])
 def test_who_comes_ends_a_landing_that_is_late_or_short_of_battery(limit: dict[str, float]) -> None:
-    """A landing is the shortest way down: time and battery do not end it, and do not end the looking either."""
+    """A landing is the shortest way down: time and battery neither end it nor the check of the place."""
 
     def late(now: Situation, executive: Executive) -> Situation:
         return replace(now, **limit | ({"t": now.t + limit["t"]} if "t" in limit else {}))
@@ -619,8 +619,8 @@ def test_who_comes_ends_a_landing_that_is_late_or_short_of_battery(limit: dict[s
 
 
 def test_a_place_that_is_not_seen_any_more_breaks_a_landing_off_while_it_is_high() -> None:
-    """What stands on it moves, say: that is unknown ground, and no verdict refuses it."""
-    for low, ends in ((0.0, S.ABORT), (9.0, S.LANDED)):  # the height below which that is no reason
+    """Ground is unknown if, for example, something moves on it, and then no verdict refuses it."""
+    for low, ends in ((0.0, S.ABORT), (9.0, S.LANDED)):  # the height below which the landing goes on
         ground = Ground({(10.0, 5.0): clearer_from_below})
 
         def hide(now: Situation, executive: Executive, ground: Ground = ground) -> Situation:
@@ -661,7 +661,7 @@ def test_who_is_down_has_landed_whatever_the_mode_is_then() -> None:
 
 @pytest.mark.parametrize("change", [{"frame_id": 1}, {"state": MotionState.LOST, "position": None}])
 def test_too_low_to_go_up_and_lost_it_sinks_straight_down(change: dict[str, Any]) -> None:
-    """Places of another frame would lead it aside."""
+    """Positions in another frame would lead the vehicle aside."""
 
     def lose(now: Situation, executive: Executive) -> Situation:
         low = executive.state is S.COMMIT and now.position is not None and now.position[2] < 1.3
@@ -675,7 +675,7 @@ def test_too_low_to_go_up_and_lost_it_sinks_straight_down(change: dict[str, Any]
 
 
 def test_the_last_metres_of_a_landing_go_sideways_still_slower() -> None:
-    """A GPS that jumps just before the touchdown must not make it drift."""
+    """A GPS jump just before the touchdown must not make the vehicle drift."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     assert f.fly() is S.LANDED
     down = [(o.speed, p[2]) for s, o, p in f.orders if s is S.COMMIT and o.down]
@@ -684,7 +684,7 @@ def test_the_last_metres_of_a_landing_go_sideways_still_slower() -> None:
 
 
 def test_a_landing_that_does_not_come_down_is_broken_off() -> None:
-    """An autopilot that refuses to land, say."""
+    """An autopilot may refuse to land."""
 
     class Stubborn(Flight):
         def _obey(self, order: Order) -> None:
@@ -700,7 +700,7 @@ def test_a_landing_that_does_not_come_down_is_broken_off() -> None:
 
 @pytest.mark.parametrize(("holds", "ends"), [(True, S.RETURN), (False, S.HANDED_OVER)])
 def test_motion_lost_in_a_landing_is_waited_for_as_long_as_the_autopilot_holds(holds: bool, ends: S) -> None:
-    """And where it comes again the vehicle climbs before it searches."""
+    """When the motion is known again, the vehicle climbs before it searches."""
     lost_at: list[float] = []
 
     def lose(now: Situation, executive: Executive) -> Situation:
@@ -719,7 +719,7 @@ def test_motion_lost_in_a_landing_is_waited_for_as_long_as_the_autopilot_holds(h
 
 @pytest.mark.parametrize("state", [S.LOOK, S.COMMIT])
 def test_motion_that_begins_anew_near_the_ground_climbs_before_it_goes_aside(state: S) -> None:
-    """The new frame has another height, and no verdict yet: nothing is known of what stands about."""
+    """The new frame has another height and no verdict yet: nothing is known of the surroundings."""
     ground, anew, up = Ground({(10.0, 5.0): clearer_from_below}), [], 50.0
 
     def change(now: Situation, executive: Executive) -> Situation:
@@ -811,7 +811,7 @@ def test_what_ends_the_attempt(
 def test_wind_and_battery_end_it_once_they_have_been_beyond_their_limits_for_a_time(
     change: dict[str, Any], lasting: float
 ) -> None:
-    """A gust and a dip of the voltage pass, be they one after the other."""
+    """Gusts and dips of the voltage are tolerated, also one after the other, if each is short."""
 
     def beyond(now: Situation, executive: Executive) -> Situation:
         return replace(now, **change) if now.t % 5.0 < lasting else now
@@ -821,7 +821,7 @@ def test_wind_and_battery_end_it_once_they_have_been_beyond_their_limits_for_a_t
 
 
 def test_gusts_do_not_hide_an_empty_battery() -> None:
-    """Each limit has its own clock."""
+    """Each limit has its own timer."""
 
     def gusts(now: Situation, executive: Executive) -> Situation:
         return replace(now, battery=0.02, wind=np.array([12.0 if now.t % 3.0 < 1.0 else 0.0, 0.0, 0.0]))
@@ -849,13 +849,12 @@ def test_it_waits_for_motion_and_pictures_and_then_hands_over(
 
 
 def at_times(begin: float, end: float, **what: object) -> Callable[[Situation, Executive], Situation]:
-    """Change the situation between two times."""
+    """Return a change of the situation between two times."""
     return lambda now, executive: replace(now, **what) if begin < now.t < end else now  # type: ignore[arg-type]
 
 
 def test_it_holds_for_its_cameras_and_then_searches_on() -> None:
-    """Half a minute without pictures: the autopilot keeps the place. The lane that was broken off is flown to its
-    end."""
+    """Without pictures for half a minute the autopilot holds; then the interrupted lane is flown to its end."""
     blind = at_times(9.0, 39.0, picture_age=9.0)
     plain, f = (Flight(Ground({}), Executive(settings()), c) for c in (lambda now, executive: now, blind))
     assert plain.fly() is S.RETURN
@@ -894,7 +893,7 @@ def test_frozen_cameras_are_named() -> None:
 
 
 def test_candidates_that_all_fall_are_not_visited_for_ever() -> None:
-    """Twelve: after eight that near looks refused, the ninth has a chance of a tenth. A site is still taken."""
+    """Of twelve, eight are refused by near looks; then the ninth has a chance of a tenth. A site is still taken."""
     spots = [(12.0 * k - 18.0, 12.0 * m - 18.0) for k in range(4) for m in range(3)]
     ground = Ground(dict.fromkeys(spots, lambda h: 0.7), sees=99.0)
     f = Flight(ground, Executive(settings("executive.time_budget=2000")))
@@ -907,16 +906,16 @@ def test_candidates_that_all_fall_are_not_visited_for_ever() -> None:
     np.testing.assert_allclose(f.position[:2], [25.0, 25.0], atol=0.3)
 
 
-# -- beside what stands there
+# -- beside obstacles
 
 
 def ends_of_looks(f: Flight) -> list[np.ndarray]:
-    """(2,) each, where its look legs led."""
+    """Ends of the look legs, (2,) each."""
     return [o.position[:2] for s, o, _ in f.orders if s is S.LOOK and o.position is not None]
 
 
 def test_a_look_leg_turns_away_from_what_stands_beside_it() -> None:
-    """A tree 2.5 m beyond the end of the first leg that suits the vehicle best."""
+    """A tree stands 2.5 m beyond the end of the leg that suits the vehicle best."""
     place = np.array([10.0, 5.0])
     free = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     assert free.fly() is S.LANDED
@@ -935,8 +934,8 @@ def test_a_look_leg_keeps_twice_the_distance_where_it_can() -> None:
     leg = LookLeg(np.array([*place, 8.0]), 1.5, np.array([30.0, 5.0, 8.0]), None)
     near = ClearWay(settings()).turned(leg, 0.0, seen)
     assert near is not None
-    assert near.turned == 0.0  # it is 4 m from the tree, whichever way it leads
-    along = replace(leg, place=np.array([10.0, 2.0, 8.0]))  # 7 m: past the tree there is room, not towards it
+    assert near.turned == 0.0  # each direction of the leg is 4 m from the tree
+    along = replace(leg, place=np.array([10.0, 2.0, 8.0]))  # 7 m: there is room for a leg past the tree, not towards it
     past = ClearWay(settings()).turned(along, 0.0, seen)
     assert past is not None
     assert past.turned == 0.0
@@ -949,7 +948,7 @@ def test_a_look_leg_keeps_twice_the_distance_where_it_can() -> None:
     "wind", [None, *((5.0 * np.cos(a), 5.0 * np.sin(a), 0.0) for a in np.radians(range(0, 360, 30)))]
 )
 def test_no_leg_passes_a_tree_whichever_way_the_wind_blows(wind: tuple[float, float, float] | None) -> None:
-    """A tree 3 m from the place: each leg of 3 m passes it too near. In wind only half of a leg was asked about."""
+    """A tree stands 3 m from the place, so that each leg of 3 m passes it too near. Once only half a leg was tested."""
     blown = None if wind is None else np.array(wind)
     ground = Ground({(10.0, 5.0): clearer_from_below}, posts=((10.0, 2.0, 12.0),))
     f = Flight(ground, Executive(settings()), lambda now, executive: replace(now, wind=blown))
@@ -959,7 +958,7 @@ def test_no_leg_passes_a_tree_whichever_way_the_wind_blows(wind: tuple[float, fl
 
 
 def test_a_search_does_not_come_down_beside_what_it_has_climbed_over() -> None:
-    """A tree of 38 m beside the corner of a lane: the corner counts as reached from above it."""
+    """A tree of 38 m stands beside the corner of a lane: the corner counts as reached from above the tree."""
     corner = next(iter(square_spiral(np.zeros(2), 60.0 - 22.5, 0.7 * 22.5)))
     tree = (round(corner[0]) + 1.0, round(corner[1]) + 1.0, 38.0)
     f = Flight(Ground({}, posts=(tree,)), Executive(settings()))
@@ -971,7 +970,7 @@ def test_a_search_does_not_come_down_beside_what_it_has_climbed_over() -> None:
 
 @pytest.mark.parametrize("off", [0.5, 0.8])
 def test_a_steady_error_of_position_does_not_keep_it_from_its_look(off: float) -> None:
-    """Beside its way it stays level, but not at the end of it."""
+    """Beside its way the vehicle keeps its height, but not at the end of its way."""
     aside = np.array([off, 0.0, 0.0])
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("tuning.executive.over_site=0.9")))
     f.change = lambda now, executive: replace(now, position=now.position + aside)  # type: ignore[operator]
@@ -981,7 +980,7 @@ def test_a_steady_error_of_position_does_not_keep_it_from_its_look(off: float) -
 
 @pytest.mark.parametrize("state", [S.APPROACH, S.LOOK, S.DESCEND])
 def test_a_vehicle_that_does_not_get_on_leaves_the_place(state: FlightState) -> None:
-    """It is held where it is: after a minute the place is given up, and the search goes on."""
+    """The vehicle is held in place: after a minute the place is given up, and the search goes on."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("executive.time_budget=2000")))
     stays = list[np.ndarray]()
 
@@ -1000,7 +999,7 @@ def test_a_vehicle_that_does_not_get_on_leaves_the_place(state: FlightState) -> 
 
 
 def test_a_climb_and_a_descent_of_minutes_get_on() -> None:
-    """From one low place over a wall to the next: for more than a minute it is farther from there than it was."""
+    """On the way over a wall to another low place, the vehicle gets farther from it for more than a minute."""
     places = {(10.0, 5.0): lambda h: 0.97 if h > 9.0 else 0.1, (25.0, 5.0): lambda h: 0.96}
     keys = settings("executive.search_height=120", "executive.time_budget=2000")
     f = Flight(Ground(places, sees=99.0, tall=110.0), Executive(keys))
@@ -1011,7 +1010,7 @@ def test_a_climb_and_a_descent_of_minutes_get_on() -> None:
 
 
 def test_what_it_keeps_level_at_is_never_below_where_it_has_climbed_to() -> None:
-    """Drift that begins while it climbs over a wall: past the wall it stays up as long as it is beside its way."""
+    """Drift begins in the climb over a wall: behind the wall the vehicle stays up as long as it is beside its way."""
     places = {(4.0, 5.0): lambda h: 0.97 if h > 7.5 else 0.1, (35.0, 5.0): lambda h: 0.97}
     f = Flight(Ground(places, sees=60.0, tall=24.0), Executive(settings()))
 
@@ -1030,7 +1029,7 @@ def test_what_it_keeps_level_at_is_never_below_where_it_has_climbed_to() -> None
 
 
 def test_after_a_gap_of_pictures_a_search_goes_on_with_degraded_motion() -> None:
-    """It is good enough to search, and a search it was that the gap broke off."""
+    """Degraded motion is good enough for a search, and the gap interrupted a search."""
 
     def change(now: Situation, executive: Executive) -> Situation:
         return replace(now, state=MotionState.DEGRADED, picture_age=3.0 if 5.0 < now.t < 7.0 else 0.1, holds=True)
@@ -1041,7 +1040,7 @@ def test_after_a_gap_of_pictures_a_search_goes_on_with_degraded_motion() -> None
 
 
 def test_a_lane_that_passes_far_below_its_end_goes_on() -> None:
-    """It begins low, beneath the corner: that shows nothing of the ground about it."""
+    """The lane begins low, beneath its end: from there the ground around the end is not seen."""
     lanes = SearchLanes(np.array([0.0, 0.0, 30.0]), settings().executive)
     first = lanes.end(0.0)
     lanes.fly(np.array([*first[:2], 4.0]), 0.0)
@@ -1051,7 +1050,7 @@ def test_a_lane_that_passes_far_below_its_end_goes_on() -> None:
 
 
 def test_a_leg_that_is_flown_stays_where_no_other_is_clear() -> None:
-    """Legs turn by 45 degrees from the bearing of the vehicle: on its way to one, others are asked for."""
+    """Legs turn by 45 degrees from the vehicle's bearing: on the way to one leg, others would be chosen."""
     keys = settings()
     planner = LookPlanner(keys, ClearWay(keys))
     place = replace(some_site(), east=10.0, north=5.0, up=0.0)
@@ -1094,7 +1093,7 @@ def test_a_tree_that_only_a_near_look_shows_breaks_the_look_off() -> None:
 
 
 def test_a_wider_vehicle_keeps_farther_away() -> None:
-    """A tree 4 m beside the way: free for 1.5 m of radius, not for a rotor of 2.5 m."""
+    """A tree 4 m beside the way leaves room for a radius of 1.5 m, not for a rotor of 2.5 m."""
     seen = Ground({}, posts=((0.0, 4.0, 9.0),)).seen(1, 0.0, AWAY)
     start, to = np.array([-2.0, 0.0, 6.0]), np.array([2.0, 0.0, 6.0])
     assert ClearWay(settings()).is_free(start, to, 0.0, seen)
@@ -1102,7 +1101,7 @@ def test_a_wider_vehicle_keeps_farther_away() -> None:
 
 
 def test_a_low_bush_beside_a_leg_leaves_it_as_it_is() -> None:
-    """Half of the height of a look lies above it; the look is flown at its own height, not over the bush."""
+    """The bush is lower than half the height of a look; so the look keeps its height."""
     bush = (13.0, 6.0, 1.5)
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}, posts=(bush,)), Executive(settings()))
     free = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
@@ -1180,7 +1179,7 @@ def test_a_new_frame_drops_the_place_and_searches_again() -> None:
 
 
 def test_no_verdict_no_landing() -> None:
-    """Verdicts stop when the first look begins."""
+    """No landing begins if verdicts stop when the first look begins."""
     frozen: list[Seen | None] = []
 
     def stop(now: Situation, executive: Executive) -> Situation:
@@ -1203,7 +1202,7 @@ def test_no_verdict_no_landing() -> None:
                           st.floats(-1, 40), st.floats(0, 1)), min_size=20, max_size=60))  # fmt: skip
 @budget(max_examples=40, deadline=None)
 def test_whatever_happens_it_stays_in_its_table(moments: list[tuple]) -> None:  # type: ignore[type-arg]
-    """Situations at random: no exception, no transition that the table has not, and no order after the end."""
+    """In random situations there is no exception, no transition outside the table, and no order after the end."""
     executive, ground, t = Executive(settings()), Ground({(1.0, 1.0): clearer_from_below}), 0.0
     for state, link, pilot, stands, wind, battery, age, frame, up, p in moments:
         t += 1.0
@@ -1251,7 +1250,7 @@ def test_the_spiral_covers_the_square() -> None:
 
 
 def test_a_place_that_fell_is_not_taken_for_one_beside_it() -> None:
-    """A stays in doubt and is left. C, 3.1 m beside it, is looked at: A is better from 8 m, and is not taken again."""
+    """A stays in doubt and is left. C, 3.1 m beside it, is looked at: A is better from 8 m, but is not taken again."""
     ground = Ground({(10.0, 5.0): lambda h: 0.8, (13.1, 5.0): lambda h: 0.97 if h < 7.0 else 0.7})
     f = Flight(ground, Executive(settings()))
     assert f.fly() is S.LANDED
@@ -1260,7 +1259,7 @@ def test_a_place_that_fell_is_not_taken_for_one_beside_it() -> None:
 
 
 def test_good_ground_that_is_not_listed_is_not_dropped_on_the_way() -> None:
-    """A better place elsewhere can keep it off the list: P(safe) of its cell is 0.9, and that is no refusal."""
+    """A better place elsewhere can keep it off the list; its cell has a P(safe) of 0.9, which is no refusal."""
     ground = Ground({(10.0, 5.0): lambda h: 0.97 if h < 9.0 else 0.92}, unlisted=(9.5, 26.0))
     f = Flight(ground, Executive(settings()))
     assert f.fly() is S.LANDED
@@ -1269,7 +1268,7 @@ def test_good_ground_that_is_not_listed_is_not_dropped_on_the_way() -> None:
 
 @pytest.mark.parametrize(("room", "landed"), [(9.0, True), (0.3, False)])
 def test_a_place_that_is_not_listed_is_a_site_only_with_room_about_it(room: float, landed: bool) -> None:
-    """A listed site has no refused touchdown within `sites.margin`: one that a better place keeps off the list, too."""
+    """A listed site has no refused touchdown within `sites.margin`; this holds for a place off the list, too."""
     ground = Ground({(10.0, 5.0): clearer_from_below}, unlisted=(1.0, 9.0), room=room)
     f = Flight(ground, Executive(settings()))
     f.fly(120.0)
@@ -1279,7 +1278,7 @@ def test_a_place_that_is_not_listed_is_a_site_only_with_room_about_it(room: floa
 
 
 def test_after_four_refusals_the_search_goes_on_to_its_end() -> None:
-    """Then the best place is next, wherever it is; climbing back to the search after each one took most of the time."""
+    """After the search the best place is next, wherever it is; climbing back to it each time took most of the time."""
     doubtful = [(2.0, 5.0), (-5.0, 3.0), (-4.0, -7.0), (5.0, -3.0), (1.0, -9.0)]
     places = {where: lambda h: 0.91 for where in doubtful} | {(18.0, 18.0): lambda h: 0.97 if h < 9.0 else 0.94}
     f = Flight(Ground(places, sees=12.0), Executive(settings()))
@@ -1316,7 +1315,7 @@ def test_a_crown_in_doubt_stands_in_the_way_and_a_single_doubtful_cell_does_not(
 
 @pytest.mark.parametrize("length", [6.0, 30.0])
 def test_a_way_past_a_crown_in_doubt_is_flown_at_the_height_of_the_search(length: float) -> None:
-    """However short: the map said 4 m of trees of 12 m. From one look at a place to the next it is not climbed for."""
+    """The map had 4 m for trees of 12 m, so even a short way is flown high, except between looks at one place."""
     ground = Ground({}, posts=tuple((e, n, 4.0) for e in (-1.0, 0.0, 1.0) for n in (2.0, 3.0)))
     seen = ground.seen(1, 0.0, AWAY)
     flags = np.where(seen.elevation.height > 3.0, np.uint16(Flag.UNSURE), np.uint16(0))
@@ -1330,7 +1329,7 @@ def test_a_way_past_a_crown_in_doubt_is_flown_at_the_height_of_the_search(length
 
 @pytest.mark.parametrize("mapped", [True, False])
 def test_a_long_way_over_unmapped_ground_is_flown_at_the_height_of_the_search(mapped: bool) -> None:
-    """From a place that fell at a low look to the next: between them may stand what no map has."""
+    """Between a place that a low look refused and the next one, obstacles may stand that no map shows."""
     places = {(10.0, 5.0): lambda h: 0.92 if h > 9.0 else 0.1, (-15.0, 5.0): lambda h: 0.91}
     f = Flight(Ground(places, sees=60.0, gap=not mapped), Executive(settings()))
     f.fly()
@@ -1342,7 +1341,7 @@ def test_a_long_way_over_unmapped_ground_is_flown_at_the_height_of_the_search(ma
 
 @pytest.mark.parametrize("trouble", ["motion", "pictures", "frame", "wind"])
 def test_just_above_the_ground_it_lands_whatever_comes(trouble: str) -> None:
-    """Going up again blind, or from a gust near the ground, is worse than the last metre."""
+    """A climb without sight, or from a gust near the ground, is worse than the last metre."""
 
     def change(now: Situation, executive: Executive) -> Situation:
         assert now.position is not None
@@ -1362,7 +1361,7 @@ def test_just_above_the_ground_it_lands_whatever_comes(trouble: str) -> None:
 
 @pytest.mark.parametrize(("lasting", "aborted"), [(0.6, False), (4.0, True)])
 def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: float, aborted: bool) -> None:
-    """Near the ground features change fast: one bad turn of the filter is no reason to climb, several are."""
+    """Near the ground features change fast: a short degradation is no reason to climb, a longer one is."""
     began: list[float] = []
 
     def change(now: Situation, executive: Executive) -> Situation:

@@ -1,4 +1,4 @@
-"""The motion filter and its smoother on simulated points and sensors: no images, everything known."""
+"""The motion filter and its smoother on simulated points and sensors: without images, with all truth known."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NAV_OFF, NAV_TURNED = np.array([0.8, -0.6, 1.4]), np.array([0.006, -0.005, 0.02]
 
 
 def body(t: float) -> Pose:
-    """Where the vehicle is at `t` seconds: a winding flight 30 m up."""
+    """True pose of the vehicle at `t` seconds: a winding flight 30 m up."""
     yaw, pitch, roll = 1.2 + 0.5 * np.sin(0.5 * t), 0.05 * np.sin(1.1 * t), 0.06 * np.sin(0.9 * t + 0.4)
     return Pose(enu_from_flu(yaw, pitch, roll), [4.0 * t, 3.0 * np.sin(0.6 * t), 30.0 + np.sin(0.7 * t)])
 
@@ -100,7 +100,7 @@ def world(seed: int = 3) -> World:
 
 
 def events(seconds: float, seed: int = 3) -> list[Event | Tracks]:
-    """Half a second of GPS/INS and IMU before the first exposure; instants that do not coincide."""
+    """Events, with half a second of GPS/INS and IMU before the first exposure; instants do not coincide."""
     w = world(seed)
     out: list[Event | Tracks] = [imu_at(t, w.rng) for t in np.arange(-0.5, seconds, 0.005)]
     out += [nav_at(t, w.rng) for t in np.arange(-0.487, seconds, 0.05)]
@@ -120,7 +120,7 @@ def seconds(m: Event | Tracks | Motion) -> float:
 
 
 def drift_px(a: Motion, b: Motion) -> float:
-    """RMS pixels by which a view carried from one exposure to the other misses, ground 30 m below."""
+    """RMS error in pixels of points 30 m below, transferred from one exposure to the other."""
     x, y = np.meshgrid([-18.0, -6.0, 6.0, 18.0], [-13.0, 0.0, 13.0])
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 30.0)])
     cam = RIG.cameras[0].body_from_cam
@@ -161,7 +161,7 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
             ]
         )
         nees.append(e @ np.linalg.solve(m.covariance, e))
-    assert np.mean(nees) < 12.0  # 6 degrees of freedom; one flight, so its mean error stays
+    assert np.mean(nees) < 12.0  # 6 degrees of freedom; the mean error of a single flight does not vanish
 
 
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
@@ -176,7 +176,7 @@ def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Moti
 
 
 def test_the_joint_covariance_of_the_ring_belongs_to_its_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
-    """Its blocks are the poses' own in the map; between two exposures far less is unknown than of each."""
+    """The blocks are the covariances of the poses in the map; relative to each other, poses are known far better."""
     window = flown[0].keyframes()
     assert window is not None
     ring = window.posterior()
@@ -208,7 +208,7 @@ def test_the_prediction_is_where_the_next_exposure_finds_the_cameras(flown: tupl
     assert drift_px(motions[-1], predicted) < 2.0  # the vehicle went 0.4 m, 6 px
     early = f.predict(START)
     assert early is not None
-    assert np.isfinite(early.world_from_cams[0].matrix).all()  # the past is not predicted: the present stands for it
+    assert np.isfinite(early.world_from_cams[0].matrix).all()  # the past is not predicted: the present pose is returned
 
 
 def test_the_batch_makes_one_consistent_flight(flown: tuple[MotionFilter, list[Motion]]) -> None:
@@ -251,8 +251,8 @@ def damaged(how: Damage, length: float = 4.0) -> list[Motion | None]:
 
 
 def test_a_gap_in_the_imu_while_it_swings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No IMU for 1.7 s in gusts: the attitude follows GPS/INS and pictures. Seen in a campaign: a covariance that had
-    forgotten when the gap began let the filter disbelieve GPS/INS, and it ran away."""
+    """No IMU for 1.7 s in gusts: the attitude follows GPS/INS and pictures. Seen in a campaign: the covariance did not
+    count the gap from its begin, so that the filter rejected GPS/INS and ran away."""
     steady = body
 
     def swinging(t: float) -> Pose:
@@ -276,7 +276,7 @@ def test_without_gps_there_is_no_motion() -> None:
 
 
 def test_gps_without_attitude_starts_from_the_pictures() -> None:
-    """A camera that looks down, and GPS positions: the course in the pictures is that in the world."""
+    """A camera that looks down and GPS positions are enough: the course in the pictures gives the heading."""
     out = damaged(lambda e: replace(e, world_from_body=None) if isinstance(e, NavSample) else e, 4.0)
     assert out[0] is None
     last = out[-1]
@@ -295,7 +295,7 @@ def test_repeated_and_backward_times_are_left_out() -> None:
 
 
 def judged(health: Health, counts: Sequence[GateCounts], first: int = 0) -> list[MotionState]:
-    """The states after exposures, five a second, with GPS/INS that passes its gates."""
+    """Health states after exposures, five a second, with GPS/INS that passes its gates."""
     known, out = FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4), []
     for k, seen in enumerate(counts, first):
         health.on_gps(k * 200 * MS, True, True)
@@ -316,7 +316,7 @@ def judged(health: Health, counts: Sequence[GateCounts], first: int = 0) -> list
     ],
 )
 def test_few_features_that_agree_hold_the_motion_of_a_landing(counts: GateCounts, state: MotionState) -> None:
-    """Three metres above the ground, five exposures a second: few features are seen three times."""
+    """Three metres above the ground, at five exposures a second, few features are observed three times."""
     assert judged(Health(2.0), [GateCounts(30, 0, 1.0)] * 5 + [counts] * 15)[-1] is state
 
 
@@ -326,7 +326,7 @@ def test_few_features_end_no_start() -> None:
 
 @pytest.mark.parametrize("passed", [0, 3, 5])
 def test_a_start_in_a_hover_ends_with_gps_ins_only_and_is_good_once_features_are_learned(passed: int) -> None:
-    """A vehicle that waits for its start has no parallax, and learns nothing while it waits."""
+    """A vehicle that hovers before its start has no parallax, and triangulates no features meanwhile."""
     states = judged(Health(2.0), [GateCounts(passed, 0, 1.0)] * 20 + [GateCounts(30, 0, 1.0)] * 10)
     assert states[:16] == [MotionState.INITIALISING] * 16
     assert states[16:20] == [MotionState.DEGRADED] * 4
@@ -443,7 +443,7 @@ def test_block_tridiagonal_agrees_with_the_dense_solution() -> None:
 
 @pytest.mark.parametrize("turn", [0.0, 1.2, np.pi])
 def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
-    """A camera that looks down, turned by anything between two pictures, two in five matches wrong (M26)."""
+    """A camera that looks down turns by any angle between two pictures; two in five matches are wrong (M26)."""
     rng, yaw = np.random.default_rng(9), 0.7
     first, second = (Pose(enu_from_flu(a, 0.0, 0.0), p) for a, p in ((yaw, [0, 0, 30]), (yaw + turn, [4.0, 9.0, 30.0])))
     cam = RIG.cameras[0].body_from_cam
@@ -463,7 +463,7 @@ def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
 
 
 def test_the_posterior_follows_from_the_window_alone() -> None:
-    """Computed at once, after the filter has gone on, or in another process: the same bits."""
+    """The posterior has the same bits if computed at once, after the filter has gone on, or in another process."""
     events = PointFlight(seed=4, seconds=2.0, count=40).events
     half = len(events) // 2
     estimator, _ = run(events[:half])

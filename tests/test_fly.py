@@ -23,7 +23,7 @@ BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 
 
 def rig(dialect: str = "ardupilot", *settings: str, ground: Ground | None = None) -> PilotRig:
-    """A vehicle at 30 m, and a landing that has begun."""
+    """Return a vehicle at 30 m whose landing has begun."""
     found = PilotRig((ground or Ground({PLACE: clearer_from_below})).seen, dialect, settings)
     found.up_and_flying(30.0)
     found.begin()
@@ -45,7 +45,7 @@ def state(r: PilotRig) -> FlightState:
 
 @BOTH
 def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
-    """The autopilot's place is off by metres; ours is true: the touchdown is where our place is."""
+    """The autopilot's place is off by metres and ours is true: the touchdown is at our place."""
     r = rig(dialect)
     assert r.fly(S.LANDED)
     assert not r.sim.logic.armed
@@ -57,7 +57,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
     assert len(r.pilot.diary.pictures) == len(r.pilot.diary.looks)  # type: ignore[union-attr]
     late = list(r.pilot.way_point_times)  # type: ignore[union-attr]
     assert late
-    assert max(late) <= VERDICT + r.dt + 1e-6  # every verdict is decided by in the tick after it came
+    assert max(late) <= VERDICT + r.dt + 1e-6  # every verdict is used in the tick after its arrival
     t = r.t
     r.run(5.0)
     assert not r.moving_since(t + 0.1)
@@ -65,7 +65,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
 
 @BOTH
 def test_a_wait_between_two_looks_is_flown_under_guidance(dialect: str) -> None:
-    """No verdict comes for a while: the vehicle stays where it is, in guided mode."""
+    """While no verdict comes, the vehicle stays in place, in guided mode."""
     r = rig(dialect)
     assert r.fly(S.LOOK)
     r.pilot._judge = lambda about: None  # type: ignore[union-attr]
@@ -122,7 +122,7 @@ def drain(r: PilotRig) -> None:
 
 
 FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightState]] = {
-    # the event, where it leads from an approach, and where from a commit
+    # the event, the state that it leads to from an approach, and from a commit
     lose_gps: (E.NAVIGATION_LOST, S.HOLD, S.ABORT),
     freeze_camera: (E.CAMERA_LOST, S.HOLD, S.ABORT),
     stop_camera: (E.CAMERA_LOST, S.HOLD, S.ABORT),
@@ -212,7 +212,7 @@ def test_a_filter_that_begins_anew_gives_the_place_up_and_searches_on(dialect: s
 
 @BOTH
 def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
-    """Two verdicts that refuse it, and the vehicle climbs again; there is no other place, so it goes home."""
+    """After two verdicts that refuse the place the vehicle climbs; there is no other place, so that it returns home."""
     ground = Ground({PLACE: clearer_from_below})
     r = rig(dialect, ground=ground)
     assert r.fly(S.COMMIT)
@@ -242,7 +242,7 @@ def test_a_vehicle_that_is_blown_off_the_place_is_led_back_above_it(dialect: str
 
 
 def test_the_nose_stays_and_the_speeds_are_those_of_the_orders() -> None:
-    """ArduPilot would turn to where it flies, and fly and sink as fast as it likes."""
+    """ArduPilot by itself would turn its nose into the direction of flight, and choose its own speeds."""
     r = rig()
     before, turned, rushed = r.sim.vehicle.heading, [0.0], [0.0]
 
@@ -255,12 +255,12 @@ def test_the_nose_stays_and_the_speeds_are_those_of_the_orders() -> None:
     step = r.each_step
     r.each_step = lambda: (step(), look())  # type: ignore[func-returns-value]
     assert r.fly(S.COMMIT)
-    assert max(turned) < 0.1  # what a lean makes of the heading where guidance began
+    assert max(turned) < 0.1  # the lean changes the heading where guidance began
     assert max(rushed) < 0.3
 
 
 def test_the_target_is_reported_before_the_landing_begins() -> None:
-    """ArduPilot needs two seconds of it, and PX4 searches where it has none."""
+    """ArduPilot needs the target for two seconds, and PX4 searches if it has none."""
     r = rig()
     assert r.fly(S.COMMIT)
     assert r.run(20.0, lambda: r.sim.logic.doing is Doing.LAND)
@@ -271,7 +271,7 @@ def test_the_target_is_reported_before_the_landing_begins() -> None:
 
 
 def test_a_pilot_who_switches_just_before_an_order_is_not_switched_back() -> None:
-    """Who flies is seen once a second, by the heartbeat: a change of mode waits for the next one."""
+    """The mode is known once a second, by the heartbeat: an order that changes it waits for the next one."""
     r = rig()
     assert r.fly(S.COMMIT)
     assert r.run(3.0, lambda: r.ours.telemetry is not None and 0.5 < r.ours.telemetry.ages["HEARTBEAT"] < 0.7)
@@ -322,7 +322,7 @@ def test_a_helicopter_waits_for_its_interlock_and_says_so() -> None:
 
 
 def test_motors_that_somebody_stops_are_not_started_again() -> None:
-    """A helicopter without its interlock is disarmed after 10 s; a pilot may stop the motors any time."""
+    """A helicopter without its interlock is disarmed after 10 s, and a pilot may stop the motors at any time."""
     r = PilotRig(Ground({}).seen, kind=4)
     assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
     climb = TakeOff(r.vehicle, r.vehicle, 12.0, r.now_ns)
@@ -349,7 +349,7 @@ def test_a_take_off_ends_when_somebody_else_flies() -> None:
 
 @BOTH
 def test_a_dry_run_says_its_orders_and_sends_none(dialect: str) -> None:
-    """The wire is read: heartbeats, requests for streams and time alone leave."""
+    """Only heartbeats, requests for streams and time leave on the wire."""
     r = PilotRig(Ground({PLACE: lambda height: 0.97}).seen, dialect)
     r.up_and_flying(30.0)
     r.vehicle.release()

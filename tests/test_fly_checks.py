@@ -1,4 +1,4 @@
-"""The checks before a flight: each finds its fault, and finds nothing where all is well."""
+"""The checks before a flight: each finds its fault, and no fault where there is none."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_all_is_well_in_the_air() -> None:
 
 
 def test_a_copter_that_does_not_estimate_the_wind_may_be_flown() -> None:
-    """It accepts the request for WIND, and stays silent."""
+    """The autopilot accepts the request for WIND, but sends none."""
     found = vehicle_checks(hovering(silent=frozenset({168})))
     assert found["wind"].verdict is UNKNOWN
     assert "EK3_DRAG" in found["wind"].evidence
@@ -128,8 +128,8 @@ def test_silence_and_strangers_are_told_apart() -> None:
         (p.CameraFacts(30, 3.0, 0.05), WARNING),
         (p.CameraFacts(), BAD),
         (p.CameraFacts(30, 1.0, 0.05), BAD),
-        (p.CameraFacts(30, 10.0, 3e6), BAD),  # another clock
-        (p.CameraFacts(30, 10.0, -5.0), BAD),  # from the future
+        (p.CameraFacts(30, 10.0, 3e6), BAD),  # of another clock
+        (p.CameraFacts(30, 10.0, -5.0), BAD),  # in the future
         (p.CameraFacts(30, 10.0, math.nan), BAD),
         (p.CameraFacts(30, 10.0, 0.05, frozen=9), BAD),
     ],
@@ -163,7 +163,7 @@ def test_the_machine(tmp_path: Path) -> None:
 
 
 def test_a_search_that_would_begin_low_is_told_of(tmp_path: Path) -> None:
-    """Before the first verdict nobody knows what stands about: it flew 13 m aside, 2 m above the ground."""
+    """Before the first verdict the surroundings are unknown: once it flew 13 m aside, 2 m above the ground."""
     request = FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", Settings(), take_off=20.0)
     with pytest.raises(InputError, match="search_height"):
         fly_vehicle(request)

@@ -1,4 +1,4 @@
-"""The last metres: straight down where no place is known, and contact with ground that lies higher than believed."""
+"""The last metres: straight down if the place is unknown, and contact with ground that is higher than estimated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SECOND = 1_000_000_000
 
 
 def high_rig(dialect: str, up: float, error: float = 0.0) -> PilotRig:
-    """Over a hill, whose top is believed to be lower by an error."""
+    """Return a rig over a hill whose top is estimated too low by `error`."""
     hill = PointMass(
         FlightLimits(lag=0.1),
         ground=lambda east, north: up if np.hypot(east - PLACE[0], north - PLACE[1]) < 6.0 else 0.0,
@@ -33,7 +33,7 @@ def high_rig(dialect: str, up: float, error: float = 0.0) -> PilotRig:
 
 
 def go_astray(r: PilotRig, state: MotionState, frame_id: int, off: tuple[float, float, float]) -> None:
-    """From now on motions are off by so many metres."""
+    """From now on, add an offset in metres to the motions."""
     moved = pilot_of(r).moved
 
     def astray(m: Motion) -> None:
@@ -54,7 +54,7 @@ def sent_since(r: PilotRig, t: float, kind: str) -> list[Any]:
 @pytest.mark.parametrize("up", [0.0, 15.0])
 @pytest.mark.parametrize("what", ["lost", "new frame"])
 def test_it_comes_straight_down_where_the_place_is_not_known_any_more(dialect: str, up: float, what: str) -> None:
-    """Near the ground a landing is not broken off: a motion that is lost or of another frame steers nothing."""
+    """Near the ground a landing is not broken off: a motion that is lost or of another frame must not steer it."""
     r = high_rig(dialect, up)
     assert r.fly(S.COMMIT)
     assert r.run(60.0, lambda: r.truth()[2] < up + 1.2)
@@ -74,7 +74,7 @@ def test_it_comes_straight_down_where_the_place_is_not_known_any_more(dialect: s
 
 @BOTH
 def test_an_order_to_land_without_a_place_is_carried_out_from_any_mode(dialect: str) -> None:
-    """The order alone, from guided flight at 3 m: LAND, with nothing that leads aside."""
+    """After the order alone, in guided flight at 3 m, the vehicle lands, without commands that lead aside."""
     r = rig(dialect)
     assert r.fly(S.COMMIT)
     r.ticks = False
@@ -88,7 +88,7 @@ def test_an_order_to_land_without_a_place_is_carried_out_from_any_mode(dialect: 
     r.each_step = obey
     assert r.run(30.0, lambda: r.vehicle.telemetry.is_down)
     assert r.sim.logic.doing is Doing.LAND or dialect == "px4"
-    assert np.hypot(*(r.truth() - at)[:2]) < 1.5  # as it was moving
+    assert np.hypot(*(r.truth() - at)[:2]) < 1.5  # because it was moving
     assert not sent_since(r, t, "LANDING_TARGET")
     assert not sent_since(r, t + 0.2, "SET_POSITION_TARGET_GLOBAL_INT")
 
@@ -114,7 +114,7 @@ def test_a_motion_that_is_lost_is_not_obeyed(monkeypatch: pytest.MonkeyPatch) ->
 @BOTH
 @pytest.mark.parametrize("error", [-0.5, 0.0, 1.2, 2.5])
 def test_a_high_site_that_is_not_where_it_was_believed_is_felt(dialect: str, error: float) -> None:
-    """PX4 does not say GROUND in Offboard by position: it would stand there with its motors running."""
+    """PX4 does not report GROUND in Offboard by position: without contact detection its motors would keep running."""
     r = high_rig(dialect, 15.0, error)
     assert r.fly(S.COMMIT)
     assert r.run(40.0, lambda: r.sim.logic.doing is Doing.LAND)
@@ -141,7 +141,7 @@ def heard(velocity_up: float, mode: FlightMode = FlightMode.GUIDED, landed: Land
 
 
 def felt_after(height: float | None, said: Telemetry) -> float:
-    """Seconds until contact is felt; inf: not within ten."""
+    """Seconds until contact is detected; inf: not within ten."""
     contact = Contact()
     for tenth in range(100):
         if contact.felt(height, 0.5, said, tenth * SECOND // 10):

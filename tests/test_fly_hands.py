@@ -1,4 +1,4 @@
-"""Who flies, and how far: ends that nobody planned, takeovers, orders that are refused, targets that are near."""
+"""Control of the vehicle: unplanned ends of a flight, takeovers, refused orders, near targets."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SET_MODE = 176
 
 
 def rig(dialect: str = "ardupilot", *settings: str, see: See | None = None, **more: Any) -> PilotRig:
-    """A vehicle at 30 m, and a landing that has begun."""
+    """Return a vehicle at 30 m whose landing has begun."""
     found = PilotRig(see or Ground({PLACE: clearer_from_below}).seen, dialect, settings, **more)
     found.up_and_flying(30.0)
     found.begin()
@@ -55,7 +55,7 @@ def modes_asked(r: PilotRig, since: float) -> int:
 
 
 class Clock:
-    """Stands for the module `time`: whoever sleeps lets the rig go on."""
+    """Replacement of the module `time`: a sleep lets the rig step on."""
 
     def __init__(self, r: PilotRig) -> None:
         self._r = r
@@ -72,7 +72,7 @@ class Clock:
 
 
 def loop_of(r: PilotRig, monkeypatch: pytest.MonkeyPatch, show: Any = lambda phase, view: None) -> FlightLoop:
-    """The loop of a real flight, in the rig's time."""
+    """Return the loop of a real flight, in the rig's time."""
     r.ticks = False
     for module in ("loop", "flight"):
         monkeypatch.setattr(f"alight.runner.fly.{module}.time", Clock(r))
@@ -81,7 +81,7 @@ def loop_of(r: PilotRig, monkeypatch: pytest.MonkeyPatch, show: Any = lambda pha
 
 
 def cabin_of(r: PilotRig, loop: FlightLoop, said: list[str], **plan: Any) -> Any:
-    """The cabin of `alight fly` about the rig's vehicle, without lanes and files."""
+    """Return the cabin of `alight fly` around the rig's vehicle, without lanes and files."""
     found: Any = object.__new__(flight._Cabin)
     live = SimpleNamespace(
         posts={NAVIGATION: SimpleNamespace(worker=SimpleNamespace(wait_until_ready=lambda: None))}, warnings=[],
@@ -96,7 +96,7 @@ def cabin_of(r: PilotRig, loop: FlightLoop, said: list[str], **plan: Any) -> Any
     return found
 
 
-# -- ends that nobody planned
+# -- unplanned ends
 
 
 @BOTH
@@ -104,7 +104,7 @@ def cabin_of(r: PilotRig, loop: FlightLoop, said: list[str], **plan: Any) -> Any
 def test_a_landing_that_ends_early_leaves_the_vehicle_holding(
     dialect: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The order to hold waits for a heartbeat: it is given again until it was sent, and the mode is flown."""
+    """The order to hold waits for a heartbeat: it is repeated until it is sent and the mode is flown."""
     r, said, ends = rig(dialect), list[str](), list[np.ndarray]()
 
     def show(phase: str, view: Any) -> None:
@@ -167,7 +167,7 @@ def test_a_pilot_who_takes_over_after_the_take_off_keeps_the_vehicle(dialect: st
 
 
 def test_the_wait_for_the_motion_ends_when_a_pilot_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The take-off is done, the motion is not known, and the pilot switches: no landing is begun."""
+    """The take-off is done, the motion is unknown, and the pilot switches: no landing begins."""
     r, said, phases = PilotRig(Ground({}).seen), list[str](), list[str]()
     assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
     r.begin()
@@ -192,7 +192,7 @@ def test_the_wait_for_the_motion_ends_when_a_pilot_takes_over(monkeypatch: pytes
 
 @BOTH
 def test_a_mode_that_is_not_the_one_ordered_is_a_takeover(dialect: str) -> None:
-    """A pilot switches to Hold just after we have ordered it and left it again: it looks like our own order."""
+    """A pilot switches to Hold just after we have ordered and left it, so that it looks like our own order."""
     r = rig(dialect)
     assert r.fly(S.APPROACH)
     r.freeze = True
@@ -209,7 +209,7 @@ def test_a_mode_that_is_not_the_one_ordered_is_a_takeover(dialect: str) -> None:
 
 
 def test_every_order_of_a_mode_waits_for_a_heartbeat_of_its_own() -> None:
-    """LAND was wanted, then guidance again: LAND a second time must not go by the heartbeats of the first."""
+    """After LAND and GUIDED, a second LAND must not use the heartbeat of the first one."""
     r = rig()
     assert r.fly(S.APPROACH)
     r.ticks = False
@@ -226,7 +226,7 @@ def test_every_order_of_a_mode_waits_for_a_heartbeat_of_its_own() -> None:
     assert sender._fly_as(FlightMode.LAND, r.now_ns)
 
 
-# -- a landing that is refused
+# -- a refused landing
 
 
 @BOTH
@@ -264,7 +264,7 @@ def test_a_landing_that_is_not_answered_is_asked_for_again() -> None:
 
 
 def raised(ground: Ground, up: float) -> See:
-    """The same ground, higher."""
+    """Return the same ground, `up` metres higher."""
 
     def see(number: int, t: float, at: np.ndarray) -> Seen:
         low = ground.seen(number, t, at - [0.0, 0.0, up])
@@ -277,7 +277,7 @@ def raised(ground: Ground, up: float) -> See:
 
 @BOTH
 def test_a_site_high_above_home_is_met_slowly(dialect: str) -> None:
-    """LAND comes down at 1.5 m/s wherever it is more than 10 m above the autopilot's home."""
+    """LAND descends at 1.5 m/s at more than 10 m above the autopilot's home."""
     up = 15.0
     hill = PointMass(ground=lambda east, north: up if np.hypot(east - PLACE[0], north - PLACE[1]) < 4.0 else 0.0)
     r = rig(dialect, see=raised(Ground({PLACE: clearer_from_below}), up), vehicle=hill)
@@ -304,7 +304,7 @@ def test_a_site_high_above_home_is_met_slowly(dialect: str) -> None:
 
 
 def test_ardupilot_stops_soon_after_a_takeover_by_the_sticks() -> None:
-    """Its mode stays GUIDED, and it flies on to the last target that it was given."""
+    """The autopilot's mode stays GUIDED, in which it flies on to its last target."""
     r = rig("ardupilot", "executive.search_side=300", see=Ground({}).seen)
     executive = pilot_of(r).executive
     left = lambda: 0.0 if executive._way is None else float(np.linalg.norm(executive._way - r.truth()))  # noqa: E731
@@ -322,7 +322,7 @@ def test_ardupilot_stops_soon_after_a_takeover_by_the_sticks() -> None:
 
 @pytest.mark.parametrize("speed", [0.2, 0.5, 2.0, 5.0, 7.0, 12.0])
 def test_a_near_target_is_beyond_where_the_vehicle_brakes(speed: float) -> None:
-    """By ArduPilot's law of speed over distance, with half of its usual accelerations, half a second later."""
+    """The distance follows ArduPilot's law of speed, with half of its usual accelerations, half a second later."""
 
     def law(distance: float, braking: float) -> float:
         return distance if distance < braking / 2 else (braking * (distance - braking / 4)) ** 0.5
@@ -338,11 +338,11 @@ def test_a_near_target_is_beyond_where_the_vehicle_brakes(speed: float) -> None:
     np.testing.assert_array_equal(near_way(np.zeros(3), speed, speed), np.zeros(3))
 
 
-# -- positions that cannot be true
+# -- impossible positions
 
 
 def targets_since(r: PilotRig, t: float) -> list[np.ndarray]:
-    """(3,) metres from the simulated home, each target that was sent."""
+    """Targets that were sent after `t`, each (3,) metres from the simulated home."""
     sent = [m for then, m in r.wire if then > t and m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"]
     return [r.sim.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt) for m in sent]
 

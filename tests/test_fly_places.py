@@ -1,4 +1,4 @@
-"""The autopilot's positions in a flight: late ones are carried on, jumps are held, and none is kept through a jump."""
+"""The autopilot's positions in a flight: late ones are extrapolated, and a jump ends the use of older ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 
 
 def rig(dialect: str, **more: Any) -> PilotRig:
-    """A vehicle at 30 m, and a landing that has begun."""
+    """Return a vehicle at 30 m whose landing has begun."""
     found = PilotRig(Ground({PLACE: clearer_from_below}).seen, dialect, **more)
     found.up_and_flying(30.0)
     found.begin()
@@ -29,7 +29,7 @@ def rig(dialect: str, **more: Any) -> PilotRig:
 
 
 def modes_of(r: PilotRig) -> list[Doing]:
-    """The modes that are flown from now on, each as often as it begins."""
+    """Return a list that records each mode flown from now on."""
     each, found = r.each_step, [r.sim.logic.doing]
 
     def note() -> None:
@@ -48,7 +48,7 @@ def said(r: PilotRig, word: str) -> int:
 @BOTH
 @pytest.mark.parametrize("slow", ["late", "rare"])
 def test_positions_that_are_late_or_rare_land_like_others(dialect: str, slow: str) -> None:
-    """0.4 s one way, or one a second: nobody holds, and nothing counts as a jump."""
+    """With positions 0.4 s late or one a second, the vehicle never holds, and no jump is detected."""
     r = rig(dialect, link={"delay": 0.4} if slow == "late" else None)
     if slow == "rare":
         seldom(r, 1.0)
@@ -69,11 +69,11 @@ def test_positions_that_stop_are_held_only_when_they_are_old(dialect: str) -> No
     r.run(1.3)
     assert not said(r, "hold")
     assert r.run(4.0, lambda: r.sim.logic.doing is Doing.HOLD)
-    assert 1.3 < r.t - t < 4.0  # a heartbeat is waited for
+    assert 1.3 < r.t - t < 4.0  # after a heartbeat
 
 
 def test_a_position_is_carried_on_for_a_while() -> None:
-    """By its velocity from the newest report; not before the first, where it would be of another estimate."""
+    """The newest report is extrapolated by its velocity; before the first one, positions belong to another estimate."""
     state = VehicleState(ArduPilotFirmware())
     told(state, report(1000, HERE, (500, 0, 0)), report(2000, HERE, (500, 0, 0)))
     for ms, metres in ((2400, 2.0), (3400, 7.0), (1700, -1.5), (1550, 2.75)):
@@ -84,13 +84,13 @@ def test_a_position_is_carried_on_for_a_while() -> None:
     assert state.place_at(500_000_000) is None
 
 
-# -- where it stays
+# -- holding a place
 
 
 @BOTH
 @pytest.mark.parametrize("jump", [[25.0, 0.0, 0.0], [0.0, -8.0, 0.0], [0.0, 0.0, 12.0]])
 def test_a_place_that_is_kept_is_forgotten_when_the_estimate_jumps(dialect: str, jump: list[float]) -> None:
-    """Below 55 m a jump is believed at once: the old latitude and longitude are another place then."""
+    """Below 55 m a jump is accepted at once: then the old latitude and longitude are another place."""
     r = rig(dialect)
     assert r.fly(S.LOOK)
     assert r.pilot is not None

@@ -21,11 +21,11 @@ from alight.runner.fly.take_off import TakeOff
 from alight.settings import load_settings
 
 PLACE = (10.0, 5.0)
-LOCAL = LocalFrame(HOME.latitude, HOME.longitude, HOME.altitude_msl)  # its GPS takes the sea for the ellipsoid
+LOCAL = LocalFrame(HOME.latitude, HOME.longitude, HOME.altitude_msl)  # its GPS takes the sea level for the ellipsoid
 
 
 class Silent:
-    """A log that nobody reads."""
+    """A log that keeps nothing."""
 
     def order(self, t_ns: int, state: str, words: str) -> None: ...
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None: ...
@@ -85,7 +85,7 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
 
 
 def test_a_real_ardupilot_lands_on_ground_that_is_drawn_for_it(sitl: str, tmp_path: Path) -> None:  # noqa: F811
-    """Nothing is made up but the ground: pictures, motion, map, verdicts and orders are those of `alight fly`."""
+    """Only the ground is made up: pictures, motion, map, verdicts and orders are those of `alight fly`."""
     alight, folder = [sys.executable, "-c", "from alight.cli import main; main()"], tmp_path / "pictures"
     draw = [*alight, "rehearse", "concrete", "--folder", str(folder), "--follow", "tcp:127.0.0.1:5762"]
     with subprocess.Popen(draw, stdout=subprocess.PIPE, text=True) as cameras:

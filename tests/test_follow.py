@@ -1,4 +1,4 @@
-"""Pictures drawn for another autopilot: they are what the vehicle's cameras see where it says that it is."""
+"""Pictures drawn for another autopilot: they show the view of the vehicle's cameras at its reported position."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIZE, RATE = (80, 60), 4.0
 
 
 def reported(t: float) -> ReportedPlace:
-    """A flight that bends."""
+    """Position reported on a curved flight."""
     place = np.array([4.0 * t, 3.0 * np.sin(t), 0.5 * t * t])
     return ReportedPlace(round(t * 1e9), place, np.array([4.0, 3.0 * np.cos(t), t]))
 
@@ -44,7 +44,7 @@ def test_a_track_goes_through_its_reports_and_bends_between_them() -> None:
 
 @pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> None:
-    """What is drawn from telemetry is what a camera at the true pose sees."""
+    """Pictures drawn from telemetry agree with the view of a camera at the true pose."""
     cameras = FollowedCameras("concrete", 3, size=SIZE, rate_hz=RATE, start=(-20.0, -12.0))
     folder = CameraFolder(tmp_path, cameras.rig, RATE)
     follower = VehicleFollower(cameras, folder)

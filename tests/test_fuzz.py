@@ -1,4 +1,4 @@
-"""The fuzzer: a short run finds nothing, and a fault that is there is found, shrunk and kept."""
+"""The fuzzer: a short run finds no fault, and an existing fault is found, shrunk and kept."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="every trial is 
 
 
 def fuzz(keep: Path, *options: str, before: str = "") -> tuple[int, str]:
-    """Exit code and output of a run of `bench/fuzz`; `before` is run in its process first."""
+    """Run `bench/fuzz` after `before` in one process; return exit code and output."""
     folder = str(ROOT / "bench" / "fuzz")
     script = f"{before}\nimport runpy\nrunpy.run_path({folder!r}, run_name='__main__')"
     env = os.environ | {"PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1"}
@@ -42,7 +42,7 @@ def test_a_short_run_finds_nothing(tmp_path: Path, kinds: str) -> None:
 
 
 def test_a_fault_is_found_shrunk_and_kept(tmp_path: Path) -> None:
-    """A notebook that raises at the first loss."""
+    """A source raises an error at its first loss."""
     fault = """
 import alight.sources.source as source
 def faulty(self, group, item, why):
@@ -58,7 +58,7 @@ source.Findings.lose = faulty
 
 @pytest.fixture(scope="module")
 def cost() -> ModuleType:
-    """What a trial may cost, as a module."""
+    """Import bench/fuzz/cost.py as a module."""
     spec = spec_from_file_location("cost", ROOT / "bench" / "fuzz" / "cost.py")
     assert spec is not None
     assert spec.loader is not None
@@ -80,7 +80,7 @@ def cost() -> ModuleType:
 def test_time_and_memory_are_held_against_what_was_left(
     cost: ModuleType, seconds: float, megabytes: float, pixels: int, fault: str | None
 ) -> None:
-    """The healthy input takes 3 s and 100 MB more than nothing, and leaves 200,000 pixels."""
+    """The healthy input takes 3 s and 100 MB more than an idle process, and leaves 200,000 pixels."""
     healthy = cost.Cost(3.0, 400.0, 200_000, 300.0)
     assert healthy.fault(SimpleNamespace(fault=None, seconds=seconds, megabytes=megabytes), pixels) == fault
 

@@ -35,7 +35,7 @@ settings.load_profile("fixed")
 number = st.floats(-1.0, 1.0, allow_subnormal=False)
 vector = st.tuples(number, number, number).map(np.array)
 axis = vector.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v / np.linalg.norm(v))
-# from nothing to half a turn, with both ends where formulas break
+# from zero to half a turn, with both ends, at which formulas are singular
 angle = st.one_of(
     st.floats(0.0, np.pi), st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 0.999e-6, 1.001e-6, 1e-3, 0.03, np.pi])
 )
@@ -45,7 +45,7 @@ pose = st.tuples(rotation, vector).map(lambda p: Pose(p[0], 100 * p[1]))
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
-    """The angle of the rotation from a to b, exact near zero (the arc cosine of the trace is not)."""
+    """Angle of the rotation from a to b, exact near zero (the arc cosine of the trace is not)."""
     return float(2 * np.arcsin(min(1.0, np.linalg.norm(a - b) / np.sqrt(8))))
 
 
@@ -91,7 +91,7 @@ def test_no_rotation_has_no_vector() -> None:
 
 
 def test_batches_of_rotations_are_those_of_one() -> None:
-    """Exponential, logarithm and cross product; zero, tiny angles and nearly half a turn included."""
+    """Exponential, logarithm and cross product agree, also for zero, tiny angles and nearly half a turn."""
     rng = np.random.default_rng(0)
     w = rng.normal(size=(40, 3))
     w *= (np.geomspace(1e-12, np.pi - 1e-6, 40) / np.linalg.norm(w, axis=1))[:, None]
@@ -114,7 +114,7 @@ def test_quaternion_round_trip_and_outside_opinion(a: np.ndarray, t: float) -> N
     assert q[0] >= 0
     assert np.linalg.norm(q) == pytest.approx(1.0)
     assert_allclose(matrix_from_quaternion(q), R, atol=1e-14)
-    assert_allclose(matrix_from_quaternion(-3.0 * q), R, atol=1e-14)  # sign and length mean nothing
+    assert_allclose(matrix_from_quaternion(-3.0 * q), R, atol=1e-14)  # sign and length have no effect
     assert abs(q @ Rotation.from_matrix(R).as_quat()[[3, 0, 1, 2]]) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -251,7 +251,7 @@ def test_nothing_behind_the_camera_is_seen(camera: Camera) -> None:
 @each_lens
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0])
 def test_a_scaled_camera_keeps_its_rays(camera: Camera, factor: float) -> None:
-    """Centres at integers: pixel u of the large image lies at (u + 0.5) f - 0.5 of the small one."""
+    """Pixel centres are at integers: pixel u of the large image lies at (u + 0.5) f - 0.5 of the small one."""
     small = camera.scaled(factor)
     pixels = all_over(camera)
     assert (small.width, small.height) == (camera.width * factor, camera.height * factor)
@@ -320,7 +320,7 @@ def test_geodetic_and_local_undo_each_other(origin: tuple[float, float, float], 
 @given(places, offset)
 @settings(max_examples=25)
 def test_local_coordinates_are_those_of_proj(origin: tuple[float, float, float], enu: np.ndarray) -> None:
-    """Geodetic to topocentric by PROJ's own pipeline, to a tenth of a millimetre."""
+    """The conversion agrees with PROJ's pipeline from geodetic to topocentric to a tenth of a millimetre."""
     lat, lon, up = origin
     frame = LocalFrame(*origin)
     there = frame.to_geodetic(enu)
@@ -333,7 +333,7 @@ def test_local_coordinates_are_those_of_proj(origin: tuple[float, float, float],
 
 
 def test_earth_centred_coordinates_are_those_of_proj() -> None:
-    """The chord between two places is the same in both frames."""
+    """The chord between two places has the same length in both frames."""
     rng = np.random.default_rng(3)
     lat, lon, up = rng.uniform([-80, -180, 0], [80, 180, 3000], (40, 3)).T
     frame = LocalFrame(47.6, 13.4, 512.0)
@@ -355,7 +355,7 @@ def test_the_crs_of_the_rasters_is_the_world_within_a_landing_zone(latitude: flo
 
 
 def test_the_crs_shrinks_with_altitude_as_the_conventions_say() -> None:
-    """2 cm at 75 m from an origin at 1,600 m: the projection lies on the ellipsoid, the world does not."""
+    """At 75 m from an origin at 1,600 m it is 2 cm: the projection lies on the ellipsoid, the world does not."""
     frame = LocalFrame(47.6, 13.4, 1600.0)
     lat, lon, _ = frame.to_geodetic([75.0, 0.0, 0.0])
     x, _ = Transformer.from_crs("EPSG:4979", CRS.from_user_input(frame.crs), always_xy=True).transform(lon, lat)
@@ -413,7 +413,7 @@ def test_the_nearest_value_is_that_of_the_cell_a_place_lies_in(grid: Grid, right
     assert np.isnan(grid.nearest_at(number_of, beyond, ys[:1])).all()
     assert (grid.nearest_at(np.ones(grid.shape, np.uint8), beyond, ys[:1]) == 0).all()
     assert (grid.nearest_at(np.ones((*grid.shape, 3), np.uint8), beyond, ys[:1], 7.0) == 7).all()
-    assert (number_of == rows * grid.cols + cols).all()  # what was given stays as it was
+    assert (number_of == rows * grid.cols + cols).all()  # the input is unchanged
 
 
 @given(grids, st.data())
@@ -436,7 +436,7 @@ def test_the_transform_places_corners_half_a_cell_out(grid: Grid) -> None:
 
 @given(pose, st.lists(vector, min_size=4, max_size=4))
 def test_ground_projection_is_the_projection_of_a_ground_point(world_from_cam: Pose, xs: list[np.ndarray]) -> None:
-    """Eqs. 1 to 3: H (x, y, 1) + h b is the point in the optical frame."""
+    """H (x, y, 1) + h b is the point in the optical frame (eqs. 1 to 3)."""
     H, b = ground_projection(LENSES["none"], world_from_cam)
     X = 30 * np.array(xs)
     p = np.column_stack([X[:, :2], np.ones(4)]) @ H.T + X[:, 2:] * b
@@ -444,7 +444,7 @@ def test_ground_projection_is_the_projection_of_a_ground_point(world_from_cam: P
 
 
 def test_a_pose_is_read_only_after_pickling_too() -> None:
-    """In another process as in this one: compiled loops are compiled for the kind of array."""
+    """Loops are compiled for read-only arrays, and poses go to other processes."""
     pose = pickle.loads(pickle.dumps(Pose(np.eye(3), np.array([1.0, 2.0, 3.0])), protocol=5))
     assert not pose.rotation.flags.writeable
     assert not pose.translation.flags.writeable

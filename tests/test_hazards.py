@@ -99,7 +99,7 @@ def test_unknown_ground_is_never_safe() -> None:
     inside = (none.reasons & Hazard.EDGE) == 0
     assert (((none.reasons & Hazard.UNKNOWN) > 0) == near)[inside].all()
     few = judge(z, settings=HazardsSettings(tilt_sigma=0.0, smoothed=False, unknown_share=0.02))
-    assert refused(few) == Hazard.UNKNOWN  # the cell itself
+    assert refused(few) == Hazard.UNKNOWN  # the centre's own cell
     assert refused(few, (40, 41)) == Hazard(0)  # one unknown cell of 317 beside the centre is allowed
     assert (judge(np.full((81, 81), np.nan)).reasons != 0).all()
     assert np.isnan(judge(np.full((81, 81), np.nan)).p_safe).all()
@@ -175,10 +175,10 @@ def test_a_foot_on_a_rock_tilts_the_lander_by_the_closed_form() -> None:
     z[34, 46] = 0.2  # exactly under the north-eastern foot at heading north
     lander = Lander(radius=0.9, feet=FEET, headings=1, max_slope=math.radians(5))
     h = judge(z, lander)
-    # at rest it stands on the rock, the foot across from it and one of the two others: 0.2 m in 1.2 m
+    # at rest the lander stands on the rock, the opposite foot and one of the two others: 0.2 m in 1.2 m
     assert_allclose(h.slope[MID], math.atan(0.2 / 1.2), atol=1e-4)
     assert Hazard.SLOPE in refused(h)
-    # any three: the foot across from the rock hangs in the ground, and both legs climb 0.2 m in 1.2 m
+    # any three: the foot opposite the rock is in the ground, and both legs climb 0.2 m in 1.2 m
     strict = judge(z, lander.model_copy(update={"support": "any"}))
     assert_allclose(strict.slope[MID], math.atan(0.2 / 1.2 * math.sqrt(2)), atol=1e-4)
 
@@ -198,7 +198,7 @@ def test_gear_on_a_plane_tilts_with_it(gear: dict[str, object]) -> None:
 
 def test_a_skid_on_an_edge_rolls_by_step_over_gauge() -> None:
     z = flat()
-    z[:, 41:] = 0.1  # the right rail of a lander that looks north stands on it
+    z[:, 41:] = 0.1  # the right rail of a lander with its nose to the north stands on it
     h = judge(z, Lander(radius=0.9, skids=(1.2, 1.0), headings=1))
     assert_allclose(h.slope[MID], math.atan(0.1 / 1.0), atol=1e-4)
     along = judge(z, Lander(radius=0.9, skids=(1.2, 1.0), headings=2))
@@ -258,7 +258,7 @@ def test_quality_falls_with_slope_roughness_cover_and_doubt() -> None:
 
 
 def test_quality_is_less_where_ground_is_dark_or_patchy() -> None:
-    """A wet patch and the rim of a light one; texture of 5 % costs nothing, and no place is refused for it."""
+    """A wet patch and the rim of a light one lower the quality; texture of 5 % costs nothing; no place is refused."""
     lander, shape = Lander(radius=0.5), (141, 141)
     rgb = textured(GREY, shape, 0.05, 1)
     wet, light = np.s_[20:35, 20:35], np.s_[80:105, 80:105]
@@ -275,7 +275,7 @@ def test_quality_is_less_where_ground_is_dark_or_patchy() -> None:
 
 
 def test_one_small_dark_patch_costs_a_footprint_as_much_as_a_large_one() -> None:
-    """A puddle of 0.4 m in a footprint of 3 m: 2 % of it."""
+    """A puddle of 0.4 m covers only 2 % of a footprint of 3 m."""
     lander, shape = Lander(radius=1.5), (161, 161)
     rgb = textured(GREY, shape, 0.05, 1)
     rgb[78:82, 78:82] = (rgb[78:82, 78:82] * 0.65).astype(np.uint8)  # cells of 0.1 m
@@ -306,7 +306,7 @@ def test_the_rule_of_the_rendered_scene_is_reproduced(shared_data: Path) -> None
         height, classes = d.read(1), c.read(1)
     e = ground(height - 301)
     h = assess(e, covered(e, np.isin(classes, [1, 2, 7])), Lander(), EXACT)
-    # scene.yaml says 0.196248 of 2,250,000 cells: six decimals, cut (441,560 cells are 0.1962489)
+    # scene.yaml has 0.196248 of 2,250,000 cells: six decimals, cut (441,560 cells are 0.1962489)
     assert abs((h.reasons == 0).mean() - 0.196248) < 1e-6
     row, col = 834, 921  # its best site, east 17.15 north -8.45
     assert_allclose(h.clearance[row, col], 6.47, atol=0.005)
@@ -315,7 +315,7 @@ def test_the_rule_of_the_rendered_scene_is_reproduced(shared_data: Path) -> None
 
 
 def pictured(stone: bool, cell: float = 0.1) -> ElevationMap:
-    """Level ground, well measured, evenly grey on pixels of half a cell; the heights do not show the stone."""
+    """Level, accurately measured ground, evenly grey on pixels of half a cell; the stone is not in the heights."""
     fine = np.full((162, 162, 3), 150, np.uint8)
     if stone:
         fine[80:83, 82:85] = 40
@@ -324,11 +324,11 @@ def pictured(stone: bool, cell: float = 0.1) -> ElevationMap:
 
 def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_matched() -> None:
     seen, clear = (assess(pictured(s), None, Lander(radius=1.0), HazardsSettings()).p_safe for s in (True, False))
-    assert logit(clear[MID]) - logit(seen[MID]) > 0.5  # how much, the fit says; how sure it was, the other terms
+    assert logit(clear[MID]) - logit(seen[MID]) > 0.5  # by how much, depends on the fit and the other terms
     r, c = np.mgrid[:81, :81]
     assert seen[np.hypot(r - 40, c - 41) <= 7].max() < clear[MID]
     assert_allclose(seen[40, 15], clear[40, 15], atol=1e-6)
-    assert_allclose(assess(pictured(True), None, Lander(radius=1.0), EXACT).p_safe[MID], 1.0)  # heights that show all
+    assert_allclose(assess(pictured(True), None, Lander(radius=1.0), EXACT).p_safe[MID], 1.0)  # as measured exactly
 
 
 @pytest.mark.parametrize(
@@ -338,7 +338,7 @@ def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_m
 def test_a_doubtful_height_tells_of_an_obstacle_unless_its_sigma_says_that_it_is_noise(
     sigma: float, high: float, counts: bool
 ) -> None:
-    """A stone of 0.4 m on level ground that was seen finely, 0.6 m from the middle of the footprint."""
+    """A stone of 0.4 m stands 0.6 m from the middle of the footprint, on level ground that was sampled finely."""
     r, c = np.mgrid[:81, :81]
     stone = np.hypot(r - 40, c - 46) * 0.1 < 0.2
     level = ground(flat(), sigma=0.005, cell=0.1)
@@ -374,7 +374,7 @@ def test_a_brighter_exposure_has_the_same_spots() -> None:
 
 
 def tuft(colour: tuple[int, int, int], gain: float = 1.0) -> ElevationMap:
-    """Grey ground with a spot of 0.3 m of another colour."""
+    """Grey ground with a spot of 0.3 m in another colour."""
     rgb = np.full((81, 81, 3), (60, 60, 60), np.float32)
     rgb[39:42, 39:42] = colour
     return ground(flat(), rgb=(gain * rgb).astype(np.uint8))
@@ -412,7 +412,7 @@ def test_a_tuft_that_matching_has_flattened_is_evidence_against_the_ground_from_
 
 
 def test_ground_seen_from_far_is_less_sure_than_the_same_ground_seen_from_near() -> None:
-    """The raster is the same: what counts is with which samples and pixels each cell was seen."""
+    """The raster is the same; only samplings and pixels differ."""
     e = pictured(False)
     near, far, farther = (
         assess(
@@ -428,7 +428,7 @@ def test_ground_seen_from_far_is_less_sure_than_the_same_ground_seen_from_near()
 
 
 def test_a_finer_raster_never_makes_coarse_ground_look_smooth() -> None:
-    """A map on cells of half the size, interpolated, with the samplings of the coarse one: as sure, or less."""
+    """A map is interpolated to half its cell size, with its coarse samplings: P may be lower, but not higher."""
     rng = np.random.default_rng(2)
     coarse = ground(
         cv2.GaussianBlur(rng.normal(0, 0.1, (81, 81)).astype(np.float32), (0, 0), 2.0), cell=0.1, sigma=0.01
@@ -478,7 +478,7 @@ def test_ground_that_nobody_could_measure_is_not_safe_and_what_nobody_saw_even_l
 
 
 def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
-    """Exact poses make no tilt, those of the map do, and what the user says comes on top."""
+    """Exact poses give no tilt; the tilt of the map's poses counts, and the user's tilt is added."""
     near = ground(plane(81, 81, math.tan(math.radians(9.6)), 0.0))
     level = Datum(0.0, 0.0, np.diag([0.1, 1e-3, 1e-3]) ** 2)
     leaning = replace(level, covariance=np.diag([0.1, 5e-3, 20e-3]) ** 2)
@@ -490,14 +490,14 @@ def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
 
     assert p(None) >= p(level) > p(leaning)
     assert p(level) > 0.999
-    assert 0.55 < p(leaning) < 0.75  # the limit is 0.35 of its sigma away
+    assert 0.55 < p(leaning) < 0.75  # the limit is 0.35 sigma away
     assert p(None, 20e-3) == pytest.approx(p(leaning), abs=1e-3)
     both = replace(level, covariance=np.diag([0.1, 5e-3, 25e-3]) ** 2)
     assert p(leaning, 15e-3) == pytest.approx(p(both), abs=1e-3)
 
 
 def test_clearance_has_the_same_bits_whatever_else_the_machine_does() -> None:
-    """A verdict that is made beside other work is that of a replay."""
+    """A verdict made beside other work must be that of a replay."""
     safe = np.random.default_rng(1).uniform(size=(143, 187)) > 0.02
     found, before = [], cv2.getNumThreads()
     for threads in (1, 2, 4):
@@ -508,7 +508,7 @@ def test_clearance_has_the_same_bits_whatever_else_the_machine_does() -> None:
 
 
 def test_a_broad_deviation_counts_at_the_limit_and_a_narrow_one_from_half_of_it() -> None:
-    """The rim of a ditch is as high as measured. A stone may be higher."""
+    """The rim of a ditch is as high as measured, whereas a stone may be higher."""
     over = np.array([0.3, 0.67, 0.8, 0.9, 1.0, 1.1, 2.0], np.float32)
 
     def expected(narrow: float) -> np.ndarray:

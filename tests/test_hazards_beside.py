@@ -1,4 +1,4 @@
-"""What lies beside the footprint: the circle of the rotors (G6), and gear that reaches beyond the radius (G6a)."""
+"""Hazards beside the footprint: the circle of the rotors (G6), and gear that reaches beyond the radius (G6a)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def even(sigma: float = 0.005) -> ElevationMap:
 
 
 def raised(where: np.ndarray, height: float, flag: Flag = NOTHING, sigma: float = 0.005) -> ElevationMap:
-    """The same with something on it."""
+    """Return the level ground with an object on it."""
     e = even()
     return replace(
         e,
@@ -49,7 +49,7 @@ def raised(where: np.ndarray, height: float, flag: Flag = NOTHING, sigma: float 
 
 
 def paved(e: ElevationMap, where: np.ndarray | None = None, label: Terrain = Terrain.TREE) -> TerrainMap:
-    """Paved ground, and `label` somewhere."""
+    """Return paved land cover, with `label` at the marked cells."""
     cover = covered(e, 0.999, Terrain.PAVED)
     if where is not None:
         cover.label[where], cover.landable[where] = label, 0.0
@@ -86,7 +86,7 @@ def test_what_stands_under_the_rotors_is_refused_though_its_height_is_in_doubt(
 def test_single_doubtful_heights_under_the_rotors_are_wrong_matches() -> None:
     lone = (AWAY > 1.2) & (ROWS % 5 == 0) & (COLS % 5 == 0)
     assert refused(judged(raised(lone, 2.0, Flag.UNSURE))) == Hazard(0)
-    assert Hazard.CLEARANCE in refused(judged(raised(lone, 2.0)))  # trusted ones count one by one
+    assert Hazard.CLEARANCE in refused(judged(raised(lone, 2.0)))  # each trusted cell counts by itself
 
 
 def test_a_vague_doubtful_height_near_the_ground_does_not_refuse() -> None:
@@ -131,7 +131,7 @@ def test_whoever_stands_or_passes_beside_the_footprint_refuses_it(lander: Lander
 
 
 def test_a_rise_near_the_limit_under_the_rotors_costs_probability() -> None:
-    """A trusted wall of 0.28 m, sigma 0.02 m, under rotors that may meet 0.3 m: one sigma."""
+    """The trusted wall is 0.28 m high, sigma 0.02 m, and the rotors clear 0.3 m: one sigma."""
     e = raised(RING, 0.28, sigma=0.02)
     h, narrow = judged(e), judged(e, NARROW)
     assert_allclose(h.p_relief[MID] / narrow.p_relief[MID], ndtr(1.0), atol=0.02)
@@ -144,7 +144,7 @@ def test_the_ring_is_what_one_disc_has_more_than_another() -> None:
     mask[MID], mask[HALF, HALF + 30] = True, True
     ring = (AWAY > 1.0 + 1e-9) & (AWAY <= 2.0 + 1e-9)
     assert_allclose(ring_share(mask, 1.0, 2.0, CELL)[MID], 1 / ring.sum(), rtol=1e-4)
-    assert (ring_share(mask, 1.0, 1.001, CELL) == 0).all()  # no centre of a cell lies there
+    assert (ring_share(mask, 1.0, 1.001, CELL) == 0).all()  # the ring holds no cell centre
 
 
 def test_feet_beyond_the_radius_do_not_stand_on_water() -> None:

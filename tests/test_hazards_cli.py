@@ -1,4 +1,4 @@
-"""`alight hazards`: any height raster judged, and what is wrong with one said in a line."""
+"""`alight hazards` judges any height raster, and reports a fault of the raster in one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UTM = "EPSG:32610"
 
 
 def write(path: Path, bands: np.ndarray, cell: float = 0.1, crs: str | None = UTM, **more: object) -> Path:
-    """A GeoTIFF with its north-western corner at (550000, 4180000)."""
+    """Write a GeoTIFF with its north-western corner at (550000, 4180000)."""
     bands = np.atleast_3d(bands.T).T
     profile = {"driver": "GTiff", "width": bands.shape[2], "height": bands.shape[1], "count": bands.shape[0]}
     place = rasterio.Affine(cell, 0, 550000, 0, -cell, 4180000)
@@ -54,7 +54,7 @@ def test_a_raster_is_judged_on_its_own_grid(tmp_path: Path, capsys: pytest.Captu
     assert "refused" in (tmp_path / "out" / "report.html").read_text()
     assert not (tmp_path / "out" / "heights.tif").exists()
     again = ["hazards", str(dem), "--lander", str(lander), "--out", str(tmp_path / "out")]
-    assert call(again) == 0  # its own folder is written anew
+    assert call(again) == 0  # results in its own folder are replaced
     assert "no sigma given" in capsys.readouterr().err
 
 
@@ -79,7 +79,7 @@ def test_unknown_cells_and_an_own_sigma_band_are_read(tmp_path: Path, capsys: py
     with rasterio.open(tmp_path / "out" / "reasons.tif") as d:
         reasons = d.read(1)
     assert reasons[60, 60] == Hazard.UNKNOWN
-    assert reasons[40, 60] == Hazard.DOUBT  # half a metre of sigma leaves no flat ground sure
+    assert reasons[40, 60] == Hazard.DOUBT  # with a sigma of half a metre no flat ground is certain
     assert "LOOK CLOSER  east 5500" in capsys.readouterr().out
     first = json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"][0]["properties"]
     assert (first["kind"], first["doubt"]) == ("candidate", "relief")
@@ -159,4 +159,4 @@ def test_gear_on_cells_too_coarse_for_it_is_judged(tmp_path: Path, capsys: pytes
         assert call(["hazards", str(dem), "--sigma", "0.03", "--set", gear, "--out", out]) == 0
         assert "too steep" in capsys.readouterr().out
     assert call(["hazards", str(dem), "--set", "lander.radius=0.9", "--out", out]) == 0
-    assert "unknown ground within the footprint" in capsys.readouterr().out  # of one cell there is no slope
+    assert "unknown ground within the footprint" in capsys.readouterr().out  # a single cell has no slope

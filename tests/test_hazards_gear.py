@@ -1,4 +1,4 @@
-"""Gear on cells that hardly tell its contacts apart, and a belly with and without gear."""
+"""Gear whose contacts are hardly separated by cells, and a belly with and without gear."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_gear_smaller_than_cells_is_never_levelled_by_them(gear: dict[str, objec
 
 
 def test_gear_that_cells_tell_apart_bridges_what_the_footprint_does_not() -> None:
-    """A hollow between the feet tilts the footprint's plane, not the lander."""
+    """A hollow between the feet tilts the footprint's plane, but not the lander."""
     lander, z = Lander(radius=0.9, feet=square(0.6), max_roughness=1.0), np.zeros((81, 81))
     z[36:45, 42:46] = -0.8
     assert not is_coarse(lander, 0.1)
@@ -71,7 +71,7 @@ def test_planes_of_feet_are_finite_on_any_cells(feet: tuple[tuple[float, float],
 
 
 def test_a_belly_counts_only_above_gear() -> None:
-    """Without gear the roughness limit holds, and smaller obstacles than the belly's height are to be found."""
+    """Without gear the roughness limit holds, and obstacles lower than the belly have to be found."""
     bare, named = Lander(), Lander(belly_clearance=1.0)
     assert named.tallest_obstacle == bare.tallest_obstacle == 0.15
     assert named.judging_cell == bare.judging_cell
@@ -84,7 +84,7 @@ def test_a_belly_counts_only_above_gear() -> None:
 
 
 def test_the_margin_of_the_belly_is_in_the_probability_of_matched_heights() -> None:
-    """A mesa of 0.39 m under a belly at 0.4 m: as likely as not, as for heights that show all there is."""
+    """A mesa of 0.39 m under a belly at 0.4 m is about as likely safe as not, as for exact heights."""
     shape, cell = (61, 61), 0.05
     r, c = np.mgrid[:61, :61] - 30
     z = np.random.default_rng(2).normal(0, 0.003, shape) + 0.39 * (np.hypot(r, c) * cell < 0.45)

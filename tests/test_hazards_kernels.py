@@ -37,7 +37,7 @@ def cells_in_disc(r: int, c: int, radius: float) -> tuple[np.ndarray, np.ndarray
 
 
 def brute_plane(h: np.ndarray, r: int, c: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Plane coefficients (level, per column, per row) and the deviations of the known cells, by lstsq."""
+    """Plane coefficients (level, per column, per row) and deviations of the known cells, by lstsq."""
     rr, cc = cells_in_disc(r, c, radius)
     known = np.isfinite(h[rr, cc])
     rr, cc = rr[known], cc[known]
@@ -91,7 +91,7 @@ def test_steps_and_rotor_margin_agree_with_a_search(holes: float) -> None:
 
 
 def contacts(h: np.ndarray, r: int, c: int, lander: Lander, k: int) -> np.ndarray | None:
-    """(feet, 3) column and row offset and contact height of every foot at one heading; None if one is unknown."""
+    """Offsets and contact height of every foot at one heading, (feet, 3); None if a height is unknown."""
     feet, points = feet_of(lander, CELL), []
     for f in range(feet.xy.shape[1]):
         under = np.array([r, c]) + feet.offsets[feet.starts[k, f] : feet.starts[k, f + 1]]
@@ -103,7 +103,7 @@ def contacts(h: np.ndarray, r: int, c: int, lander: Lander, k: int) -> np.ndarra
 
 
 def carrying(points: np.ndarray, support: str) -> list[np.ndarray]:
-    """Planes (gx, gy, a) that three feet with the centre between them make, and that no foot's ground rises above."""
+    """Planes (gx, gy, a) through three feet around the centre, above which no other foot's ground rises."""
     planes = []
     for three in combinations(points, 3):
         A = np.array(three)
@@ -116,7 +116,7 @@ def carrying(points: np.ndarray, support: str) -> list[np.ndarray]:
 
 
 def brute_feet(h: np.ndarray, r: int, c: int, lander: Lander) -> tuple[float, float]:
-    """Worst tilt and worst rise over headings and planes, straight from the definition; NaN if a foot is unknown."""
+    """Worst tilt and worst rise over headings and planes by the definition; NaN if a foot is unknown."""
     tilts, rises = [], []
     rr, cc = cells_in_disc(r, c, lander.radius)
     for k in range(len(feet_of(lander, CELL).xy)):
@@ -156,7 +156,7 @@ def test_a_lander_that_looks_the_same_is_judged_once() -> None:
     assert len(unlike_directions(8, np.array(SQUARE))) == 2
     assert len(unlike_directions(20, np.array(SQUARE))) == 5
     assert len(unlike_directions(8, np.array(FIVE))) == 8
-    assert len(unlike_directions(7, np.array(SQUARE))) == 7  # a quarter turn is none of the seven
+    assert len(unlike_directions(7, np.array(SQUARE))) == 7  # none of the seven is a quarter turn from another
 
 
 @pytest.mark.parametrize("radius", [0.0, 1.0, 4.0, 7.07, 18.3])
@@ -170,7 +170,7 @@ def test_blocks_cover_the_disc(radius: float) -> None:
 
 
 def resting_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> float:
-    """Tilt of the lowest plane over the centre that stays above both rails: a linear programme."""
+    """Tilt of the lowest plane over the centre that lies above both rails, by a linear programme."""
     s = skids_of(lander, CELL)
     left = np.array([s.axes[0, 1], -s.axes[0, 0]])
     rows = []
@@ -191,12 +191,12 @@ def test_the_tilt_of_skids_bounds_that_of_the_lander_at_rest() -> None:
     tilt, _ = gear_contact(h, footprint_of(h, 0.5, CELL), np.zeros(SHAPE, bool), lander, CELL)
     rest = [(tilt[r, c], resting_skids(h, r, c, lander)) for r in range(5, 18, 3) for c in range(5, 24, 3)]
     assert all(t >= s - 1e-4 for t, s in rest)
-    assert np.median([t - s for t, s in rest]) < math.radians(0.2)  # and mostly is it
-    assert np.isnan(tilt[0, 0])  # a rail off the map
+    assert np.median([t - s for t, s in rest]) < math.radians(0.2)  # and is mostly equal to it
+    assert np.isnan(tilt[0, 0])  # one rail is off the map
 
 
 def resting_pitch(along: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[float, float]:
-    """The range of pitches at which one lander lies lowest."""
+    """Range of the pitches at which the rest of one lander is lowest."""
     joint, rest, low, high = (np.empty(n, np.float32) for n in ((2 * len(along) - 1, 1), 1, 1, 1))
     rails = (np.ascontiguousarray(a[:, None], dtype=np.float32) for a in (left, right))
     resting_pitches(*rails, along[1] - along[0], joint, rest, low, high)
@@ -204,7 +204,7 @@ def resting_pitch(along: np.ndarray, left: np.ndarray, right: np.ndarray) -> tup
 
 
 def brute_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> tuple[float, float]:
-    """Worst tilt and worst rise over headings, the lowest height over the middle by a linear programme."""
+    """Worst tilt and worst rise over headings, from the lowest height over the middle by a linear programme."""
     s, tilts, rises = skids_of(lander, CELL), [], []
     rr, cc = cells_in_disc(r, c, lander.radius)
     for k, (ax, ay) in enumerate(s.axes):
@@ -267,7 +267,7 @@ def test_a_lander_rocks_over_mirrored_bumps() -> None:
 
 
 def flooded_by_queue(surface: np.ndarray, outlet: np.ndarray) -> np.ndarray:
-    """Priority flood (Barnes 2014): the same answer by another algorithm."""
+    """Priority flood (Barnes 2014): another algorithm with the same result."""
     water = np.full(surface.shape, np.inf)
     queue = [(float(surface[p]), p) for p in map(tuple, np.argwhere(outlet))]
     for level, p in queue:
@@ -302,7 +302,7 @@ def test_the_disc_holds_every_cell_whose_centre_lies_within_the_radius() -> None
         n = math.floor(radius + 1e-6)
         r, c = np.mgrid[-n : n + 1, -n : n + 1]
         assert (disc_mask(disc_spans(radius)) == (np.hypot(r, c) <= radius + 1e-6)).all()
-    assert disc_mask(disc_spans(1.5 / 0.1)).sum() == 709  # the rim's own cells are in, whatever 1.5 / 0.1 rounds to
+    assert disc_mask(disc_spans(1.5 / 0.1)).sum() == 709  # the rim's own cells are in, for any rounding of 1.5 / 0.1
 
 
 def test_a_mask_spreads_by_the_disc() -> None:

@@ -1,4 +1,4 @@
-"""Heights sharpened by shading: against the ground that was rendered, and where it must not be believed."""
+"""Heights sharpened by shading: compared with the rendered ground, and rejected where shading is not reliable."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def domes(seed: int, shape: tuple[int, int] = (160, 160), rocks: int = 30) -> np
 
 
 def photograph(z: np.ndarray, noise: float = 0.0, seed: int = 0) -> np.ndarray:
-    """A Lambert picture with cast shadows, 8 bit."""
+    """Render a Lambert picture with cast shadows, 8 bit."""
     along, across = gradients(z, PIXEL)
     facing = (SUN[2] - SUN[0] * along - SUN[1] * across) / np.sqrt(1 + along**2 + across**2)
     level = float(np.hypot(SUN[0], SUN[1]))
@@ -62,7 +62,7 @@ def test_cells_are_what_linear_resampling_makes_of_pixels(factor: int) -> None:
 def test_spreading_is_the_transpose_of_coarsening(factor: int) -> None:
     rng = np.random.default_rng(factor)
     fine, cells = rng.normal(size=(8 * factor, 9 * factor)), rng.normal(size=(8, 9))
-    fine[:factor] = fine[-factor:] = fine[:, :factor] = fine[:, -factor:] = 0  # the rim's continuation is left out
+    fine[:factor] = fine[-factor:] = fine[:, :factor] = fine[:, -factor:] = 0  # without the continued rim
     a, b = fine.astype(np.float32), cells.astype(np.float32)
     assert_allclose(np.vdot(coarsen(a, factor), b), np.vdot(a, _spread(b, factor)), rtol=1e-4)
 
@@ -84,7 +84,7 @@ def test_the_light_is_found() -> None:
     dark = shadow_level(picture, shadow)
     light = find_light(z, picture, picture > dark, PIXEL)
     assert_allclose(light.sun, 220 * SUN, rtol=0.03, atol=3.0)
-    assert light.explained > 0.9  # the rest is the rims of rocks
+    assert light.explained > 0.9  # the rest are the rims of rocks
     assert 15 < dark < 40
 
 
@@ -101,7 +101,7 @@ def test_rocks_that_the_cells_smear_get_their_height_back() -> None:
     peaks[:10] = peaks[-10:] = peaks[:, :10] = peaks[:, -10:] = False
     before, after = (np.abs(a - z)[peaks] for a in (smooth, finer.height))
     assert peaks.sum() > 8
-    assert np.quantile(after, 0.9) < 0.5 * np.quantile(before, 0.9)  # the small rocks; the large ones were seen before
+    assert np.quantile(after, 0.9) < 0.5 * np.quantile(before, 0.9)  # the small rocks; the cells show the large ones
     assert np.quantile(after, 0.9) < 0.02
     inner = np.s_[8:-8, 8:-8]
     assert np.sqrt(np.mean((finer.height - z)[inner] ** 2)) < 0.7 * np.sqrt(np.mean((smooth - z)[inner] ** 2))

@@ -26,14 +26,14 @@ NEAR = "48.1, 15.44, 250.12"
 
 
 def geoid_at(latitude: Any, longitude: Any) -> Any:
-    """Made up, and linear: bilinear interpolation gives it exactly."""
+    """A made-up linear geoid, which bilinear interpolation reproduces exactly."""
     return 40.0 + 0.5 * (latitude - 48.0) - 0.25 * (longitude - 15.0)
 
 
 def write_geoid(
     path: Path, west: float = 10.0, crs: str | None = "EPSG:4326", shift: float = 0.0, scale: float = 1.0
 ) -> Path:
-    """Ten degrees each way, cells of a quarter, rows from 53 degrees north."""
+    """Write a geoid of ten degrees each way, cells of a quarter degree, rows from 53 degrees north."""
     cell = 0.25
     longitude, latitude = west + cell * (0.5 + np.arange(40)), 53.0 - cell * (0.5 + np.arange(40))
     heights = geoid_at(latitude[:, None], longitude[None, :] - (360.0 if west > 180 else 0.0)) + shift
@@ -44,7 +44,7 @@ def write_geoid(
     return path
 
 
-# -- as a user writes it
+# -- from a user
 
 
 def test_a_home_has_three_numbers_or_four() -> None:
@@ -52,7 +52,7 @@ def test_a_home_has_three_numbers_or_four() -> None:
     bare = Home.parse(" 48.1, 15.44, 250 ")
     assert math.isnan(bare.height)
     assert bare.with_separation(44.0).height == 294.0
-    assert Home.parse("48.1,15.44,250,43.9").with_separation(44.0).separation == 43.9  # its own stays
+    assert Home.parse("48.1,15.44,250,43.9").with_separation(44.0).separation == 43.9  # its own number stays
 
 
 @pytest.mark.parametrize(
@@ -74,13 +74,13 @@ def test_a_recording_needs_the_separation() -> None:
     assert found.height == pytest.approx(283.12)
 
 
-# -- with a grid of the geoid
+# -- from a grid of the geoid
 
 
 @pytest.mark.parametrize("west", [10.0, 370.0, -350.0])
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 def test_the_grid_is_read_between_its_cells(tmp_path: Path, west: float, scale: float) -> None:
-    """Whether its longitudes count from -180 or go round once more, and with values that are scaled."""
+    """Longitudes may begin at -180 or go round once more, and values may be scaled."""
     cell = 0.25
     grid = tmp_path / "geoid.tif"
     write_geoid(grid, 10.0, scale=scale)
@@ -96,7 +96,7 @@ def test_home_and_grid_are_enough(tmp_path: Path) -> None:
     assert found.separation == pytest.approx(geoid_at(48.1, 15.44), abs=1e-9)
     own = wanted_home(f"{NEAR},33", tmp_path / "geoid.tif")
     assert own is not None
-    assert own.separation == 33.0  # what the user states goes before the grid
+    assert own.separation == 33.0  # the user's number takes precedence over the grid
 
 
 def test_a_grid_that_cannot_be_used_says_so(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_hole_in_the_grid_is_no_height(tmp_path: Path) -> None:
         separation_at(grid, 48.1, 15.44)
 
 
-# -- as an autopilot reports it
+# -- from an autopilot
 
 
 def heard(separation: float = 44.0, home: bool = True) -> Telemetry:
@@ -181,7 +181,7 @@ def test_a_home_above_the_sea_alone_is_not_used_and_said() -> None:
 
 
 def test_the_command_writes_a_plan_above_the_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The site's ground lies 2.12 m above the origin, whose height above the ellipsoid is 301 m."""
+    """The site's ground lies 2.12 m above the origin, and the origin is 301 m above the ellipsoid."""
     flight = tmp_path / "flight"
     write(fly("concrete", 0, duration=0.4, rate_hz=5.0), flight)
     monkeypatch.setattr(replay, "replay", lambda *_, **__: some_run())

@@ -19,7 +19,7 @@ HOSTILE = "\"><script>alert(1)</script><img src=x onerror=alert(1)>'&amp;{{7*7}}
 
 
 class Elements(HTMLParser):
-    """What a page is made of: names of its elements, and their attributes that act."""
+    """Elements of a page: their names, and the attributes that run code."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ def test_the_report_escapes_whatever_comes_in() -> None:
     assert Elements(page).names <= healthy.names
     assert Elements(page).acting == []
     assert "&lt;script&gt;alert(1)" in page
-    assert "{{7*7}}" in page  # no template either
+    assert "{{7*7}}" in page  # no template is expanded either
     assert not {"\x1b", "\x00", "\u202e"} & set(page)
 
 

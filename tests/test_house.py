@@ -1,4 +1,4 @@
-"""The rules of the house: they are a contract, not a wish."""
+"""The rules of the house, which are checked and not only stated."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
 def name_of(path: Path) -> str:
-    """The test's name: where the file is in the project."""
+    """Name of a test case: the path of the file in the project."""
     return path.relative_to(ROOT).as_posix()
 
 
 def imports(path: Path) -> Iterator[str]:
-    """Every module that a file imports, wherever in it."""
+    """Yield every module that a file imports, at any place in it."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -42,7 +42,7 @@ def imports(path: Path) -> Iterator[str]:
 
 
 def test_nothing_lies_about() -> None:
-    """What is committed by mistake: wheels, data, what a test left behind."""
+    """No wheels, data or left-overs of tests are committed by mistake."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
         pytest.skip("no git, or no repository here")
@@ -111,7 +111,7 @@ def test_the_architecture_page_names_every_module() -> None:
 
 
 def public_names() -> Iterator[tuple[str, Path]]:
-    """Public classes and module-level functions, outside the command line."""
+    """Yield the public classes and module-level functions, outside the command line."""
     for path in SOURCES:
         if "cli" in path.parts or path.name == "__init__.py":
             continue

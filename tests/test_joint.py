@@ -1,4 +1,4 @@
-"""Poses refined with the map: the kernel and its twin, Jacobians, beliefs, and what becomes of bad and good poses."""
+"""Poses refined with the map: the kernel and its twin, Jacobians, the prior of the poses, bad and good poses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ F64 = np.ndarray
 
 
 def some_cells(seed: int) -> dict[str, np.ndarray]:
-    """Random samples of five views of three exposures; some weights are nothing, some cells unknown."""
+    """Random samples of five views of three exposures; some weights are zero, some cells unknown."""
     rng = np.random.default_rng(seed)
     n, rows, cols = 5, 4, 7
     weights = rng.uniform(0.2, 1.0, (n, rows, cols)).astype(np.float32)
@@ -58,7 +58,7 @@ def some_cells(seed: int) -> dict[str, np.ndarray]:
 
 
 def twin(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
-    """The same by writing down every residual, with the plane, the poses, and each cell's own value and height."""
+    """Normal equations from every residual, with the plane, the poses, and each cell's own value and height."""
     M = PLANE + POSE * len(c["pivots"])
     A, b = np.zeros((M, M)), np.zeros(M)
     for r, y in enumerate(c["ys"]):
@@ -78,7 +78,7 @@ def twin(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
                 J[row, at : at + 6] = np.r_[g, np.cross(X - p, g)]
                 J[row, M], J[row, M + 1] = 1.0, -q  # template value, height
                 e[row], w[row] = c["samples"][i, r, k] - m[0], c["weights"][i, r, k] * c["precision"][i]
-            J[-1, :PLANE], J[-1, M + 1], w[-1] = -phi, 1.0, c["kappa"][r, k]  # the height lies about the map's plane
+            J[-1, :PLANE], J[-1, M + 1], w[-1] = -phi, 1.0, c["kappa"][r, k]  # the height varies about the map's plane
             N, g = J.T @ (J * w[:, None]), J.T @ (w * e)
             inner = np.linalg.pinv(N[M:, M:])
             A += N[:M, :M] - N[:M, M:] @ inner @ N[M:, :M]
@@ -105,7 +105,7 @@ def test_normal_equations_are_those_of_all_residuals_written_down(seed: int) -> 
 
 
 def test_a_pose_error_slides_the_ground_as_its_derivative_says() -> None:
-    """A pixel's ray is followed to level ground from the pose as taken and as it is (eq. 18)."""
+    """A pixel's ray meets level ground from the assumed and from the true pose; the difference agrees with eq. 18."""
     rng = np.random.default_rng(2)
     for _ in range(20):
         body = Pose(so3_exp(rng.normal(0, 0.1, 3)) @ np.diag([1.0, -1, -1]), np.array([*rng.normal(0, 2, 2), 20.0]))
@@ -131,7 +131,7 @@ def test_a_pose_error_slides_the_ground_as_its_derivative_says() -> None:
 ANY_CAMERA = Scene().camera
 
 
-# -- beliefs
+# -- prior of the poses
 
 
 def motions(count: int, seed: int = 0) -> tuple[Motion, ...]:
@@ -146,7 +146,7 @@ def covariance(size: int, seed: int) -> F64:
 
 
 def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
-    """Against the joint Gaussian written out: the others keep what they are given those told of (eq. 23)."""
+    """The update is the joint Gaussian: other unknowns keep their density given the replaced poses (eq. 23)."""
     ms = motions(4)
     first = PoseGaussian.none(np.array([0.3, 0.02, 0.01])).with_posterior(KeyframePosterior(ms[:3], covariance(18, 1)))
     P = covariance(PLANE + 18, 2)  # pictures have tied the plane and the poses
@@ -194,7 +194,7 @@ def test_some_cells_of_a_grid() -> None:
 
 
 def test_errors_in_common_are_passed_on_whole() -> None:
-    """A singular covariance: what all share is expected of the next as well."""
+    """The covariance is singular: the common error of all is predicted for the next one, too."""
     assert_allclose(regress_on(np.ones((3, 3)), np.ones((3, 1))), np.full((1, 3), 1 / 3), atol=1e-6)
 
 
@@ -229,7 +229,7 @@ def true_views() -> tuple[View, ...]:
 
 
 def off(errors: F64) -> list[tuple[View, Motion]]:
-    """The views with these (COUNT, 6) errors in their poses."""
+    """Return the views and motions with these (COUNT, 6) errors in their poses."""
     out = []
     for v, e in zip(true_views(), errors, strict=True):
         pose = corrected_pose(v.world_from_cam, e)
@@ -240,7 +240,7 @@ def off(errors: F64) -> list[tuple[View, Motion]]:
 def flown(
     errors: F64, refine: bool = True, told: Callable[[list[Motion]], KeyframePosterior] | None = None
 ) -> ElevationMap:
-    """The map of a ring that hears of each pose by itself, or of what `told` makes of those so far."""
+    """Return the recursive map with poses given one by one, or as the posterior that `told` makes of all so far."""
     ring, elevation, seen = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64), list[Motion]()
     gauge: Datum | None = None
     for view, motion in off(errors):
@@ -263,7 +263,7 @@ NOTHING = np.zeros((COUNT, 6))
 
 
 def shape(found: ElevationMap) -> tuple[float, F64]:
-    """Spread of the errors about their plane, and the plane about the gauge's centre."""
+    """Spread of the errors about their plane, and the plane at the gauge's centre."""
     about = np.zeros(2) if found.gauge is None else np.array([found.gauge.east, found.gauge.north])
     ok = found.trusted
     e = (found.height - scene().surface(EAST, NORTH))[ok]
@@ -279,7 +279,7 @@ def perfect() -> float:
 
 
 def test_bad_poses_are_repaired() -> None:
-    """Each exposure is off by more than a pixel: without refinement the shape is ruined, with it as of true poses."""
+    """Each exposure is off by more than a pixel: the shape is ruined without refinement, and good with it."""
     raw, mended = flown(white(1), refine=False), flown(white(1))
     assert raw.trusted.mean() < 0.5 or shape(raw)[0] > 3 * perfect()
     assert mended.trusted.mean() > 0.9
@@ -287,7 +287,7 @@ def test_bad_poses_are_repaired() -> None:
 
 
 def test_good_poses_are_left_alone() -> None:
-    """True poses, claimed to be off by as much: the shape stays, and the map's plane within what is claimed of it."""
+    """With true poses and a claimed error, the shape stays, and the map's plane lies within its claimed covariance."""
     found = flown(NOTHING)
     spread, fit = shape(found)
     assert found.gauge is not None
@@ -296,7 +296,7 @@ def test_good_poses_are_left_alone() -> None:
 
 
 def test_exact_poses_do_not_move() -> None:
-    """Told that they are exact to a tenth of a millimetre, the ring gives what it gives when it is told nothing."""
+    """With poses claimed exact to a tenth of a millimetre, the result is that without refinement."""
     exact = flown(NOTHING, told=lambda ms: KeyframePosterior((ms[-1],), 1e-8 * np.eye(6)))
     plain = flown(NOTHING, refine=False)
     both = exact.trusted & plain.trusted
@@ -306,9 +306,9 @@ def test_exact_poses_do_not_move() -> None:
 
 
 def test_the_gauge_follows_the_prior() -> None:
-    """What all poses share no picture shows: the map is raised and tilted with them, and the gauge says how far it may.
+    """No picture shows the error that all poses share: the map is raised and tilted by it, and the gauge covers it.
 
-    An error that all have in common, told of with the joint covariance that says so.
+    The poses have a common error, and the joint covariance claims such an error.
     """
     common = np.repeat((2.0 * np.array([0.01, -0.02, 0.05, 0.002, -0.001, 0.001]))[None], COUNT, axis=0)
 
@@ -344,9 +344,9 @@ def test_threads_do_not_matter(on_one_and_all: Callable[..., Any]) -> None:
 
 
 def test_pictures_of_nothing_change_nothing() -> None:
-    """Pictures without any texture, or of something else each: poses and map stay, and nothing is not a number.
+    """Pictures without texture, or each of another texture, leave poses and map as they are, without NaN.
 
-    What the map does not refuse by itself has a sigma that the limit of a hundredth of the height refuses.
+    Cells that the map trusts have a sigma above the limit of a hundredth of the height.
     """
     rng = np.random.default_rng(0)
     for paint in (lambda: np.full((120, 160), 90, np.uint8), lambda: rng.integers(0, 255, (120, 160), dtype=np.uint8)):

@@ -1,4 +1,4 @@
-"""The judging lane: on which cells, who looks, and from where next."""
+"""The judging lane: its cells, the observer, and the next view."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def look_down(t_ns: int, cam: int, focal: float) -> View:
 def test_the_observer_is_the_vehicle_with_the_cameras_of_the_newest_instant(
     newest: tuple[int, ...], stereo: bool
 ) -> None:
-    """The instant before had two cameras of another focal length."""
+    """The cameras of the exposure before had another focal length, and there were two."""
     views = (look_down(1, 0, 300.0), look_down(1, 1, 300.0), *(look_down(2, cam, 500.0) for cam in newest))
     vehicle = VehiclePosition(np.array([1.0, 2.0, 9.0]), 8.0)
     seen = MapSnapshot(0, elevation(), views, vehicle, MapFrame(0, np.zeros(3), np.eye(3)))
@@ -53,7 +53,7 @@ def test_the_next_look_is_that_of_the_first_candidate_that_has_one_while_there_i
 
 
 def cells(shape: tuple[int, int], cell: float, factor: int) -> ElevationMap:
-    """Level ground, every pixel of the finest picture its own grey."""
+    """Level ground with a random grey in every pixel of the finest picture."""
     rng = np.random.default_rng(0)
     fine = rng.integers(1, 255, (shape[0] * factor, shape[1] * factor, 3)).astype(np.uint8)
     full = {"height": 0.0, "sigma": 0.02, "flags": 0, "views": 5, "residual": 0.1, "sampling": cell}
@@ -144,7 +144,7 @@ def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:
 
 
 def on_a_roof(half: float) -> MapSnapshot:
-    """A flat roof of 8 x 8 m, 4 m over the ground, seen within `half` metres of its middle."""
+    """A flat roof of 8 x 8 m, 4 m above the ground, seen within `half` metres of its middle."""
     n = round(2 * half / 0.1)
     seen = cells((n, n), 0.1, 1)
     grid = replace(seen.grid, east=-half, north=half)
@@ -156,7 +156,7 @@ def on_a_roof(half: float) -> MapSnapshot:
 
 
 def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:
-    """Also in another frame of the map; a lane that has not seen the rim cannot tell."""
+    """The roof is remembered also in another map frame; a lane that has never seen its rim finds none."""
     lane, new = (JudgingLane(Settings().stages(), None, Timings()) for _ in range(2))
     near = on_a_roof(2.5)
     assert not (new.judge(near).cover.label == Terrain.STRUCTURE).any()  # type: ignore[union-attr]
@@ -184,7 +184,7 @@ def test_a_roof_covers_what_is_not_known_of_its_place_in_another_frame() -> None
 
 
 def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:
-    """The finest picture of a large map, of which few photos are taken from near by, took a sixth of the memory."""
+    """The finest picture of a large map, with only few photos from near by, once took a sixth of the memory."""
     views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]
     grid = Grid(-1.5, -1.5, 0.1, 30, 30)
     level = np.full(grid.shape, np.float32(surface(np.array(0.0), np.array(0.0))))
@@ -200,7 +200,7 @@ def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:
 
 
 def test_no_pixel_that_a_camera_saw_is_black() -> None:
-    """Black is no picture: half of the ground is painted black, the other half red without any green."""
+    """Black marks missing pixels: half of the ground is painted black, the other half red without any green."""
     views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]
     painted = [replace(v, image=np.zeros((*v.image.shape[:2], 3), np.uint8)) for v in views]
     for v in painted:

@@ -1,4 +1,4 @@
-"""The kernels of the filter's state, landmarks, IMU and of predicted pixels against plain NumPy."""
+"""Kernels of the filter's state, landmarks and IMU, and of predicted pixels, against plain NumPy."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def covariance(n: int) -> F64:
 
 
 def test_a_step_carries_the_covariance_on() -> None:
-    """Fifteen errors of the motion, nine of GPS/INS, thirty that stay."""
+    """The state has fifteen errors of the motion, nine of GPS/INS, and thirty constant ones."""
     P, F, Q = covariance(54), RNG.normal(size=(15, 15)), covariance(15)
     decay, drift = RNG.uniform(0.5, 1.0, 9), RNG.uniform(0.0, 1.0, 9)
     full, noise = np.eye(54), np.zeros((54, 54))
@@ -119,7 +119,7 @@ def test_places_of_numbers() -> None:
 
 
 def test_landmarks_are_linearised_gated_and_gathered() -> None:
-    """Against `project` and `jacobians` and dense products; one camera that sees nothing, one point behind, one NaN."""
+    """Results agree with `project`, `jacobians` and dense products, with a point behind and missing observations."""
     n, size, pose = 6, 40, 9
     points = 15 + 3 * RNG.permutation(8)[:n]
     R, p = so3_exp([0.02, -0.03, 0.4]), np.array([1.0, 2.0, 30.0])
@@ -191,7 +191,7 @@ def test_constraints_are_summed_and_gated_as_dense_matrices(seed: int) -> None:
 
 
 def test_largest_eigenvalues() -> None:
-    """Of random matrices, of a ball, of a line, and of nothing."""
+    """Eigenvalues agree with NumPy for random matrices, a ball, a line, and zero."""
     line = np.outer([1.0, -2.0, 0.5], [1.0, -2.0, 0.5])
     A = np.array(
         [*(covariance(3) for _ in range(20)), 4.0 * np.eye(3), line, np.zeros((3, 3)), np.diag([1e-9, 1, 1e9])]
@@ -209,7 +209,7 @@ def samples(count: int, step_ns: int = 5_000_000) -> list[ImuSample]:
 
 
 def test_segments_are_cut_at_the_samples() -> None:
-    """Inside, before the first sample, beyond the last one, and none where time does not go on."""
+    """Segments begin inside, before the first sample, or end beyond the last one; none exist for an empty interval."""
     some = samples(4)
     found = segments(ImuBuffer(some), 2_000_000, 12_000_000)
     np.testing.assert_allclose(found.dt, [3e-3, 5e-3, 2e-3])
@@ -223,7 +223,7 @@ def test_segments_are_cut_at_the_samples() -> None:
 
 
 def test_the_last_angular_velocity_is_held_for_a_moment_only() -> None:
-    """Seen in a campaign: held over a gap of 1.7 s it turned the state by 40 degrees, and GPS/INS was disbelieved."""
+    """Seen in a campaign: held over a gap of 1.7 s it turned the state by 40 degrees, and GPS/INS was rejected."""
     turning = ImuSample(0, np.array([0.0, 0.5, 0.0]), np.array([0.0, 0.0, 9.8]))
     imu = ImuBuffer([turning])
 
@@ -239,7 +239,7 @@ def test_the_last_angular_velocity_is_held_for_a_moment_only() -> None:
 
 
 def test_a_gap_is_as_uncertain_however_it_is_cut() -> None:
-    """Rotation over 1 s beyond the last sample, in one piece, in tenths, and in pieces below a gap's length."""
+    """The variance of 1 s beyond the last sample is that of one piece, of tenths, and of pieces shorter than a gap."""
     noise = FilterSettings()
     imu = ImuBuffer([ImuSample(0, np.zeros(3), np.array([0.0, 0.0, 9.8]))])
 
@@ -256,7 +256,7 @@ def test_a_gap_is_as_uncertain_however_it_is_cut() -> None:
 
 
 def test_the_buffer_keeps_what_is_new() -> None:
-    """More samples than there was room for at first, the old ones forgotten on the way."""
+    """The buffer grows beyond its first size, while old samples are forgotten."""
     buffer = ImuBuffer()
     for s in samples(5000):
         buffer.append(s)
@@ -267,7 +267,7 @@ def test_the_buffer_keeps_what_is_new() -> None:
 
 
 def test_preintegration_is_that_of_numpy() -> None:
-    """M4 to M6 written out with dense matrices; a gap of 80 ms among the segments."""
+    """Preintegration agrees with M4 to M6 in dense matrices; one gap of 80 ms lies among the segments."""
     noise = FilterSettings()
     some = [*samples(6), ImuSample(105000000, RNG.normal(size=3), RNG.normal(size=3))]
     bias = 0.1 * RNG.normal(size=6)
@@ -316,7 +316,7 @@ LENSES = [
 
 @pytest.mark.parametrize("camera", LENSES, ids=lambda c: c.model)
 def test_points_are_carried_to_another_view(camera: Camera) -> None:
-    """On the axis, beside it, and behind the camera."""
+    """Points on the axis, beside it, and behind the camera are transferred."""
     rays, depth = RNG.uniform(-0.5, 0.5, (12, 2)), RNG.uniform(5.0, 40.0, 12)
     other_from_first = Pose(so3_exp([0.02, -0.03, 0.4]), [0.5, 0.1, -10.0])
     points, pixels = np.empty((12, 3)), np.empty((12, 2))
@@ -331,7 +331,7 @@ def test_points_are_carried_to_another_view(camera: Camera) -> None:
 
 
 def test_covariance_of_predicted_pixels() -> None:
-    """Rotations and shifts by columns of the covariance's root, each projected by differences."""
+    """The covariance agrees with rotations and shifts of the points, each projected by differences."""
     points, by_depth, Q = np.array([[1.0, -2.0, 20.0], [0.0, 0.0, 5.0]]), RNG.normal(size=(2, 3)), 1e-4 * covariance(6)
     found = pixel_covariance(points, by_depth, 300.0, Q)
 
@@ -351,7 +351,7 @@ def test_covariance_of_predicted_pixels() -> None:
 
 
 def test_two_views_give_depth_and_distance_from_the_line() -> None:
-    """Of exact matches, of matches beside the line, and of none."""
+    """Depth and distance are right for exact matches, matches beside the line, and missing ones."""
     other_from_first = Pose(so3_exp([0.01, 0.02, -0.01]), [0.5, 0.05, 0.02])
     x = np.column_stack([RNG.uniform(-5, 5, (8, 2)), RNG.uniform(10, 30, 8)])
     there = other_from_first.apply(x)
@@ -376,8 +376,8 @@ def test_two_views_give_depth_and_distance_from_the_line() -> None:
 
 
 def test_features_are_followed_from_picture_to_picture() -> None:
-    """Moved by a part of a pixel, from a pixel away; where the other picture shows something else, or at the edge,
-    nothing is found."""
+    """A shift by a part of a pixel is found from a start half a pixel off. No match is found at the edge or on another
+    picture."""
     image = picture(4)
     map_ = np.array([[1.0, 0.0, 2.3], [0.0, 1.0, -1.6]])
     moved = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
@@ -390,7 +390,7 @@ def test_features_are_followed_from_picture_to_picture() -> None:
 
 
 def test_new_patches_take_only_free_room() -> None:
-    """Patches that are held stay as they are while others go and new ones come, more than there was room for."""
+    """Held patches stay unchanged while others go and new ones come, more than there was room for."""
     image, rng = picture(1), np.random.default_rng(2)
     held = FeaturePatches.cut(image, np.arange(200), rng.uniform(25, 90, (200, 2)), 15).select(np.arange(0, 200, 2))
     before = held.grey[held.slots].copy()

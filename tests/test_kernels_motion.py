@@ -1,4 +1,4 @@
-"""The tracker's and the filter's kernels against their NumPy twins."""
+"""Kernels of the tracker and of the filter against their NumPy twins."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def picture(seed: int, height: int = 120, width: int = 160) -> np.ndarray:
 
 @pytest.mark.parametrize("window", [5, 8, 21])
 def test_texture_is_that_of_the_whole_picture(window: int) -> None:
-    """Inside, over the edge (mirrored), and outside (taken at the edge)."""
+    """Responses agree inside, over the edge (mirrored), and outside (that of the edge)."""
     image, rng = picture(0), np.random.default_rng(1)
     pixels = np.vstack([rng.uniform(0, 1, (200, 2)) * [159, 119], [[-5, 3], [400, 119], [159, 0]]]).astype(np.float32)
     np.testing.assert_allclose(corner_response(image, pixels, window), twins.texture(image, pixels, window), rtol=1e-4)
@@ -56,7 +56,7 @@ def test_an_empty_box_has_no_corner() -> None:
 
 
 def test_patches_settle_where_least_squares_says() -> None:
-    """Turned by 0.1 rad, half as bright and 20 levels up, from a pixel away: place and correlation are the twin's."""
+    """From a pixel away, turned by 0.1 rad, half as bright and 20 levels up, place and correlation are the twin's."""
     image, rng = picture(4), np.random.default_rng(5)
     pixels = rng.uniform(30, 90, (20, 2))
     patches = FeaturePatches.cut(image, np.arange(20), pixels, 15)
@@ -76,7 +76,7 @@ def test_patches_settle_where_least_squares_says() -> None:
 
 
 def test_what_is_not_there_is_not_found() -> None:
-    """Other ground, a flat patch, a place at the edge, a patch that would have to show more than it holds."""
+    """No match is found on other ground, for a flat patch, at the edge, or for a view larger than the patch."""
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
     patch = FeaturePatches.cut(image, np.arange(1), pixels, 15)
@@ -103,7 +103,7 @@ def test_the_table_takes_the_lens_out() -> None:
 
 
 def scene(seed: int) -> tuple[WindowObservations, WindowPoses]:
-    """Points seen now and then from six poses, one behind the cameras; first estimates are a little off."""
+    """Points observed now and then from six poses, one behind the cameras; first estimates are a little off."""
     rng = np.random.default_rng(seed)
     R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(6)])
     p = np.array([[1.0 * k, 0.1 * k, 30.0] for k in range(6)]) + 0.1 * rng.normal(size=(6, 3))
@@ -133,7 +133,7 @@ def test_points_and_pose_constraints_are_those_of_numpy(seed: int) -> None:
 
 
 def test_nothing_seen_is_no_number_but_no_error() -> None:
-    """A feature without an observation, and no feature at all."""
+    """A feature without observations, or no feature at all, raises no error."""
     observations, poses = scene(0)
     blind = WindowObservations(
         observations.ids[:1], np.full_like(observations.normalised[:1], np.nan), observations.sigma[:1]
@@ -144,13 +144,13 @@ def test_nothing_seen_is_no_number_but_no_error() -> None:
 
 
 def starts_of(rng: np.random.Generator, points: int) -> np.ndarray:
-    """First observation of each point, two to five a point, and their number."""
+    """First observation of each point, with two to five a point, and the number of all observations."""
     return np.concatenate([[0], np.cumsum(rng.integers(2, 6, points))])
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_points_of_ray_lists_are_those_of_least_squares(seed: int) -> None:
-    """Random rays, two nearly parallel ones (0.1 degrees), and one with a weight of zero."""
+    """The rays are random; two are nearly parallel (0.1 degrees), and one has a weight of zero."""
     rng = np.random.default_rng(seed)
     starts = starts_of(rng, 12)
     x = np.repeat(rng.uniform(-20, 20, (12, 3)), np.diff(starts), axis=0)
@@ -164,7 +164,7 @@ def test_points_of_ray_lists_are_those_of_least_squares(seed: int) -> None:
 
 
 def test_eliminated_points_are_the_schur_complement_of_the_full_system() -> None:
-    """Reduced matrix, right side and back substitution; one point is seen from one pose, one has no depth."""
+    """Reduced matrix, right side and back substitution agree; one point is seen from one pose, one has no depth."""
     rng = np.random.default_rng(4)
     starts, poses = starts_of(rng, 9), 4
     m = int(starts[-1])

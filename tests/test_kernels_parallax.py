@@ -23,7 +23,7 @@ from alight.parallax.sorting_kernels import NOTHING, fill_row, median_row, netwo
 from alight.parallax.views import radius2_limit
 
 N, ROWS, COLS, DEPTH = 6, 17, 19, 12
-WIDE = 35, 131  # more than what a thread takes at once
+WIDE = 35, 131  # more than the share of one thread
 CELL = 0.1
 XS, YS = 3.0 + CELL * np.arange(COLS), -2.0 - CELL * np.arange(ROWS)
 FOCAL = np.array([90.0, 110.0, 100.0, 130.0, 95.0, 120.0])  # px
@@ -33,7 +33,7 @@ kinds = pytest.mark.parametrize("kind", KINDS)
 
 
 def heights(kind: str, shape: tuple[int, int] = (ROWS, COLS)) -> np.ndarray:
-    """A map of each kind that a kernel may meet."""
+    """Return a map of each kind of input."""
     rng = np.random.default_rng(KINDS.index(kind))
     r, c = np.mgrid[: shape[0], : shape[1]]
     h = {"random": rng.normal(0, 0.3, shape), "planar": 0.05 * r - 0.03 * c}.get(kind, 0.01 * c + 0.0 * r)
@@ -54,8 +54,8 @@ def stack(kind: str, shape: tuple[int, int] = (ROWS, COLS)) -> np.ndarray:
     s = common + rng.normal(0, 0.2, (N, *shape))
     s[rng.random(s.shape) < 0.1] += 3.0
     if kind == "step":
-        s[:3, :, 9:] = np.nan  # half the views do not see one side
-        s[:, :, -1] = s[:1, :, -1]  # all the same
+        s[:3, :, 9:] = np.nan  # half of the views do not see one side
+        s[:, :, -1] = s[:1, :, -1]  # all are the same
     if kind in ("holes", "nothing"):
         s[rng.random(s.shape) < (0.6 if kind == "holes" else 1.1)] = np.nan
     return s.astype(np.float32)
@@ -69,16 +69,16 @@ def positive(seed: int, scale: float, zeros: float = 0.0, shape: tuple[int, int]
 
 
 def same_nan(got: np.ndarray, want: np.ndarray, **tolerance: float) -> None:
-    """Equal to tolerance, NaN in the same cells."""
+    """Assert equality within a tolerance, and NaN in the same cells."""
     assert_array_equal(np.isnan(got), np.isnan(want))
     assert_allclose(got, want, equal_nan=True, **tolerance)
 
 
-# -- the kernels, called so that each gives new arrays
+# -- calls of the kernels that return new arrays
 
 
 def run_sweep_cost(s: np.ndarray, keep: float) -> tuple[np.ndarray, ...]:
-    """Of pictures that lie on the cells, but for a border that their neighbours need."""
+    """Cost of pictures whose pixels are the cells, except for a border that the neighbours need."""
     pictures = np.pad(s, ((0, 0), (1, 2), (1, 2)), constant_values=0.0)
     return run_shifted_cost(pictures, keep, np.ones(len(s)), np.ones((len(s), 2)), s.shape[1:])
 
@@ -110,7 +110,7 @@ def run_normalise(reach: int) -> tuple[np.ndarray, ...]:
 
 def grey_levels() -> np.ndarray:
     grey = np.random.default_rng(3).normal(120, 30, WIDE).astype(np.float32)
-    grey[:, 40:60] = 200.0  # nothing to stretch
+    grey[:, 40:60] = 200.0  # no contrast to stretch
     return grey
 
 
@@ -121,7 +121,7 @@ def run_template(s: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def run_normal_equations(s: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Template, views that agree, Lambda, eta, s2; and the views that see."""
+    """Return template, number of views that agree, Lambda, eta, s2, and number of views that see."""
     mean, *out = (np.full(h.shape, -9, np.float32) for _ in range(4))
     used, seen = np.full(h.shape, 99, np.uint8), np.full(h.shape, 99, np.uint8)
     xs, ys = XS[0] + CELL * np.arange(h.shape[1]), YS[0] - CELL * np.arange(h.shape[0])
@@ -136,7 +136,7 @@ def run_solve(h: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def solve_input(h: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Lambda, eta and s2; no information where there is no height, as `normal_equations` leaves it."""
+    """Return Lambda, eta and s2, without information where the height is unknown, as from `normal_equations`."""
     unknown = np.isnan(h)
     eta = np.random.default_rng(5).normal(0, 3, h.shape).astype(np.float32)
     lam = np.where(unknown, np.float32(0), positive(1, 30.0, zeros=0.2))
@@ -175,7 +175,7 @@ def run_seen_from(columns: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, .
 
 
 def columns_of(kind: str) -> np.ndarray:
-    """Columns of the pictures, some cells outside of each."""
+    """Return columns of the pictures, for some cells outside of each picture."""
     s = stack(kind)
     return np.where(np.isfinite(s), np.abs(s), np.float32(-1e4))
 
@@ -195,13 +195,13 @@ Spans = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def whole() -> Spans:
-    """Every cell has all planes."""
+    """Spans that contain all planes in every cell."""
     shape = ROWS, COLS
     return np.zeros(shape, np.int32), np.full(shape, DEPTH - 1, np.int32), DEPTH * np.arange(ROWS * COLS).reshape(shape)
 
 
 def ragged() -> Spans:
-    """Every cell has planes of its own, some none of those of their neighbours."""
+    """Spans that differ from cell to cell; some have no plane in common with their neighbours."""
     rng = np.random.default_rng(5)
     low = rng.integers(0, DEPTH, (ROWS, COLS)).astype(np.int32)
     high = np.minimum(low + rng.integers(0, DEPTH, low.shape), DEPTH - 1).astype(np.int32)
@@ -210,7 +210,7 @@ def ragged() -> Spans:
 
 
 def packed(values: np.ndarray, spans: Spans) -> np.ndarray:
-    """The values (R, C, D) within the spans, one cell after the other."""
+    """Return the values (R, C, D) within the spans, one cell after the other."""
     planes = np.arange(values.shape[2])
     return np.ascontiguousarray(values[(spans[0][..., None] <= planes) & (planes <= spans[1][..., None])])
 
@@ -287,7 +287,7 @@ def test_networks_sort_and_find_the_median(n: int) -> None:
     rng = np.random.default_rng(n)
     samples = rng.normal(size=(n, 40)).astype(np.float32)
     samples[rng.random(samples.shape) < 0.3] = np.nan
-    samples[0, :5] = np.float32(0.5)  # never empty, and ties
+    samples[0, :5] = np.float32(0.5)  # never empty, and with ties
     rows, count, median = np.empty_like(samples), np.zeros(40, np.float32), np.empty(40, np.float32)
     for s, row in zip(samples, rows, strict=True):
         fill_row(s, row, count)
@@ -360,7 +360,7 @@ def test_winner_finds_the_vertex_of_a_parabola_from_the_first_plane_of_the_cell(
     spans = low, low + DEPTH - 1, np.zeros((1, 1), np.int64)
     sweep.winner(cost, cost, *spans, np.full((1, 1), 2, np.int32), index, ratio)
     assert index[0, 0] == pytest.approx(24.3, abs=1e-5)
-    assert ratio[0, 0] == pytest.approx(cost[4] / cost.max(), rel=1e-5)  # no other valley: the worst cost
+    assert ratio[0, 0] == pytest.approx(cost[4] / cost.max(), rel=1e-5)  # no second valley: the worst cost counts
 
 
 @pytest.mark.parametrize("reach", [2, 3, 5])
@@ -382,7 +382,7 @@ def test_template(kind: str) -> None:
     weights, mean = run_template(s)
     want = twins.template(s, 0.35)
     assert_allclose(weights, want[0], rtol=1e-4, atol=1e-5)
-    same_nan(mean, want[1], rtol=1e-3, atol=1e-5)  # weights near nothing
+    same_nan(mean, want[1], rtol=1e-3, atol=1e-5)  # weights near zero
 
 
 @kinds
@@ -409,7 +409,7 @@ def test_normal_equations(kind: str, views: int) -> None:
     xs, ys = XS[0] + CELL * np.arange(h.shape[1]), YS[0] - CELL * np.arange(h.shape[0])
     mean, used, *sums, seen = run_normal_equations(s, h)
     want = twins.normal_equations(s, 0.35, CENTRES[:views], xs, ys, h, CELL)
-    same_nan(mean, want[0], rtol=1e-3, atol=1e-5)  # weights near nothing
+    same_nan(mean, want[0], rtol=1e-3, atol=1e-5)  # weights near zero
     assert_array_equal(used, want[1])
     assert_array_equal(seen, np.isfinite(s).sum(axis=0))
     for got, w in zip(sums, want[2:], strict=True):
@@ -444,7 +444,7 @@ def test_plane_prior(kind: str) -> None:
 
 
 def test_plane_prior_leaves_a_plane_alone_and_pulls_a_spike() -> None:
-    """Whatever the neighbours know: on a slope the middle of a pair is the height."""
+    """With any certainty of the neighbours, the middle of a pair on a slope is the height."""
     h = heights("planar", WIDE)
     even = tuple(np.full(h.shape, v, np.float32) for v in (200.0, 0.05, 0.05))
     inner = np.s_[3:-3, 3:-3]
@@ -468,7 +468,7 @@ def test_visibility(kind: str) -> None:
 
 # -- projection
 
-DOWN = so3_exp([0.2, -0.1, 0.7]) @ np.diag([1.0, -1.0, -1.0])  # a camera that looks down, a little askew
+DOWN = so3_exp([0.2, -0.1, 0.7]) @ np.diag([1.0, -1.0, -1.0])  # a camera that looks down, slightly tilted
 
 
 def run_project(
@@ -488,7 +488,7 @@ def run_project(
 
 @each_lens
 def test_project_is_the_camera(camera: Camera) -> None:
-    """To a thousandth of a pixel where the picture is, and nothing beyond it."""
+    """Pixels agree to a thousandth inside the picture, and there are none outside of it."""
     grid = Grid(-40.0, 41.0, 0.7, 120, 110)
     h = np.random.default_rng(0).uniform(-2, 3, grid.shape).astype(np.float32)
     at = Pose(DOWN, np.array([1.0, 2.0, 30.0]))
@@ -508,7 +508,7 @@ def test_project_is_the_camera(camera: Camera) -> None:
 
 @each_lens
 def test_project_sees_each_row_from_where_the_camera_was(camera: Camera) -> None:
-    """Against the fixed point of: project from the pose at the exposure of the row where the projection falls."""
+    """The pixel agrees with the fixed point of: project from the pose at the exposure of the row of the projection."""
     grid, rolling = Grid(-12.0, 13.0, 0.9, 24, 26), np.array([0.5, -0.4, 0.1, 0.02, -0.015, 0.03, 0.02, 0.03, -0.04])
     h = np.random.default_rng(0).uniform(-2, 3, grid.shape).astype(np.float32)
     at = Pose(DOWN, np.array([1.0, 2.0, 30.0]))
@@ -584,14 +584,14 @@ def test_the_number_of_threads_changes_no_bit(name: str, on_one_and_all: Callabl
 def test_every_kernel_is_tested_here() -> None:
     made = {**vars(parallax), **vars(projection), **vars(sight), **vars(surface), **vars(sweep)}
     public = {n for n, k in made.items() if hasattr(k, "py_func") and not n.startswith("_")}
-    helpers = {"fill_row", "invert_row", "median_row", "project_row", "sort_rows"}  # tested by themselves
+    helpers = {"fill_row", "invert_row", "median_row", "project_row", "sort_rows"}  # tested separately
     assert public - {"prange"} - helpers == set(CALLS)
 
 
 @kinds
 @pytest.mark.parametrize("wanted", [1, 3])
 def test_the_orthophoto_adds_the_views_that_count(kind: str, wanted: int) -> None:
-    """Against plain NumPy: the nearest views first, each at the exposure of those before it, coarse ones not at all."""
+    """The orthophoto agrees with NumPy: nearest views first, each at the exposure of those before, no coarse views."""
     rng = np.random.default_rng(KINDS.index(kind))
     camera, grid, coarser = Camera(40, 30, 90.0, 90.0, 19.5, 14.5), Grid(0.0, 0.0, 0.8, ROWS, COLS), 1.5
     shape, (xs, ys) = grid.shape, grid.xy()
@@ -642,4 +642,4 @@ def test_the_orthophoto_adds_the_views_that_count(kind: str, wanted: int) -> Non
     assert_array_equal(number, count)
     assert_array_equal(finest, best)
     assert_array_equal(wants, still)
-    assert (number.max() == min(wanted, 3)) == (kind != "nothing")  # the coarse view never counts
+    assert (number.max() == min(wanted, 3)) == (kind != "nothing")  # the coarse view is never used

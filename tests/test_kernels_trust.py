@@ -153,7 +153,7 @@ def test_veil_hides_views_unless_only_one_would_be_left() -> None:
 
 
 def test_fuse() -> None:
-    """Eq. 16, the four cases apart: new cell, worse look, agreement, contradiction."""
+    """All four cases of eq. 16 agree: new cell, worse sigma, agreement, contradiction."""
     (h, s, f, v, e, g), (h0, s0, f0, v0, e0, g0) = fuse_input()
     got = run_fuse()
     for i in np.ndindex(ROWS, COLS):

@@ -43,7 +43,7 @@ def ring(label: Label, *vertices: tuple[float, float]) -> Label:
 
 
 def some_run(folder: Path, safe: np.ndarray, height: np.ndarray | None = None) -> Run:
-    """A run over photo `a.jpg`, that looked straight down on flat ground."""
+    """Write a run over photo `a.jpg`, which was taken straight down over flat ground."""
     local = LocalFrame(48.0, 11.0, 500.0)
     w, x, y, z = (LOOK_DOWN @ BODY_FROM_CAM.inverse).quaternion
     (folder / "trajectory.tum").write_text(f"0.000000005 0 0 {ABOVE} {x} {y} {z} {w}\n")
@@ -134,10 +134,10 @@ def test_a_photo_that_the_run_did_not_place_is_named(tmp_path: Path) -> None:
 def test_a_wall_hides_the_ground_behind_it() -> None:
     up = np.zeros(GRID.shape, np.float32)
     east, _ = GRID.xy()
-    up[:, np.abs(east - 10) < 0.3] = 4.0  # seen from x = 0, z = 20: its shadow is 2.5 m long
+    up[:, np.abs(east - 10) < 0.3] = 4.0  # from x = 0, z = 20, it hides 2.5 m of ground
     points = np.array([[x, 0.0, 0.0] for x in (5.0, 9.0, 11.0, 12.0, 13.5)])
     assert hidden(GRID, up, points, LOOK_DOWN.translation).tolist() == [False, False, True, True, False]
-    cells = PhotoCells(GRID, np.where(up > 0, np.nan, up), CAMERA, LOOK_DOWN)  # unknown: hides nothing
+    cells = PhotoCells(GRID, np.where(up > 0, np.nan, up), CAMERA, LOOK_DOWN)  # unknown heights hide nothing
     assert cells.under(LAWN, labels_of(LAWN))[75, 180]
 
 
@@ -175,7 +175,7 @@ def test_what_is_claimed_on_hazards_and_open_ground(tmp_path: Path) -> None:
     assert found.hazards["all"].cells == found.hazards["bush_or_tall_plants"].cells > 300
     lawn = found.open_ground["lawn"]
     assert lawn.claimed is not None
-    assert 0.4 < lawn.claimed < 0.5  # half of it, less the bush and the ground beside it
+    assert 0.4 < lawn.claimed < 0.5  # half of it, without the bush and the ground beside it
     assert (lawn.half, lawn.candidate, lawn.known) == (1.0, 1.0, 1.0)
     assert found.beside.claimed == 1.0
     (site,) = found.sites
@@ -185,7 +185,7 @@ def test_what_is_claimed_on_hazards_and_open_ground(tmp_path: Path) -> None:
 
 def test_open_ground_counts_where_the_whole_footprint_lies_on_it(tmp_path: Path) -> None:
     found = compare(some_run(tmp_path, everywhere(0.0)), labels_of(LAWN))
-    metres = (181 * 0.2 - 2) * (81 * 0.2 - 2)  # less a radius of 1 m on each side
+    metres = (181 * 0.2 - 2) * (81 * 0.2 - 2)  # without a radius of 1 m on each side
     assert found.open_ground["lawn"].cells * GRID.cell**2 == pytest.approx(metres, rel=0.03)
     assert found.open_ground["lawn"].candidate == 0.0
 

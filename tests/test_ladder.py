@@ -1,4 +1,4 @@
-"""The standard ladder: what its rungs are called, what they fly, and that tuning and test never meet."""
+"""The standard ladder: names of the rungs, their flights, and the separation of tuning and test."""
 
 from __future__ import annotations
 

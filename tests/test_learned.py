@@ -1,4 +1,4 @@
-"""Fitted tables: read and checked, and the nets in them evaluated as their plain formulas say."""
+"""Fitted tables: read and checked, and their nets evaluated as by the plain formulas."""
 
 from __future__ import annotations
 

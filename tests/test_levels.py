@@ -29,14 +29,14 @@ def down() -> tuple[View, ...]:
 
 
 def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> RecursiveMap:
-    """A lane that knows where the ground is."""
+    """Return a lane whose ground is found."""
     lane = RecursiveMap((settings or load_settings("", SMALL)).stages(), NullStore() if forget else None)
     assert lane.find_ground(list(views)), lane.reason
     return lane
 
 
 def under(lane: RecursiveMap, view: View, level: int | None = None, share: float = 0.7) -> ElevationMap:
-    """The map about the middle of what a view sees."""
+    """Return the map about the middle of a view's footprint."""
     assert lane.elevation is not None
     seen = footprint(view, lane.ground_here or 0.0)
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, share * (seen.max(axis=0) - seen.min(axis=0)) / 2
@@ -46,20 +46,20 @@ def under(lane: RecursiveMap, view: View, level: int | None = None, share: float
 
 
 def errors(m: ElevationMap) -> np.ndarray:
-    """Of the trusted cells, metres; the same order as `m.trusted`."""
+    """Errors of the trusted cells, metres, in the order of `m.trusted`."""
     x, y = np.meshgrid(*m.grid.xy())
     return np.asarray((m.height - surface(x, y))[m.trusted], dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What the map was worth at a height."""
+    """Accuracy of the map at one height."""
 
     height: float
     cell: float
     known: float  # share of the cells
     spread: float  # median absolute error over the height
-    worst: float  # 95th percentile of it
+    worst: float  # 95th percentile of the absolute error over the height
     covered: float  # share within two sigma
 
 
@@ -74,7 +74,7 @@ def stage(lane: RecursiveMap, view: View) -> Stage:
 
 @cache
 def flown() -> tuple[RecursiveMap, tuple[Stage, ...], tuple[tuple[float, float], ...]]:
-    """The descent: the map, its worth after every tenth step, and what changes of the cell did to the heights."""
+    """Fly the descent; return the map, its accuracy at every tenth step, and height steps at changes of the cell."""
     lane, stages, jumps, level = lane_of(down()[:10]), [], [], 0
     assert lane.elevation is not None
     for k, v in enumerate(down()):
@@ -94,7 +94,7 @@ def flown() -> tuple[RecursiveMap, tuple[Stage, ...], tuple[tuple[float, float],
 
 
 def test_the_error_is_the_same_share_of_the_height_all_the_way_down() -> None:
-    """100 m to 5 m in one map: no stage is worse than another, and sigma stays honest."""
+    """From 100 m to 5 m in one map, no stage is worse than another, and sigma covers the errors."""
     _, stages, _ = flown()
     assert stages[0].height > 60
     assert stages[-1].height < 5.5
@@ -110,7 +110,7 @@ def test_the_error_is_the_same_share_of_the_height_all_the_way_down() -> None:
 def test_the_cell_follows_the_height() -> None:
     lane, stages, jumps = flown()
     pixels = [s.cell * 225.0 / s.height for s in stages]
-    assert min(pixels) > 1.8 * 2**-0.95  # half an octave, the slack, and what a nice cell is off
+    assert min(pixels) > 1.8 * 2**-0.95  # half an octave, the hysteresis, and the rounding of the cell
     assert max(pixels) < 1.8 * 2**0.95
     assert stages[0].cell / stages[-1].cell == 16
     assert len(jumps) == 4
@@ -118,9 +118,9 @@ def test_the_cell_follows_the_height() -> None:
 
 
 def test_no_step_where_the_cell_changes() -> None:
-    """The same place before and after, at the same cell size: apart by less than sigma says.
+    """The heights of one place before and after a change of the cell differ by less than sigma.
 
-    Of independent heights 5 % would lie beyond two; 0.8 to 1.2 % were measured, by how the machine rounds.
+    For independent heights 5 % would differ by more than two sigmas; 0.8 to 1.2 % were measured, depending on rounding.
     """
     _, _, jumps = flown()
     for middle, beyond in jumps:
@@ -129,7 +129,7 @@ def test_no_step_where_the_cell_changes() -> None:
 
 
 def test_no_seam_where_levels_meet() -> None:
-    """Across the border of the finest cells the error does not jump by more than the coarser sigma says."""
+    """Across the border of the finest cells, the error jumps by no more than the sigma of the coarser cells."""
     lane, _, _ = flown()
     assert lane.elevation is not None
     last = under(lane, down()[-1], -4, share=1.8)
@@ -147,7 +147,7 @@ def test_no_seam_where_levels_meet() -> None:
 
 
 def test_one_raster_comes_out() -> None:
-    """Fine where a twentieth of it is, the rest interpolated; coarser where it would have more cells than allowed."""
+    """The raster has the finest cells if they are a twentieth of it, the rest interpolated; larger ones if too many."""
     lane, stages, _ = flown()
     whole = lane.snapshot()
     assert whole is not None
@@ -178,7 +178,7 @@ def test_the_same_descent_gives_the_same_bits() -> None:
 
 
 def test_up_again_keeps_what_was_seen_from_near() -> None:
-    """A climb after the descent: the coarse map about the landing place keeps the finer heights."""
+    """After a descent and a climb, the coarse map about the landing place keeps the finer heights."""
     views = [v for v in down() if v.centre[2] < 30]
     lane = lane_of(views[:10])
     for v in views:
@@ -193,7 +193,7 @@ def test_up_again_keeps_what_was_seen_from_near() -> None:
 
 
 def test_a_gust_does_not_change_the_cell() -> None:
-    """Hysteresis: around the border between two levels the cell stays what it is, from either side."""
+    """With hysteresis, the cell does not change around the border between two levels, from either side."""
     cell = 1.0
     border, tuning = 2**-0.5 / 1.8, MappingTuning()  # metres a pixel
     for now in (0, -1):
@@ -232,7 +232,7 @@ def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     assert np.median(np.abs(errors(m))) < 0.0025 * 20
 
 
-# -- what goes wrong in a flight
+# -- faults of a flight
 
 
 UP = 20.0
@@ -250,14 +250,14 @@ def steps(lane: RecursiveMap, views: Iterable[View]) -> RecursiveMap:
 
 
 def worth(lane: RecursiveMap, view: View) -> tuple[float, float, float]:
-    """Share known, median absolute error, share within two sigma."""
+    """Share of trusted cells, median absolute error, share of errors within two sigma."""
     m = under(lane, view)
     e = np.abs(errors(m))
     return float(m.trusted.mean()), float(np.median(e)), float((e < 2 * m.sigma[m.trusted]).mean())
 
 
 def test_a_hover_takes_nothing_away() -> None:
-    """40 keyframes of yawing on the spot: the baseline stays in the ring, the heights stay, and sigma stays honest."""
+    """While it yaws on the spot for 40 keyframes, the window keeps its baseline, and heights and sigma stay good."""
     lane = steps(lane_of(level()[:8]), level())
     at = level()[-1].centre
     before = worth(lane, level()[-1])
@@ -273,7 +273,7 @@ def test_a_hover_takes_nothing_away() -> None:
 
 
 def test_a_gap_without_common_views_starts_anew_and_keeps_the_map() -> None:
-    """150 m on: what was mapped stays bit for bit, and the new place is mapped as well as the first."""
+    """After 150 m the old map is unchanged, bit for bit, and the new place is mapped as well as the first."""
     lane = steps(lane_of(level()[:8]), level())
     first = under(lane, level()[-1])
     later = level_flight(16, UP, start=150.0, first=200)
@@ -289,7 +289,7 @@ def test_a_gap_without_common_views_starts_anew_and_keeps_the_map() -> None:
 
 
 def test_a_map_begins_wherever_the_heights_of_its_frame_begin() -> None:
-    """A flight that begins in the air has its origin there, and the ground far below it."""
+    """A flight that begins in the air has its origin there, and the ground far below the origin."""
     off = np.array([0.0, 0.0, -400.0])
     low = [replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off)) for v in level()]
     there, here = (steps(lane_of(views[:8]), views) for views in (low, level()))
@@ -300,8 +300,8 @@ def test_a_map_begins_wherever_the_heights_of_its_frame_begin() -> None:
 
 
 def test_poses_of_another_frame_do_not_mix() -> None:
-    """The estimator begins anew and is 1.5 m off in height: the heights of before are gone, the new ones are right in
-    the new frame. Without it views of both frames would be matched with each other."""
+    """The estimator begins anew and is 1.5 m off in height: older heights are dropped, new ones are right in the new
+    frame. Otherwise views of both frames would be matched with each other."""
     off = np.array([0.0, 0.0, 1.5])
     moved = [
         replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off), t_ns=v.t_ns + 10**11)
@@ -317,13 +317,13 @@ def test_poses_of_another_frame_do_not_mix() -> None:
     assert m.trusted.mean() > 0.9
     assert np.median(errors(m)) == pytest.approx(1.5, abs=0.05)
     assert np.median(np.abs(errors(m) - 1.5)) < 0.0025 * UP
-    mixed = steps(steps(lane_of(level()[:8]), level()), moved)  # the same without being told
+    mixed = steps(steps(lane_of(level()[:8]), level()), moved)  # the same without `begin_anew`
     m = under(mixed, moved[-1], share=0.5)
     assert not m.trusted.any() or np.median(np.abs(errors(m) - 1.5)) > 0.0025 * UP
 
 
 def test_a_new_frame_remembers_what_moved_about_its_place() -> None:
-    """Known to 0.6 m, so within 1.2 m of it on the cells of 0.5 m that reach there."""
+    """The tie is known to 0.6 m: movement is remembered within 1.2 m of it, on all cells of 0.5 m reached."""
     lane = steps(lane_of(level()[:8]), level())
     lane.passed = lane.came = NOWHERE.with_seen(np.array([[4, 6]]), 7)
     lane.begin_anew(np.array([1.0, -2.0, 0.3]), sigma=0.6)
@@ -345,9 +345,9 @@ def test_a_new_frame_leaves_no_tile_of_the_old_one_behind() -> None:
 
 
 def test_lost_late_and_repeated_keyframes() -> None:
-    """Every third is lost, two come in the wrong order, one comes twice: the heights hardly notice.
+    """Every third is lost, two come in the wrong order, one comes twice: the heights hardly change.
 
-    First looks at new cells are spread over keyframes: with a third of these lost, some cells at the rim still wait.
+    New cells are swept over several keyframes: with a third of these lost, some cells at the rim still wait.
     """
     whole = worth(steps(lane_of(level()[:8]), level()), level()[-1])
     some = [v for k, v in enumerate(level()) if k % 3 != 1]
@@ -364,7 +364,7 @@ def test_lost_late_and_repeated_keyframes() -> None:
 
 
 def test_a_long_way_holds_no_more_than_a_short_one() -> None:
-    """Tiles and keyframes held, after 20 and after 60 keyframes."""
+    """The number of tiles and keyframes is the same after 20 and after 60 keyframes."""
     lane = lane_of(level()[:8], forget=True)
     held = []
     for v in level_flight(60, UP, share=0.2):
@@ -378,7 +378,7 @@ def test_a_long_way_holds_no_more_than_a_short_one() -> None:
 
 
 def test_a_ground_that_was_found_wrong_is_found_again() -> None:
-    """The first points lie 8 m too high: the ground is not among what is searched, and the lane looks again."""
+    """The first points lie 8 m too high: the ground is outside the searched range, and the lane searches again."""
     lane = lane_of(level()[:8])
     lane._points = lane._points + np.array([0.0, 0.0, 8.0])
     lane.ground = 8.0
@@ -395,7 +395,7 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
 
 
 def test_a_ground_that_was_found_wrong_is_found_again_where_nothing_lies_at_an_end_of_the_range() -> None:
-    """What is matched there contradicts itself, and no height is given out: so for a whole flight."""
+    """Matches in a wrong range contradict each other, and no height is given out; once this lasted a whole flight."""
     lane = lane_of(level()[:8], load_settings("", [*SMALL, "tuning.mapping.beyond=1.0"]))
     lane._points = lane._points + np.array([0.0, 0.0, 12.0])
     lane.ground = 12.0
@@ -411,7 +411,7 @@ def test_a_ground_that_was_found_wrong_is_found_again_where_nothing_lies_at_an_e
 
 @pytest.mark.parametrize("trees", [15.0, 6.0, 0.0])
 def test_trees_are_sought_on_new_ground_beside_mapped_fields(trees: float) -> None:
-    """The trusted heights of a field span two metres; a tree that comes into the picture is higher, up to half way."""
+    """The trusted heights of a field span two metres; a tree that comes into view may be half as high as a camera."""
     lane = steps(lane_of(level()[:8], load_settings("", [*SMALL, f"tuning.mapping.trees={trees}"])), level())
     m = under(lane, level()[-1])
     ground = float(np.median(m.height[m.trusted]))
@@ -431,7 +431,7 @@ def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
 
 
 def test_a_vehicle_on_the_ground_asks_for_no_endless_window() -> None:
-    """A map that is wrong by more than the height above it, or the ground itself: the window stays a picture's size."""
+    """If the map, or the ground, lies higher than the vehicle, the window must not be larger than a picture."""
     lane = steps(lane_of(level()[:8]), level())
     lane.ground_here = 25.0  # metres: above the camera
     lane.step([look(level()[-1].centre + np.array([0.8, 0.0, 0.0]), 300)])

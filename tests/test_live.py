@@ -1,4 +1,4 @@
-"""A flight on threads: the same bits as in turn, whatever was dropped; what a failing or slow lane does."""
+"""A flight on threads: the same bits as in turn, whatever was dropped; failing and slow lanes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ WAIT = Capacity(drop=False, schedule=None)
 
 @cache
 def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
-    """40 m over the demo's meadow, 15 m above it, two cameras of 160 x 120."""
+    """A flight 40 m over the demo's meadow, 15 m above it, with two cameras of 160 x 120."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     f = fly("demo", 1, 5.0, rig=rig, rate_hz=6.0, height=15.0)
     return f, tuple(f.events())
@@ -64,7 +64,7 @@ def settings(*more: str) -> Settings:
 
 @cache
 def in_turn() -> tuple[Motion, ...]:
-    """The navigation lane alone, one event after the other."""
+    """Motions of the navigation lane alone, one event after the other."""
     lane = FilterLane(flight()[0].rig, settings().stages(), history=False)
     found = [lane.feed(e) for e in flight()[1]]
     return tuple(n.motion for n in found if n is not None and n.motion is not None)
@@ -79,7 +79,7 @@ def map_bits(m: ElevationMap) -> list[bytes]:
 
 
 def verdict_bits(v: Verdict | Decision) -> list[object]:
-    """Heights, P and sites."""
+    """Return grid, map, P(safe), reasons and sites, as bytes and text."""
     danger = v.danger if isinstance(v, Verdict) else v.hazards
     assert v.elevation is not None
     assert danger is not None
@@ -87,7 +87,7 @@ def verdict_bits(v: Verdict | Decision) -> list[object]:
 
 
 class Heard:
-    """Everything that a live run or a replay gives out."""
+    """Recorder of the motions and verdicts of a live run or a replay."""
 
     def __init__(self) -> None:
         self.motions, self.verdicts = list[Motion](), list[Verdict]()
@@ -101,7 +101,7 @@ class Heard:
 
 
 def test_the_map_of_a_long_flight_is_bounded_for_a_small_computer() -> None:
-    """16 million cells, the most of a recording, took 8.5 GB to judge; less that is asked for stays."""
+    """Judging 16 million cells, the limit of a recording, took 8.5 GB; a smaller limit of the user stays."""
     assert for_flight(Settings()).elevation.most_cells == MOST_CELLS
     few = Settings.model_validate({"elevation": {"most_cells": 50_000}})
     assert for_flight(few) == few
@@ -112,7 +112,7 @@ def test_every_exposure_is_predicted_from_the_last_but_one() -> None:
 
 
 def test_tracking_may_run_ahead_of_the_filter_by_one_exposure() -> None:
-    """Exposure k is tracked before k - 1 is taken in: the same bits."""
+    """Exposure k is tracked before the filter takes k - 1, and the bits are the same."""
     lane, waiting, found = (
         FilterLane(flight()[0].rig, settings().stages(), history=False),
         list[TrackedFrame](),
@@ -152,7 +152,7 @@ def test_it_navigates() -> None:
 
 
 def test_a_trajectory_that_is_not_smoothed_leaves_in_the_world_too() -> None:
-    """All exposures moved by the newest offset, which is no error any more."""
+    """All exposures are moved by the newest offset, which is no error afterwards."""
     lane = FilterLane(flight()[0].rig, settings("tuning.filter.smooth=false").stages())
     given = [n.motion for e in flight()[1] if (n := lane.feed(e)) is not None and n.motion is not None]
     motions = lane.finish(lambda share: None).motions
@@ -175,7 +175,7 @@ def test_a_flight_needs_the_filter() -> None:
 
 @pytest.fixture(scope="module")
 def nursery(warm: None) -> Iterator[Nursery]:
-    """One for all flights; its lanes find the tests' own faults. What it loads has been compiled before."""
+    """One nursery for all flights, with compiled loops; its lanes can import the tests' own faults."""
     helpers = str(Path(__file__).parent / "helpers")
     with pytest.MonkeyPatch.context() as m:
         m.setenv("PYTHONPATH", os.pathsep.join(p for p in (helpers, os.environ.get("PYTHONPATH")) if p))
@@ -197,7 +197,7 @@ def feed_all(run: Live, pause: float = 0.0) -> Decision:
 
 
 def replayed(schedule: Schedule) -> tuple[Heard, Decision]:
-    """The pipeline in turn, with the schedule of a live run."""
+    """Run the pipeline in turn, with the schedule of a live run."""
     heard = Heard()
     p = Pipeline(flight()[0].rig, "flight", settings(), history=False, schedule=schedule)
     judge = p.judge
@@ -214,7 +214,7 @@ def replayed(schedule: Schedule) -> tuple[Heard, Decision]:
 
 
 def assert_flies_again(heard: Heard, decision: Decision, schedule: Schedule) -> None:
-    """The schedule, through text, gives the same motions, heights, P and sites: on the way and at the end."""
+    """Assert that the schedule, as text, gives the same motions, heights, P and sites, in flight and at the end."""
     again, same = replayed(Schedule.from_json(schedule.to_json()))
     assert bits(heard.motions) == bits(again.motions)
     assert [m.frame_id for m in heard.motions] == [m.frame_id for m in again.motions]
@@ -238,8 +238,8 @@ def stamp(k: int) -> int:
 
 
 def test_processes_give_what_one_gives(nursery: Nursery) -> None:
-    """Nothing dropped: every exposure is tracked and mapped, and the motions are those of the lane in turn. All loops
-    are loaded before the flight: none is compiled in it."""
+    """Nothing is dropped: every exposure is tracked and mapped, and the motions are those of the lane in turn. All
+    loops are loaded before the flight, and none is compiled in it."""
     heard = Heard()
     run = live(nursery, heard)
     feed_all(run)
@@ -251,7 +251,7 @@ def test_processes_give_what_one_gives(nursery: Nursery) -> None:
 
 
 def test_what_was_used_flies_again_bit_for_bit(nursery: Nursery) -> None:
-    """Mapping that is too slow leaves out exposures, and so does navigation when many come at once."""
+    """Slow mapping leaves out exposures, and so does navigation when many come at once."""
     heard = Heard()
     slow = Fault("slow", frozenset(flight()[0].frame_times.tolist()), 0.3)
     run = live(nursery, heard, Capacity(tracking=1, mapping=1, schedule=None), makers=faulty("mapping", slow))
@@ -272,7 +272,7 @@ def test_what_was_used_flies_again_bit_for_bit(nursery: Nursery) -> None:
 
 
 def test_verdicts_about_a_place_fly_again_bit_for_bit(nursery: Nursery) -> None:
-    """A landing asks for verdicts about the place that it looks at: the replay shows each map the same place."""
+    """A landing requests verdicts about the place of its look: the replay shows each map the same place."""
     heard = Heard()
     run = live(nursery, heard)
     places = {8: np.array([-3.7, 2.1]), 16: np.array([4.3, 1.9]), 24: None}
@@ -295,7 +295,7 @@ def test_verdicts_about_a_place_fly_again_bit_for_bit(nursery: Nursery) -> None:
 
 @pytest.mark.parametrize("kind", first(2, ["raise", "hang", "die"]))
 def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
-    """The exposure is lost, the motion has another frame number, the map is dropped; the replay does the same."""
+    """The exposure is lost, the motion has another frame number, and the map is dropped; the replay does the same."""
     heard, lost = Heard(), list[tuple[str, float]]()
     fault = Fault(kind, frozenset({stamp(12)}))
     listener = replace(heard.listener, lost=lambda lane, why: lost.append((why, time.time())))
@@ -310,7 +310,7 @@ def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
         run.feed(e)
     decision = run.finish()
     assert len(lost) == 1
-    assert lost[0][1] - struck < 1.0 + 1.0  # patience, and what a loaded machine adds
+    assert lost[0][1] - struck < 1.0 + 1.0  # patience, and the delay of a loaded machine
     assert {"raise": "a fault that a test wants", "die": "died", "hang": "no answer within"}[kind] in lost[0][0]
     schedule = run.schedule
     assert stamp(12) not in schedule.tracked
@@ -322,7 +322,7 @@ def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", first(1, ["die", "raise"]))
 def test_mapping_that_fails_begins_another_map(nursery: Nursery, kind: str) -> None:
-    """Navigation does not notice."""
+    """The motions stay the same."""
     heard = Heard()
     run = live(nursery, heard, makers=faulty("mapping", Fault(kind, frozenset({stamp(15)}))))
     decision = feed_all(run)
@@ -333,7 +333,7 @@ def test_mapping_that_fails_begins_another_map(nursery: Nursery, kind: str) -> N
 
 
 def test_judging_that_fails_leaves_out_a_map(nursery: Nursery, tmp_path: Path) -> None:
-    """Its memory of earlier maps outlives it."""
+    """The memory of earlier maps survives the failure."""
     heard = Heard()
     make = partial(FaultyJudging, Fault("die", frozenset({2})), tmp_path / "count")
     run = live(nursery, heard, makers={"judging": make})
@@ -357,7 +357,7 @@ def test_a_lane_that_hangs_is_called_late_and_holds_up_no_other(nursery: Nursery
     run.finish()
     left_out = run.counts.get("navigation: exposures left out, busy", 0)  # none on a quiet machine
     assert len(heard.motions) + left_out == 31
-    assert len(heard.motions) > 25  # held up for the patience of a lane it would lose 25
+    assert len(heard.motions) > 25  # a lane that waited for its patience would lose 25
     assert LaneState.LATE in [s for t, s in states if t > stamp(12)]
     assert "mapping late" in FlightHealth({"mapping": LaneState.LATE}, {}, 1.0, {}, 0, 0, None).line
 
@@ -370,7 +370,7 @@ def test_a_lane_that_cannot_be_made_says_so(nursery: Nursery) -> None:
     assert not any(t.is_alive() for t in run.threads)
 
 
-# -- what comes in
+# -- incoming events
 
 
 def test_a_flood_costs_exposures_and_nothing_else(nursery: Nursery) -> None:
@@ -384,7 +384,7 @@ def test_a_flood_costs_exposures_and_nothing_else(nursery: Nursery) -> None:
 
 
 def test_a_camera_that_stops_and_returns(nursery: Nursery) -> None:
-    """1.7 s without a picture: the motion goes on by GPS/INS and IMU, and pictures are used again."""
+    """For 1.7 s without a picture the motion goes on by GPS/INS and IMU; then pictures are used again."""
     heard = Heard()
     run = live(nursery, heard)
     for e in flight()[1]:
@@ -398,7 +398,7 @@ def test_a_camera_that_stops_and_returns(nursery: Nursery) -> None:
 
 
 def test_exposures_that_come_300_ms_late_are_used(nursery: Nursery) -> None:
-    """By their own stamps: the motion is as good as without the delay."""
+    """The exposures are used at their own stamps, and the motion is as good as without the delay."""
     late = sorted(flight()[1], key=lambda e: e.t_ns + (300_000_000 if isinstance(e, Frame) else 0))
     heard = Heard()
     run = live(nursery, heard)
@@ -422,7 +422,7 @@ def test_no_exposure_no_motion(nursery: Nursery) -> None:
 
 
 def test_what_is_left_out_is_said(nursery: Nursery) -> None:
-    """Every exposure comes twice; the run ends soon."""
+    """Every exposure comes twice in a short run; the repeated ones are reported."""
     run, last = live(nursery, Heard()), stamp(5)
     for e in flight()[1]:
         if e.t_ns <= last:
@@ -433,7 +433,7 @@ def test_what_is_left_out_is_said(nursery: Nursery) -> None:
 
 
 def test_nothing_grows_with_the_flight(nursery: Nursery) -> None:
-    """Asked to keep five entries of the schedule, it keeps the last five; nothing is smoothed, whatever is set."""
+    """With a limit of five entries the schedule keeps the last five, and nothing is smoothed for any setting."""
     heard = Heard()
     run = live(nursery, heard, Capacity(drop=False, schedule=5))
     decision = feed_all(run)
@@ -443,11 +443,11 @@ def test_nothing_grows_with_the_flight(nursery: Nursery) -> None:
     assert "as it was in flight" in str(decision.notes["motion"])
 
 
-# -- what goes between
+# -- queues between lanes
 
 
 def test_cameras_that_fail_leave_nothing_waiting() -> None:
-    """No exposure for long, at the start or later: the filter hears of all rows all the same, in parts."""
+    """Without exposures for long, at the start or later, the filter still gets all rows, in parts."""
     rows = [e for e in flight()[1] if not isinstance(e, Frame)] * 4
     batcher, frame = EventBatcher(), next(e for e in flight()[1] if isinstance(e, Frame))
     later = Frame(frame.t_ns + 1, frame.images)
@@ -509,7 +509,7 @@ def test_effort_falls_with_late_steps_and_rises_with_fast_ones() -> None:
 
 
 def test_less_effort_flies_again_bit_for_bit(nursery: Nursery) -> None:
-    """Every step is late, so that all levels of effort are used; the schedule has them."""
+    """Every step is late, so that all levels of effort are used; the schedule records them."""
     heard = Heard()
     slow = Fault("slow", frozenset(stamps()), 0.26)
     run = live(nursery, heard, makers=faulty("mapping", slow))
@@ -520,7 +520,7 @@ def test_less_effort_flies_again_bit_for_bit(nursery: Nursery) -> None:
 
 
 def test_a_process_that_is_not_let_run_is_not_taken_for_hanging(nursery: Nursery) -> None:
-    """Stopped, it sleeps and is lost; working for longer than the patience it is lost; else it gets its time."""
+    """A call is lost if the process sleeps, or has worked for longer than the patience; otherwise it gets its time."""
     worker = Worker(nursery, Spec("any", IdleOrBusy, ()))
     assert worker.call("work", 0.2, timeout=1.0) == 0.2
     assert worker.call("work", 0.45, timeout=0.5) == 0.45

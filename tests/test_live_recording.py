@@ -1,4 +1,4 @@
-"""The recording of a live run: it replays bit for bit, survives what ends the run, and a full disk costs no flight."""
+"""The recording of a live run: it replays bit for bit, survives any end of the run, and a full disk costs no flight."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def head() -> FlightHead:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory, warm: None) -> Path:
-    """The flight as a log."""
+    """Write the flight as a log."""
     folder = tmp_path_factory.mktemp("log") / "flight"
     alight_sim.write(flight()[0], folder)
     return folder
@@ -72,7 +72,7 @@ def assignments() -> list[str]:
     return [word for s in SMALL for word in ("--set", s)]
 
 
-# -- what a recording holds
+# -- content of a recording
 
 
 def test_every_event_comes_back_bit_for_bit() -> None:
@@ -104,7 +104,7 @@ def test_the_head_comes_back() -> None:
 
 
 def test_the_schedule_comes_back(tmp_path: Path) -> None:
-    """With the place that a judged map showed too, to the last bit; older recordings do not say."""
+    """The schedule includes the place of each judged map, to the last bit; older recordings have none."""
     recorder, place = Recorder(tmp_path / "recording.mcap", head()), (-3.7000000000000006, 1e-7)
     recorder.event(Frame(5, (np.zeros((2, 2), np.uint8),), "a picture"))
     recorder.entry("mapped", 5, 2)
@@ -147,7 +147,7 @@ def test_a_recording_that_is_cut_anywhere_gives_what_it_has(tmp_path: Path) -> N
 
 
 def test_a_disk_that_is_full_at_the_start_says_so() -> None:
-    """/dev/full takes nothing."""
+    """Writing to /dev/full fails at once."""
     if not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
     with pytest.raises(OutputError, match="the disk is full"):
@@ -155,7 +155,7 @@ def test_a_disk_that_is_full_at_the_start_says_so() -> None:
 
 
 def test_a_disk_that_gets_full_costs_the_recording_and_not_the_flight(tmp_path: Path) -> None:
-    """Files of this process may not grow beyond 1 MB: nine exposures."""
+    """Files of this process may not grow beyond 1 MB, which is nine exposures."""
     recorder, motions = Recorder(tmp_path / "recording.mcap", head()), list[Motion]()
     run = Live(flight()[0].rig, load_settings("", ["sites.every=0", *SMALL]), Listener(motions.append),
                Capacity(drop=False), diary=recorder)  # fmt: skip
@@ -178,7 +178,7 @@ def test_a_disk_that_is_too_slow_costs_messages(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "slow.mcap", head(), waiting_mb=0.05)
     for e in flight()[1]:
         if isinstance(e, Frame):
-            recorder.event(e)  # 115 kB each: more than may wait
+            recorder.event(e)  # 115 kB each: more than the queue may hold
     recorder.close()
     assert recorder.lost["the disk is too slow"] == 31
     assert "31 messages are missing" in recorder.warnings[0]
@@ -193,7 +193,7 @@ def test_a_folder_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 
 
 def test_a_live_run_flies_again_bit_for_bit(log: Path, tmp_path: Path) -> None:
-    """`alight live`, then `alight run` on its recording: the same rasters and sites, to the byte."""
+    """`alight live`, then `alight run` on its recording, give the same rasters and sites, to the byte."""
     out, again = tmp_path / "live", tmp_path / "again"
     subprocess.run(command("live", log, "--out", out, *assignments()), check=True, capture_output=True, timeout=120)
     subprocess.run(
@@ -209,7 +209,7 @@ def test_a_live_run_flies_again_bit_for_bit(log: Path, tmp_path: Path) -> None:
 
 
 def test_what_kill_leaves_can_be_read_and_replayed(log: Path, tmp_path: Path) -> None:
-    """`kill -9` after 3 s of flight: all but the last second is there, and no lane is left behind."""
+    """After `kill -9` in flight all but the last second is there, and no lane is left behind."""
     out = tmp_path / "killed"
     run = subprocess.Popen(command("live", log, "--out", out, *assignments()), stdout=-3, stderr=-3)
     path = out / "recording.mcap"
@@ -254,7 +254,7 @@ def test_ctrl_c_ends_the_flight_and_keeps_its_results(log: Path, tmp_path: Path)
 
 
 def lanes_of(pid: int) -> list[int]:
-    """The lanes and the nursery of a live run: its children, and theirs."""
+    """Return the lanes and the nursery of a live run: its children and grandchildren."""
     found, todo = list[int](), [pid]
     while todo:
         parent = todo.pop()
@@ -270,7 +270,7 @@ def lanes_of(pid: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there, and not only its name."""
+    """Return whether a process exists and is no zombie."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
@@ -296,7 +296,7 @@ def test_a_clock_that_jumps_ahead_is_put_back() -> None:
 
 
 def test_a_clock_that_jumps_back_is_put_back_once_that_is_sure() -> None:
-    """For two seconds the stamps could be those of late exposures, and are left out as such."""
+    """For two seconds the stamps could be those of late exposures, and these are left out."""
     said, t = list[str](), np.arange(0.0, 10.0, 0.1)
     stamps = t + 100.0
     stamps[50:] -= 7.0
@@ -310,7 +310,7 @@ def test_a_clock_that_jumps_back_is_put_back_once_that_is_sure() -> None:
 
 
 def test_a_burst_of_late_exposures_is_left_out_and_no_jump() -> None:
-    """A link that stalls for 5 s and then gives everything at once: what is older than a second is late."""
+    """A link stalls for 5 s and then gives everything at once: exposures older than a second are late."""
     t = np.arange(0.0, 20.0, 0.1)
     arrivals = np.where((t > 5) & (t < 10), 10.0 + 0.001 * (t - 5), t) + 0.02
     said = list[str]()
@@ -328,7 +328,7 @@ def test_delays_of_300_ms_are_none_of_its_business() -> None:
 
 
 def test_each_stream_has_a_clock_of_its_own() -> None:
-    """The telemetry's clock jumps by an hour, the camera's does not."""
+    """The telemetry's clock jumps by an hour, and the camera's does not."""
     said = list[str]()
     clocks = Clocks(said.append)
     out = list[Event | None]()

@@ -1,4 +1,4 @@
-"""What a live run flies from: recordings at their own speed, folders that fill, cameras."""
+"""Sources of a live run: recordings at their own speed, folders that fill, cameras."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A flight of 2 s, as a log."""
+    """Write a flight of 2 s as a log."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     folder = tmp_path_factory.mktemp("log") / "flight"
     alight_sim.write(fly("demo", 1, 2.0, rig=rig, rate_hz=6.0, height=15.0), folder)
@@ -56,7 +56,7 @@ def test_events_come_when_they_came_in_flight() -> None:
 
 
 def test_what_comes_late_is_not_waited_for() -> None:
-    """A reader that stalls for 0.3 s catches up."""
+    """After a stall of 0.3 s a reader catches up."""
 
     def stalls() -> Iterator[Event]:
         for k, e in enumerate(rows(0, 100, 200, 300, 400)):
@@ -125,7 +125,7 @@ def test_lines_count_once_they_are_whole(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_fills_gives_what_the_whole_log_gives(log: Path, tmp_path: Path) -> None:
-    """Rows and pictures appear bit by bit, the pictures half-written at first, one after its row, one never."""
+    """Rows and pictures appear one by one, pictures half-written at first, one after its row, one never."""
     root, settings = tmp_path / "filling", Settings()
     whole = list(open_source(log, settings).events())
     for folder in ("cam0", "cam1", "nav0", "imu0"):
@@ -186,7 +186,7 @@ def image(t_ms: float, value: int = 0) -> StampedImage:
 
 
 def test_pairs_are_matched_by_their_stamps() -> None:
-    """30 images a second; the right ones 4 ms later, one missing, and one without a left."""
+    """At 30 images a second, the right ones come 4 ms later; one is missing, and one has no left image."""
     matcher, out = ExposureMatcher(2), list[Frame]()
     for k in range(12):
         if k != 7:
@@ -204,7 +204,7 @@ def test_pairs_are_matched_by_their_stamps() -> None:
 
 
 def test_a_sensor_clock_takes_the_smallest_delay() -> None:
-    """Even stamps of a driver with a zero of its own, arrivals late by 5 to 40 ms."""
+    """The driver's stamps are even and have their own zero; arrivals are 5 to 40 ms late."""
     rng, clock = np.random.default_rng(2), SensorClock()
     own = 7.0 + np.arange(300) / 30.0
     arrival = 1_000.0 + own + rng.uniform(0.005, 0.040, 300)
@@ -252,7 +252,7 @@ def test_cameras_that_cannot_be_used_say_so(log: Path, name: str, rig: bool, say
 
 
 def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -> None:
-    """Pictures and GPS/INS in the order of arrival, on one clock; the world begins where the autopilot is."""
+    """Pictures and GPS/INS come in the order of arrival, on one clock; the world's origin is at the autopilot."""
     film = film_of(str(tmp_path))
     feed_port = free_port()
     with UdpServer(SimulatedAutopilot(), ("127.0.0.1", feed_port), speed=1.0, step=0.02):
@@ -276,7 +276,7 @@ def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -
 
 
 def slow(opened: LiveSource) -> LiveSource:
-    """Its events as if it filmed for two seconds."""
+    """Return a source whose events come as from a film of two seconds."""
 
     def events() -> Iterator[Event]:
         for e in opened.events:

@@ -1,4 +1,4 @@
-"""The cache of compiled loops: never another user's, never the end of a command."""
+"""The cache of compiled loops: it is never another user's, and it never ends a command."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ print(compiled.CACHE, "loaded" if loaded else "compiled")
 
 @pytest.fixture
 def loop(tmp_path: Path) -> Path:
-    """A file with one loop, and room for a cache beside it."""
+    """Write a file with one loop; its cache lies beside it."""
     path = tmp_path / "loop.py"
     path.write_text(SCRIPT)
     return path
 
 
 def caching_in(folder: Path) -> dict[str, str]:
-    """The environment of a process whose cache lies in a folder of its own."""
+    """Return the environment of a process whose cache lies in a folder of its own."""
     env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     return env | {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(folder / "cache")}
 
 
 def run(loop: Path, user: int | None = None, **environment: str) -> tuple[str, str]:
-    """Compile or load the loop in a process; where its cache was and whether it was loaded, and stderr."""
+    """Compile or load the loop in a process; return the place of the cache with `compiled` or `loaded`, and stderr."""
     env = caching_in(loop.parent) | environment
     done = subprocess.run(
         [sys.executable, loop], env=env, cwd=loop.parent, capture_output=True, text=True, user=user, timeout=120
@@ -52,7 +52,7 @@ def run(loop: Path, user: int | None = None, **environment: str) -> tuple[str, s
 
 
 def folder_of(answer: str) -> Path:
-    """Where the cache was."""
+    """Return the folder of the cache."""
     return Path(answer.rsplit(" ", 1)[0])
 
 
@@ -100,7 +100,7 @@ if sys.argv[1] == "stay":
 
 @pytest.fixture
 def slow(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
-    """Starts processes that want a loop which takes a second to compile."""
+    """Return a function that starts processes that use a loop which takes a second to compile."""
     path, begun = tmp_path / "slow.py", []
     path.write_text(SLOW)
     env = caching_in(tmp_path)
@@ -157,7 +157,7 @@ def test_a_folder_that_others_can_write_is_never_read(loop: Path) -> None:
     assert answer.endswith(" compiled")
     assert folder_of(answer) != folder
     assert "is not yours alone; loops are compiled anew by this command, about 4 minutes" in said
-    assert not folder_of(answer).exists()  # private, and gone with the process
+    assert not folder_of(answer).exists()  # private, and removed with the process
 
 
 def test_a_folder_named_in_the_environment_is_held_to_the_same(loop: Path, tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_damaged_files_are_compiled_anew(loop: Path, damage: bytes) -> None:
     for path in folder.rglob("*.nbi"):
         path.write_bytes(damage)
     assert run(loop)[0].endswith(" compiled")
-    assert run(loop)[0].endswith(" loaded")  # the file is mended
+    assert run(loop)[0].endswith(" loaded")  # the file is repaired
     compiled = list(folder.rglob("*.nbc"))
     assert compiled
     for path in compiled:
@@ -210,13 +210,13 @@ def test_no_home_to_write_to(loop: Path) -> None:
 def test_a_cache_that_is_read_only_is_copied_and_loaded(loop: Path) -> None:
     folder = folder_of(run(loop)[0])
     loop.write_text("import alight.loop_cache\nalight.loop_cache.is_writable = lambda folder: False\n" + SCRIPT)
-    answer, said = run(loop)  # the loop stands on another line: nothing of it is there yet, but the folder is
+    answer, said = run(loop)  # the loop is on another line: the folder of its cache exists, but holds nothing of it yet
     assert folder_of(answer) != folder
     assert "cannot be written; it is copied for this command" in said
 
 
 def test_nowhere_to_write_at_all(loop: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Loops live in memory alone."""
+    """Loops then live in memory alone."""
     loop.write_text("import tempfile\ntempfile.mkdtemp = lambda **k: (_ for _ in ()).throw(OSError())\n" + SCRIPT)
     answer, said = run(loop, XDG_CACHE_HOME="/dev/null/cache")
     assert answer == "None compiled"
@@ -233,7 +233,7 @@ def test_a_number_of_threads_that_no_machine_has(loop: Path, name: str, count: s
 def test_compiled_loops_of_another_checkout_do_not_count_as_warm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The cache goes by the place and the time of each source: the same text elsewhere is compiled anew."""
+    """The cache depends on place and time of each source: the same text elsewhere is compiled anew."""
     monkeypatch.setattr(compiled, "CACHE", tmp_path)
     compiled.mark_warm()
     assert compiled.is_warm()

@@ -1,4 +1,4 @@
-"""What the errors of poses do to matched heights, against ray intersections, and the datum of a map."""
+"""Effect of pose errors on matched heights, against ray intersections, and the datum of a map."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STEP = 100_000_000  # ns
 
 
 def motions_of(count: int = 6, seed: int = 0) -> tuple[Motion, ...]:
-    """A weaving flight 30 m above the ground."""
+    """Motions of a weaving flight 30 m above the ground."""
     rng = np.random.default_rng(seed)
     out = []
     for k in range(count):
@@ -40,7 +40,7 @@ def cameras_of(motions: tuple[Motion, ...]) -> tuple[PosedCamera, ...]:
 
 
 def together(motions: tuple[Motion, ...], turn: F64, move: F64) -> F64:
-    """(6K,) errors of poses that are turned about the origin and moved as one."""
+    """Errors (6K,) of poses that are turned about the origin and moved as one body."""
     return np.concatenate([np.r_[move + np.cross(turn, m.world_from_body.translation), turn] for m in motions])
 
 
@@ -49,7 +49,7 @@ def ground(rng: np.random.Generator, count: int = 20) -> F64:
 
 
 def matched(motions: tuple[Motion, ...], error: F64, points: F64, true: Camera = CAMERA) -> F64:
-    """Where the rays of the estimated poses to true points agree best, in height and place: the twin, ray by ray."""
+    """Best intersections, in height and place, of the rays of estimated poses to true points: the twin, ray by ray."""
     rays = []
     for m, e in zip(motions, error.reshape(-1, 6), strict=True):
         body = corrected_pose(m.world_from_body, e)
@@ -68,7 +68,7 @@ def matched(motions: tuple[Motion, ...], error: F64, points: F64, true: Camera =
 
 
 def test_blocks_of_the_inverse() -> None:
-    """Any unknowns, in any blocks, of a random system of four blocks."""
+    """The blocks agree for any unknowns, in any blocks, of a random system of four blocks."""
     rng, size, count = np.random.default_rng(2), 4, 5
     A, system = np.zeros((20, 20)), BlockTridiagonal(count, size)
     for b in range(count):
@@ -99,7 +99,7 @@ def test_any_errors_move_a_point_to_where_its_rays_agree(seed: int) -> None:
 
 
 def test_a_lens_that_is_off_is_felt_too() -> None:
-    """A focal length that is truly longer by a thousandth: heights shrink towards the cameras by 3 cm."""
+    """With a true focal length longer by a thousandth, heights shrink towards the cameras by 3 cm."""
     motions, points = motions_of(), ground(np.random.default_rng(5))
     longer = replace(CAMERA, fu=CAMERA.fu * 1.001, fv=CAMERA.fv * 1.001)
     J = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((37, 37)), ((longer,),)))
@@ -141,7 +141,7 @@ def datum_of(covariance: F64, slope: float = 0.0) -> ElevationMap:
 
 
 def rigid_covariance(sigma: F64) -> F64:
-    """(36, 36) of poses that are turned about the origin (3,) and moved (3,) as one."""
+    """Covariance (36, 36) of poses that are turned about the origin (3,) and moved (3,) as one body."""
     F = np.column_stack([
         together(motions_of(), *np.split(np.eye(6)[k] * s, 2)) for k, s in enumerate(sigma)
     ])  # fmt: skip
@@ -149,7 +149,7 @@ def rigid_covariance(sigma: F64) -> F64:
 
 
 def test_a_common_tilt_of_the_poses_is_the_tilt_of_the_map() -> None:
-    """About east it raises the north; a plane holds it all, so that nothing is left to bend."""
+    """A tilt about east raises the north; a plane contains all of it, so that no warp is left."""
     found = datum_of(rigid_covariance(np.array([3e-3, 1e-3, 0, 0, 0, 0.2])))
     assert found.gauge is not None
     sigma = np.sqrt(np.diag(found.gauge.covariance))
@@ -167,14 +167,14 @@ def test_a_heading_that_is_off_costs_height_where_the_map_is_steep() -> None:
     assert level.warp is not None
     assert steep.warp is not None
     assert level.warp.max() < 1e-4
-    far = np.hypot(2.75, 2.75) * 0.01 / np.sqrt(2) * 0.3  # a metre from the map's rim, where the slope is whole
+    far = np.hypot(2.75, 2.75) * 0.01 / np.sqrt(2) * 0.3  # a metre from the map's rim, where the slope is complete
     assert steep.warp[27, 27] == pytest.approx(far, rel=0.2)
     assert steep.warp[16, 16] < 0.3 * far
     assert (steep.relative_sigma > steep.sigma).any()
 
 
 def test_errors_of_each_pose_bend_the_map_and_the_claim_holds() -> None:
-    """Plane and what it leaves, of 200 draws through the rays' twin, against what is claimed."""
+    """Planes and residuals of 200 draws through the twin of the rays agree with the claimed covariance and warp."""
     motions, rng = motions_of(), np.random.default_rng(7)
     sigma = np.tile(np.repeat([5e-3, 1e-4], 3), 6)
     joint = KeyframePosterior(motions, np.diag(sigma**2))
@@ -221,7 +221,7 @@ def test_motions_given_out_one_by_one_are_off_as_one() -> None:
 
 
 def test_relative_inflation_leaves_one_pose_and_a_common_motion() -> None:
-    """A common motion of all poses is not inflated; motion relative to the reference pose is."""
+    """A common motion of all poses is not inflated, but motion relative to the reference pose is."""
     motions = motions_of()
     p = np.array([m.world_from_body.translation for m in motions])
     common = together(motions, np.array([1e-3, 2e-3, 3e-3]), np.array([0.1, 0.2, 0.3])).reshape(-1, 6)
@@ -233,7 +233,7 @@ def test_relative_inflation_leaves_one_pose_and_a_common_motion() -> None:
 
 
 def test_the_joint_covariance_of_a_recording() -> None:
-    """Its blocks are those of the motions where tracks err independently; the middle one keeps its own where not."""
+    """The blocks are those of the motions if track errors are independent; otherwise the middle one keeps its own."""
     f = PointFlight(seed=5, seconds=2.0, count=60)
     plain, _ = run(f.events, NOISE.model_copy(update={"smooth": True, "smoother_repeat": 0.5}))
     refined = plain.refined()
@@ -251,7 +251,7 @@ def test_the_joint_covariance_of_a_recording() -> None:
     seen = np.zeros((3, len(wide.covariance)))
     seen[:, :3], seen[:, 6 * k : 6 * k + 3] = np.eye(3), -np.eye(3)
     arm = wide.motions[0].world_from_body.translation - wide.motions[k].world_from_body.translation
-    seen[:, 6 * k + 3 : 6 * k + 6] = skew(arm)  # from the middle one, its turning taken along
+    seen[:, 6 * k + 3 : 6 * k + 6] = skew(arm)  # relative to the middle one, which turns with its frame
     before, after = (np.trace(seen @ j.covariance @ seen.T) for j in (joint, wide))
     assert after > 5.0 * before
     error = np.concatenate([_error(f, m) for m in joint.motions])

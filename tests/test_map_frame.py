@@ -1,4 +1,4 @@
-"""The frame of a map and the world: what leaves has the offset applied; a new frame moves or drops what was found."""
+"""The map frame and the world: results have the offset applied; a new frame moves or drops earlier results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def frame_of(offset: np.ndarray = OFFSET, frame_id: int = 0, covariance: np.ndar
 
 
 def test_a_motion_knows_where_its_frame_lies() -> None:
-    """Its covariance is a second moment with the offset in it; applied, the offset is no error any more."""
+    """The covariance is a second moment that includes the offset; once applied, the offset is no error any more."""
     own = np.diag([0.04, 0.09, 0.16, 1e-6, 1e-6, 1e-6])
     second = own.copy()
     second[:3, :3] += np.outer(OFFSET, OFFSET)
@@ -95,7 +95,7 @@ def test_a_tie_adds_up_what_is_not_known_of_both_places() -> None:
 
 
 def test_a_site_in_reserve_is_moved_where_its_clearance_covers_the_tie() -> None:
-    """Clearances of 6.3 and 0.5 m, a tie known to 1 m: the first stays a site, the second may lie in a hazard."""
+    """Clearances are 6.3 and 0.5 m, the tie is known to 1 m: the first stays a site, the second may be in a hazard."""
     near = replace(site(2, 20.0, 3.0), clearance=0.5)
     after = Reserve((site(), near)).tied(OFFSET, 1.0, 4)
     assert [(s.rank, s.east) for s in after.sites] == [(1, site().east + 1.25)]
@@ -122,7 +122,7 @@ def test_the_place_of_the_map_stands_in_the_files() -> None:
 
 @dataclass
 class FramedLane:
-    """Given poses in frames of their own: from exposure `change` on in frame 1 with another offset."""
+    """Lane with given poses in map frames: from exposure `change` on in frame 1 with another offset."""
 
     given: GivenLane
     covariance: np.ndarray
@@ -166,7 +166,7 @@ def _flown_by(lane: NavigationLane, rig: Rig) -> Pipeline:
 
 
 def flown(covariance: np.ndarray, change: int = 1_000_000) -> tuple[list[Reserve], Decision]:
-    """The reserves on the way, and the end."""
+    """Fly with map frames; return the reserve after each event, and the decision."""
     f, events = flight()
     lane = FramedLane(GivenLane(f.rig, f.truth_trajectory, Settings().motion), covariance, change=change)
     p, reserves = _flown_by(lane, f.rig), []
@@ -178,7 +178,7 @@ def flown(covariance: np.ndarray, change: int = 1_000_000) -> tuple[list[Reserve
 
 @cache
 def in_the_world() -> Decision:
-    """The same with poses that have no offset."""
+    """Fly the same events with poses that have no offset."""
     f, events = flight()
     p = Pipeline(f.rig, "flight", settings_of(*SETTINGS), f.truth_trajectory)
     for e in events:
@@ -187,7 +187,7 @@ def in_the_world() -> Decision:
 
 
 def difference(a: ElevationMap, b: ElevationMap) -> np.ndarray:
-    """Metres between two maps, of the cells that both give out."""
+    """Absolute height differences of two maps in metres, for cells that are trusted in both."""
     (row, r), (col, c) = (_shared(*i) for i in zip(b.grid.index(*a.grid.xy()), b.grid.shape, strict=True))
     here, there = np.ix_(r, c), np.ix_(row, col)
     both = a.trusted[here] & b.trusted[there]
@@ -195,7 +195,7 @@ def difference(a: ElevationMap, b: ElevationMap) -> np.ndarray:
 
 
 def _shared(index: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which rows of the second grid are those of the first, and which of the first have one."""
+    """Rows of the second grid that coincide with rows of the first, and the rows of the first that have one."""
     nearest = np.rint(index).astype(int)
     assert_allclose(index, nearest, atol=1e-6)  # one raster
     has = np.flatnonzero((nearest >= 0) & (nearest < size))
@@ -203,7 +203,7 @@ def _shared(index: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_what_leaves_the_pipeline_is_in_the_world() -> None:
-    """A map frame 1.5 m beside the world: map, sites and route are those of poses in the world."""
+    """In a map frame 1.5 m beside the world, map, sites and route are those of poses in the world."""
     reserves, there = flown(EXACT)
     here = in_the_world()
     assert there.elevation is not None
@@ -234,7 +234,7 @@ def test_a_restart_moves_the_sites_where_the_tie_is_known() -> None:
     assert last_old.sites
     moved = {(round(s.east, 3), round(s.north, 3)) for s in first_new.sites}
     newest = {(round(s.east, 3), round(s.north, 3)) for s in last_old.sites}
-    assert moved & newest  # in the world they stay where they were
+    assert moved & newest  # their place in the world stays
     assert {end.sites.frame_id, end.elevation.frame_id if end.elevation else None} == {1}
     assert any("map: the motion began anew (frame 1)" in w for w in end.warnings)
     assert any("are moved into the new frame" in w for w in end.warnings)
@@ -245,7 +245,7 @@ def test_a_restart_moves_the_sites_where_the_tie_is_known() -> None:
 
 
 def test_a_restart_drops_what_no_tie_holds() -> None:
-    """GPS/INS good to 3 m: nothing of before survives, neither in the map nor in reserve, and the run says so."""
+    """With GPS/INS good to 3 m, nothing from before stays in the map or in reserve, and the run reports this."""
     reserves, end = flown(VAGUE, change=22)
     last_old = next(r for r in reversed(reserves) if r.frame_id == 0)
     first_new = next(r for r in reserves if r.frame_id == 1)
@@ -259,11 +259,11 @@ def test_a_restart_drops_what_no_tie_holds() -> None:
     first = f.pose(next(e.t_ns for e in events if isinstance(e, Frame))).translation
     row, col = (int(np.rint(v)) for v in end.elevation.grid.index(first[0], first[1]))
     inside = 0 <= row < end.elevation.grid.rows and 0 <= col < end.elevation.grid.cols
-    assert not inside or not end.elevation.trusted[row, col]  # where the flight began was seen in the old frame only
+    assert not inside or not end.elevation.trusted[row, col]  # the start of the flight was seen in the old frame only
 
 
 def test_a_late_exposure_of_the_old_frame_drops_nothing() -> None:
-    """It arrives after the restart: it has no place in the new map, and is no restart of its own."""
+    """The exposure arrives after the restart: it has no place in the new map, and is no second restart."""
     f, events = flight()
     lane = FramedLane(GivenLane(f.rig, f.truth_trajectory, Settings().motion), EXACT, change=22)
     fed = [n for e in events if (n := lane.feed(e)) is not None]

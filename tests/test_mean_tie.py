@@ -1,4 +1,4 @@
-"""What a landing's set-points are tied to: the autopilot's estimate, without the noise of its reports."""
+"""The tie of a landing's set-points: the autopilot's estimate, without the noise of its reports."""
 
 from __future__ import annotations
 

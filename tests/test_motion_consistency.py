@@ -1,4 +1,4 @@
-"""The filter against its own claims: 50 seeded flights without images, and what its parts must keep to."""
+"""The filter against its own claims: 50 seeded flights without images, and the properties of its parts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_nees_of_the_pose_stays_in_its_band(flights: list[tuple[PointFlight, lis
 
 
 def test_each_part_of_the_pose_is_as_good_as_it_claims(flights: list[tuple[PointFlight, list[Motion]]]) -> None:
-    """Position and attitude, each axis: errors at the end in units of their sigma spread by about one."""
+    """Position and attitude, each axis: errors at the end over their sigma have a spread of about one."""
     found = [error(motions[-1], f.truth(motions[-1].t_ns)) for f, motions in flights]
     spread = np.sqrt(np.mean([e**2 / np.diag(c) for e, c in found], axis=0))
     assert spread.min() > 0.7
@@ -61,20 +61,20 @@ CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]
 
 
 def seen_from(poses: WindowPoses, x: F64, rng: np.random.Generator, noise: float = 0.0) -> WindowObservations:
-    """All points seen from all poses by both cameras."""
+    """Return observations of all points from all poses by both cameras."""
     z = np.array([[[project(R, p, c, q) for c in CAMS] for R, p in zip(poses.R, poses.p, strict=True)] for q in x])
     return WindowObservations(np.arange(len(x)), z + noise * rng.normal(size=z.shape), np.full(z.shape[:2], 1e-3))
 
 
 def row_of_poses(rng: np.random.Generator, count: int = 4) -> WindowPoses:
-    """Some poses 30 m up, a metre apart."""
+    """Return some poses 30 m up, a metre apart."""
     R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(count)])
     p = np.array([[1.0 * k, 0.1 * k, 30.0] for k in range(count)]) + 0.1 * rng.normal(size=(count, 3))
     return WindowPoses(R, p, R, p)
 
 
 def window_at(poses: WindowPoses, *variances: float) -> FilterState:
-    """A state with a clone at each pose, independent, of these variances of rotation [rad^2] and position [m^2]."""
+    """Return a state with an independent clone at each pose; variances of rotation [rad^2] and position [m^2]."""
     state = FilterState(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
     for k, (R, p) in enumerate(zip(poses.R, poses.p, strict=True)):
         state.R, state.core[3:6] = R, p
@@ -99,7 +99,7 @@ def test_rays_meet_in_their_points(seed: int) -> None:
 @given(st.integers(0, 1000), st.tuples(angles, angles, angles))
 @settings(max_examples=20, deadline=None, derandomize=True)
 def test_turning_and_moving_everything_is_not_seen(seed: int, turn: tuple[float, float, float]) -> None:
-    """The gauge: a rigid motion of all poses (about any axis) leaves every eliminated row as it is."""
+    """A rigid motion of all poses (about any axis) leaves every eliminated row unchanged: it is the gauge."""
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
     found = marginalise_points(seen_from(poses, x, rng, 1e-3), poses, CAMS, x)
@@ -114,7 +114,7 @@ def test_turning_and_moving_everything_is_not_seen(seed: int, turn: tuple[float,
 @given(st.integers(0, 1000))
 @settings(max_examples=20, deadline=None, derandomize=True)
 def test_misfits_follow_the_poses(seed: int) -> None:
-    """What features miss by after their poses have moved a little: as computed anew from there."""
+    """Misfits predicted for slightly moved poses agree with those computed anew at these poses."""
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
     observations, error = seen_from(poses, x, rng, 1e-3), 1e-4 * rng.normal(size=24) * np.tile([1, 1, 1, 20, 20, 20], 4)
@@ -127,10 +127,10 @@ def test_misfits_follow_the_poses(seed: int) -> None:
 
 
 def test_features_that_drift_together_get_little_weight() -> None:
-    """A third of the features drifts by a sigma from pose to pose, as water does: inside every gate.
+    """A third of the features drifts by a sigma from pose to pose, as water does, which passes every gate.
 
-    They get little weight, and the poses are less than twice as far off as with the others alone; with equal weights
-    three times as far as that.
+    They get little weight, and the poses are less than twice as far off as with the others alone. With equal weights
+    they are three times as far off as that.
     """
     rng, drift = np.random.default_rng(9), np.array([1.0, 0.4]) * 1e-3
     off: dict[str, list[float]] = {"all": [], "still": [], "alike": []}
@@ -155,7 +155,7 @@ def test_features_that_drift_together_get_little_weight() -> None:
 
 
 def test_a_point_that_lags_behind_is_dropped() -> None:
-    """Residuals always on one side, among points whose residuals are nearly as large and on any side."""
+    """The point's residuals are always on one side; those of others are nearly as large, and on any side."""
     rng = np.random.default_rng(2)
     points, all_of_them = Landmarks.new(np.arange(12), np.zeros((12, 3)), np.zeros((12, 3)), 4), np.arange(12)
     for _ in range(12):
@@ -166,10 +166,10 @@ def test_a_point_that_lags_behind_is_dropped() -> None:
 
 
 def test_gps_and_ins_rows_agree_with_differences() -> None:
-    """The Jacobians of M14 to M16 by every part of the core: numerical ones of what the rows leave over."""
+    """The Jacobians of M14 to M16 by every part of the core agree with differences of the residuals."""
     rng = np.random.default_rng(4)
     state = FilterState(0, so3_exp(rng.normal(size=3)), rng.normal(size=CORE), np.eye(CORE))
-    state.core[NAV_ATT] *= 1e-3  # degrees at most: H takes the error of a turned frame for that of the frame
+    state.core[NAV_ATT] *= 1e-3  # degrees at most: H replaces the error of a turned frame by that of the frame
     sample = NavSample(0, rng.normal(size=3), state.R @ so3_exp([1e-3, 2e-3, -1e-3]), rng.normal(size=3))
     sigma, h = np.ones(9), 1e-6
 
@@ -186,7 +186,7 @@ def test_gps_and_ins_rows_agree_with_differences() -> None:
 
 
 def test_a_new_clone_agrees_with_differences() -> None:
-    """The derivative of a clone by attitude, position and mounting: what the rig's pose does when they change."""
+    """The derivatives of a clone by attitude and mounting agree with differences of the rig's pose."""
     rng, h = np.random.default_rng(6), 1e-6
     state = FilterState(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.diag(rng.uniform(1.0, 2.0, CORE)))
     state.core[MOUNT], state.P[TIME, TIME] = 1e-3 * rng.normal(size=3), 0.0
@@ -203,7 +203,7 @@ def test_a_new_clone_agrees_with_differences() -> None:
 
 
 def test_eliminated_rows_agree_with_differences() -> None:
-    """The gradient of the misfit, points at their best, by the poses: numerical and -2 b."""
+    """The numerical gradient of the misfit by the poses, with points at their best, is -2 b."""
     rng = np.random.default_rng(5)
     poses, x = row_of_poses(rng, 3), ground(rng, 6)
     observations = seen_from(poses, x, rng, 1e-3)
@@ -235,7 +235,7 @@ def test_rows_of_unit_noise_have_the_information() -> None:
 
 
 def test_a_correction_is_that_of_least_squares() -> None:
-    """Covariance and mean after a measurement: those of the information form."""
+    """Covariance and mean after a measurement are those of the information form."""
     rng = np.random.default_rng(7)
     L = rng.normal(size=(CORE, CORE))
     P, H, r = L @ L.T, rng.normal(size=(4, 3)), rng.normal(size=4)
@@ -248,12 +248,12 @@ def test_a_correction_is_that_of_least_squares() -> None:
 
 
 def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
-    """Poses with a loose prior and many observations: errors are small, and as large as their covariance."""
+    """With a loose prior of the poses and many observations, errors are small and fit their covariance."""
     rng = np.random.default_rng(8)
     true, x = row_of_poses(rng, 4), ground(rng, 40)
     state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
     state.core[3:6] = true.p[0]
-    for k in range(4):  # the first is known, the others are off by what the prior says
+    for k in range(4):  # the first is exact, the others have errors as by their prior
         off = np.zeros(6) if k == 0 else rng.normal(size=6) * np.repeat([2e-3, 0.2], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
         state.add_clone(k)
@@ -268,8 +268,8 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
 
 
 def test_a_ring_claims_less_where_the_sights_disagree() -> None:
-    """Residuals of five sigmas, ten observations counted as one: poses relative to the last one get 10 x 25 times the
-    variance, and the covariance of the last one stays."""
+    """With residuals of five sigmas and ten observations that count as one, poses relative to the last one get 10 x 25
+    times the variance, and the covariance of the last one stays."""
     rng, wide = np.random.default_rng(8), ALIKE.model_copy(update={"pixel_repeat": 10.0})
     true, x = row_of_poses(rng, 4), ground(rng, 200)
     state = window_at(true, 4e-2, 100.0)
@@ -287,7 +287,7 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
 
 
 def test_observations_that_contradict_the_poses_as_a_whole_move_none_of_them() -> None:
-    """Half a turn between two exposures, as where the lines of a car park are taken for each other: all are wrong
+    """Half a turn lies between two exposures, as if the lines of a car park were confused: all observations are wrong
     alike, so that none stands out from the median."""
     rng = np.random.default_rng(8)
     true, x = row_of_poses(rng, 4), ground(rng, 40)
@@ -305,7 +305,7 @@ def test_observations_that_contradict_the_poses_as_a_whole_move_none_of_them() -
 
 @pytest.mark.parametrize("wrong", [None, Quantity.POSITION, Quantity.VELOCITY])
 def test_each_quantity_of_a_row_has_a_gate_of_its_own(wrong: Quantity | None) -> None:
-    """A position 100 m off, or a velocity 30 m/s off, is rejected alone: health and state follow the others."""
+    """A position 100 m off, or a velocity 30 m/s off, is rejected alone; health and state follow the others."""
     f = PointFlight(seed=3, seconds=2.0, count=40)
     estimator, motions = run([e for e in f.events if f.seconds_of(e) < 1.5], SMALL)
     last = motions[-1].world_from_body.translation

@@ -1,4 +1,4 @@
-"""Named damage, and what the filter must make of it; the expectation stands in each docstring."""
+"""Named damage, and the required response of the filter; the expectation stands in each docstring."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def fly(scenario: object, **changes: float) -> Outcome:
 
 
 def test_a_gps_jump_of_5_m_for_3_s() -> None:
-    """GPS 5 m off for 3 s: DEGRADED (vision only) while it lasts, GOOD within a second after; the poses do not follow
-    (0.1 m against the same flight undamaged, a second after) and do not jump."""
+    """GPS is 5 m off for 3 s: DEGRADED (vision only) while it lasts, GOOD within a second after. The poses do not
+    follow (0.1 m against the same flight undamaged, a second after) and do not jump."""
     o = fly(JUMP, length=11.0)
     assert o.share(GOOD, 1.0, 6.0) > 0.98
     assert o.states(6.3, 9.0) == {DEGRADED}
@@ -32,14 +32,14 @@ def test_a_gps_jump_of_5_m_for_3_s() -> None:
 
 
 def test_a_fifth_of_the_frames_dropped() -> None:
-    """Every fifth frame is missing: a dropped frame is no reason to worry: GOOD nearly always, errors within sigma."""
+    """Every fifth frame is missing, which does not degrade the motion: GOOD nearly always, errors within sigma."""
     o = fly(DROPPED, length=8.0)
     assert o.share(GOOD, 1.0, 8.0) > 0.95
     assert o.normalised(2.0) < 4.0
 
 
 def test_a_lens_covered_for_3_s() -> None:
-    """Nothing is seen for 3 s: DEGRADED (GPS/INS only) within 0.6 s, GOOD within one second after, no jump."""
+    """No feature is seen for 3 s: DEGRADED (GPS/INS only) within 0.6 s, GOOD within one second after, no jump."""
     o = fly(COVERED, length=11.0)
     assert o.states(6.6, 9.0) == {DEGRADED}
     assert {m.why.split(":")[0] for m in o.motions if 6.6 < seconds(m) < 9.0} == {"GPS/INS only"}
@@ -49,15 +49,15 @@ def test_a_lens_covered_for_3_s() -> None:
 
 
 def test_a_third_of_the_features_moves() -> None:
-    """30 % of the features drift with the wind: they are gated out; GOOD, errors within sigma all the way."""
+    """30 % of the features drift with the wind, and are rejected by the gate: GOOD, errors within sigma all the way."""
     o = fly(MOVING, length=8.0)
     assert o.share(GOOD, 1.0, 8.0) > 0.95
     assert o.normalised(2.0) < 4.0
 
 
 def test_an_ins_heading_10_degrees_off() -> None:
-    """The compass is 10 degrees off from the start, six times what it claims: the pictures contradict it, the heading
-    is found from them and GPS; attitude within 1.5 degrees after 5 s, GOOD, in one map."""
+    """The compass is 10 degrees off from the start, six times its claimed sigma, and the pictures contradict it.
+    Pictures and GPS give the heading: attitude within 1.5 degrees after 5 s, GOOD, in one map."""
     o = fly(TURNED, length=8.0)
     assert o.states(6.0, 8.0) == {GOOD}
     assert o.turned(5.0) < np.radians(1.5)
@@ -65,7 +65,7 @@ def test_an_ins_heading_10_degrees_off() -> None:
 
 
 def test_gps_silent_for_30_s() -> None:
-    """No GPS/INS for 30 s at 5 m/s: DEGRADED (vision only), never LOST; drift below 1.5 % of the way; GOOD after."""
+    """No GPS/INS for 30 s at 5 m/s: DEGRADED (vision only), never LOST; drift below 1.5 % of the way; then GOOD."""
     o = fly(OUTAGE)
     assert o.states(10.5, 38.0) == {DEGRADED}
     assert o.states(39.0, 40.0) == {GOOD}
@@ -89,8 +89,8 @@ def test_a_jump_that_stays_is_taken_in_after_5_s() -> None:
 
 
 def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
-    """Nothing at all for 4 s: LOST, and when GPS/INS is back another map: the poses before and after are tied together
-    by GPS alone, and the number of the map says so; GOOD within a second."""
+    """Nothing comes for 4 s: LOST, and with GPS/INS again another map number. The poses before and after are tied
+    together by GPS alone, and the map number shows this; GOOD within a second."""
     f = PointFlight(seed=3, seconds=8.0, count=60)
 
     def cut(e: object) -> object:
@@ -110,7 +110,7 @@ def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
 
 
 def test_lost_is_said_while_it_lasts() -> None:
-    """Blind and without GPS: DEGRADED at first, LOST after two seconds, with the reason; the covariance grows."""
+    """Blind and without GPS, the motion is LOST in the end, with the reason, and the covariance grows."""
     f = PointFlight(seed=4, seconds=5.0, count=60)
 
     def cut(e: object) -> object:
@@ -126,7 +126,7 @@ def test_lost_is_said_while_it_lasts() -> None:
 
 @pytest.mark.parametrize("smooth", [True, False])
 def test_live_needs_no_recording(smooth: bool) -> None:
-    """`smooth: false`: nothing is kept of what went by; the same motions come out."""
+    """With `smooth: false` nothing is kept for the smoother, and motions still come out."""
     f = PointFlight(seed=5, seconds=1.0, count=60)
     estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": smooth}))
     assert bool(estimator.smoothed()) == smooth
@@ -134,8 +134,8 @@ def test_live_needs_no_recording(smooth: bool) -> None:
 
 
 def test_a_camera_that_is_mounted_otherwise() -> None:
-    """The camera is turned by 20 mrad against the INS: as a state it is found to within what it claims, and what the
-    pictures say of the cameras stays consistent."""
+    """The camera is turned by 20 mrad against the INS: with the mounting as a state, the tilt of the cameras is at most
+    0.6 of that with the mounting held."""
     f = PointFlight(seed=6, seconds=10.0, count=60, imu=False, mounting=(0.012, -0.010, 0.012))
     motions = run(f.events, NOISE.model_copy(update={"mounting_sigma": 0.02}))[1]
     held = run(f.events)[1]

@@ -1,4 +1,4 @@
-"""What the filter lets expect of the next exposure, and the search for features that is bounded by it."""
+"""The filter's prediction of the next exposure, and the search for features that is bounded by it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STEP = 100_000_000  # ns between two exposures
 
 
 def after(seconds: float, imu: bool = True) -> tuple[MotionFilter, int, int, list[ImuSample]]:
-    """A filter in flight, the last exposure that it has taken, the next one, and the IMU until then."""
+    """Return a filter in flight, its last exposure, the next exposure, and the IMU samples until then."""
     flight = PointFlight(seed=4, seconds=seconds, count=60, imu=imu)
     last = max(e.t_ns for e in flight.events if isinstance(e, Tracks))
     f = MotionFilter(RIG, NOISE.model_copy(update={"points": 16}))
@@ -34,13 +34,13 @@ def after(seconds: float, imu: bool = True) -> tuple[MotionFilter, int, int, lis
 
 
 def shift(now: Prediction) -> Pose:
-    """Camera 0 now from then."""
+    """Camera 0 now from camera 0 then."""
     assert now.earlier is not None
     return now.world_from_cams[0].inverse @ now.earlier[0]
 
 
 def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
-    """A forecast whose state is off by (24,) errors: the last rig, then attitude, place, velocity, biases, mounting."""
+    """Return a predictor with (24,) errors of the last rig, then of attitude, place, velocity, biases, mounting."""
     assert f.last is not None
     core = f.core.copy()
     core[POS], core[VEL] = core[POS] + error[9:12], core[VEL] + error[12:15]
@@ -51,7 +51,7 @@ def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
 
 @pytest.mark.parametrize("imu", [True, False])
 def test_the_change_of_the_pose_is_as_uncertain_as_the_state_makes_it(imu: bool) -> None:
-    """Against the derivatives of the prediction itself, by each error of the state; what time adds comes on top."""
+    """The predicted covariance agrees with derivatives by each error of the state, to which time adds noise."""
     f, then, now, samples = after(2.0, imu)
     said = f.predictor()
     assert said is not None
@@ -83,7 +83,7 @@ def test_without_imu_the_change_is_far_less_sure() -> None:
 
 
 def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None:
-    """As when tracking runs ahead by one exposure: two steps from one state, and less sure than one from the later."""
+    """When tracking runs ahead by one exposure, two steps start from one state, and are no more certain than one."""
     f, then, now, samples = after(2.0)
     said, rows = f.predictor(), ImuBuffer(samples)
     assert said is not None
@@ -114,7 +114,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def test_pixels_scatter_as_poses_and_depths_do() -> None:
-    """The covariance of carried pixels against 4,000 draws of the pose and of the depth, to a tenth."""
+    """The covariance of transferred pixels agrees to a tenth with 4,000 draws of the pose and of the depth."""
     rng, at = np.random.default_rng(1), np.array([[1.0, -2.0, 20.0], [-4.0, 3.0, 30.0]])
     root = np.diag([2e-3, 1e-3, 3e-3, 0.02, 0.05, 0.1]) @ so3_pair(rng)
     deep = np.array([[0.2, 0.0, 0.5], [0.0, 0.1, -0.3]])
@@ -128,7 +128,7 @@ def test_pixels_scatter_as_poses_and_depths_do() -> None:
 
 
 def so3_pair(rng: np.random.Generator) -> F64:
-    """Some rotation of six axes."""
+    """Return a random rotation in six dimensions."""
     return np.asarray(np.linalg.qr(rng.normal(size=(6, 6)))[0])
 
 
@@ -139,7 +139,7 @@ def test_within_is_an_ellipse() -> None:
 
 
 def followed(sigma: float | None) -> tuple[int, int]:
-    """Features followed for an exposure over ground as predicted, and on a lorry that drives 7 px another way.
+    """Number of features followed over ground as predicted, and on a lorry that drives 7 px another way.
 
     Args:
         sigma: m, of the predicted way; None: unknown.
@@ -162,7 +162,7 @@ def followed(sigma: float | None) -> tuple[int, int]:
 
 
 def test_a_sure_motion_leaves_the_lorry_and_a_vague_one_follows_it() -> None:
-    """A centimetre of the way is 0.15 px, a metre 15 px: the search is as wide as what the motion leaves open."""
+    """A centimetre of the way is 0.15 px, a metre 15 px: the search region grows with the uncertainty of the motion."""
     sure, vague, unknown = followed(0.01), followed(1.0), followed(None)
     assert sure[0] > 40
     assert sure[1] == 0

@@ -1,4 +1,4 @@
-"""Events that come late, and stamps that are off by a constant."""
+"""Events that arrive out of sequence, and stamps with a constant offset."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SMALL = NOISE.model_copy(update={"points": 16})
 
 
 def flown(events: list[Event | Tracks], settings: FilterSettings = SMALL) -> tuple[RollbackFilter, list[Motion]]:
-    """What the filter that takes late events gives out."""
+    """Run the filter for events out of sequence; return it and its motions."""
     f = RollbackFilter(RIG, settings)
 
     def expected() -> Iterator[Event | Tracks]:
@@ -30,7 +30,7 @@ def flown(events: list[Event | Tracks], settings: FilterSettings = SMALL) -> tup
 
 
 def delayed(events: list[Event | Tracks], kind: type, by: float, share: float) -> list[Event | Tracks]:
-    """Some events of a kind arrive later than they are stamped."""
+    """Delay the arrival of some events of a kind."""
     rng = np.random.default_rng(5)
 
     def arrival(e: Event | Tracks) -> float:
@@ -42,14 +42,14 @@ def delayed(events: list[Event | Tracks], kind: type, by: float, share: float) -
 @pytest.mark.parametrize(("kind", "by"), [(Tracks, 0.25), (NavSample, 0.15), (Tracks, 0.72)])
 def test_what_comes_late_is_used_in_its_place(kind: type, by: float) -> None:
     """A third of the exposures, or of the GPS/INS rows, comes up to 0.7 s late: none is lost, and at the end the filter
-    is where it is with all in order."""
+    has the state of events in order."""
     f = PointFlight(seed=1, seconds=4.0, count=60)
     _, whole = flown(f.events)
     late, motions = flown(delayed(f.events, kind, by, 0.3))
     assert late.too_late == 0
     assert {m.t_ns for m in motions} == {m.t_ns for m in whole}
     a, b = max(whole, key=lambda m: m.t_ns), max(motions, key=lambda m: m.t_ns)
-    assert np.linalg.norm(best(a)[0] - best(b)[0]) < 0.03  # the IMU between two events is known a little better
+    assert np.linalg.norm(best(a)[0] - best(b)[0]) < 0.03  # the IMU between two events is used a little better
     np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.1)
     assert nees(b, f.truth(b.t_ns)) < 25.0
 
@@ -87,8 +87,8 @@ def test_the_batch_has_late_exposures_in_their_place() -> None:
 @pytest.mark.parametrize("imu", [True, False])
 @pytest.mark.parametrize("offset", [0.04, -0.03])
 def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
-    """The cameras' stamps are 40 ms ahead, or 30 ms behind: as a state the offset is found to within what it claims;
-    poses are those of the exposures, within their sigma; held at zero the same flight is not."""
+    """The cameras' stamps are 40 ms ahead, or 30 ms behind: as a state the offset is estimated within its sigma, and
+    the poses are those of the exposures, within their sigma."""
     f = PointFlight(seed=5, seconds=8.0, count=60, imu=imu, time_offset=offset)
     free = SMALL.model_copy(update={"time_offset_sigma": 0.05})
     found, motions = flown(f.events, free)
@@ -104,7 +104,7 @@ def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
 
 
 def test_a_pose_at_another_time_agrees_with_differences() -> None:
-    """The derivative of a clone by the time offset is that of the pose by time, negated."""
+    """The derivative of a clone by the time offset is the negative derivative of the pose by time."""
     rng = np.random.default_rng(0)
     state = FilterState(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.eye(CORE) * 1e-6, rate=rng.normal(size=3))
     state.core[VEL] = rng.normal(size=3) * 4
@@ -117,7 +117,7 @@ def test_a_pose_at_another_time_agrees_with_differences() -> None:
 
 
 def test_three_cameras_are_held_together() -> None:
-    """A rig of three: GOOD, and poses within what they claim."""
+    """A rig of three cameras is GOOD, and its poses fit their covariance."""
     middle = RigCamera("middle", CAMERA, Pose(DOWN @ so3_exp([0.0, 0.05, 0.0]), [0.3, 0.0, 0.1]))
     rig = Rig((*RIG.cameras, middle))
     f = PointFlight(seed=7, seconds=3.0, count=60, rig=rig)
@@ -140,7 +140,7 @@ def test_a_time_offset_that_is_known_needs_no_state() -> None:
 
 
 def test_a_restored_filter_goes_on_as_it_was() -> None:
-    """Snapshot, the rest of the flight, back, the same events again: the same bits."""
+    """After a snapshot and a restore, the same events give the same bits again."""
     f = PointFlight(seed=6, seconds=3.0, count=60)
     middle = len(f.events) // 2
     estimator = MotionFilter(RIG, SMALL)

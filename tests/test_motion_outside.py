@@ -1,4 +1,4 @@
-"""The ring and the trajectory against outside tools: gtsam, and evo called as a program (extra `reference`)."""
+"""Keyframe posterior and trajectory against outside tools: gtsam, and evo called as a program (extra `reference`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from alight.motion.ekf.state import CORE, FilterState
 
 
 def loose_state(seed: int, count: int = 5) -> tuple[FilterState, object, np.ndarray]:
-    """Poses off by what their prior says; the observations of forty points from where they truly are."""
+    """Return poses with errors of their prior, and the observations of forty points from the true poses."""
     rng = np.random.default_rng(seed)
     true, x = row_of_poses(rng, count), ground(rng, 40)
     state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
@@ -33,7 +33,7 @@ def loose_state(seed: int, count: int = 5) -> tuple[FilterState, object, np.ndar
 
 
 def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same priors and observations with equal weights, solved by gtsam's Levenberg-Marquardt over all points.
+    """Solve the same priors and observations, with equal weights, by gtsam's Levenberg-Marquardt over all points.
 
     Poses agree to 2 mm and 0.05 mrad, sigmas to 3 %.
     """
@@ -68,7 +68,7 @@ def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_evo_reads_the_trajectory_and_agrees(tmp_path: Path) -> None:
-    """evo's absolute position error of a flight is ours."""
+    """evo's absolute position error of a flight is the same as ours."""
     evo = shutil.which("evo_ape") or str(Path(sys.executable).parent / "evo_ape")
     if not Path(evo).exists():
         pytest.skip("evo is not installed: pip install 'alight[reference]'")

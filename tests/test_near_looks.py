@@ -1,4 +1,4 @@
-"""Looks from near by: when they count, and what doubtful heights tell (docs/method/p-safe.md, G7f)."""
+"""Looks from near by: the conditions for them, and the use of doubtful heights (docs/method/near-looks.md, G7f)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_nearness_falls_with_the_pixel() -> None:
 
 
 def rough_ground(height: float) -> np.ndarray:
-    """(81, 81) metres: bumps of a decimetre's width, the largest of this height."""
+    """Heights (81, 81) in metres: bumps a decimetre wide, the largest of this height."""
     bumps = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 1, (81, 81)).astype(np.float32), (0, 0), 3.0)
     return np.asarray(height / np.abs(bumps).max() * bumps)
 
@@ -50,7 +50,7 @@ def looked_at(
     cover: TerrainMap | None = None,
     sampling: float | None = None,
 ) -> HazardMap:
-    """The verdict on spotted ground of these heights, seen with pixels of this size."""
+    """Judge spotted ground with these heights and pixels of this size."""
     grey = ground(height, sigma=0.005, rgb=(150, 150, 150))
     n, sample = grey.grid.shape, 2 * pixel if sampling is None else sampling
     spots = cv2.GaussianBlur(np.random.default_rng(4).normal(0, 1, (2 * n[0], 2 * n[1])), (0, 0), 1.5)
@@ -67,7 +67,7 @@ def looked_at(
 
 
 def plants(bears: float) -> TerrainMap:
-    """Tall plants with this chance of bearing, which no class refuses."""
+    """Tall plants with this probability of bearing, whose class refuses nothing."""
     shape = (81, 81)
     every = np.full(shape, bears, np.float32)
     grid = ground(np.zeros(shape)).grid
@@ -103,7 +103,7 @@ def test_level_ground_is_surer_from_near_by() -> None:
 
 @pytest.mark.parametrize("height", [0.15, 0.3])
 def test_doubtful_heights_that_stand_up_cost_probability_from_near_by(height: float) -> None:
-    """A tuft: its heights are in doubt, so that no limit counts them, and yet they were measured."""
+    """The heights of a tuft are in doubt, so that no limit uses them; but they were measured, and cost probability."""
     tuft = np.zeros((81, 81), np.bool_)
     tuft[38:43, 38:43] = True
     flat, tall = rough_ground(0.05), rough_ground(0.05)
@@ -114,14 +114,14 @@ def test_doubtful_heights_that_stand_up_cost_probability_from_near_by(height: fl
 
 
 def test_the_same_bumps_cost_more_the_higher_they_are() -> None:
-    """In the footprint the largest is half as high as on the map: 1 to 10 cm, where the lander stands 15."""
+    """In the footprint the largest is half as high as on the map: 1 to 10 cm, and the lander allows 15."""
     p = [looked_at(rough_ground(h), 0.02).p_obstacle[MID] for h in (0.02, 0.05, 0.08, 0.11, 0.14, 0.17, 0.2)]
     assert (np.diff(p) <= 0).all()
     assert -np.log(p[-1]) > 3 * -np.log(p[0])
 
 
 def test_a_measured_deviation_alone_is_enough_for_doubt() -> None:
-    """Smooth grey ground, as under a cloudy sky: no shadow, no spot, and doubtful heights where it stands up."""
+    """Smooth grey ground, as under a cloudy sky, has no shadow and no spot; heights of the stone are doubtful."""
     stone = np.zeros((81, 81), np.bool_)
     stone[38:43, 38:43] = True
     p = []

@@ -1,4 +1,4 @@
-"""Grounds on which there is no place to land: no site, and the reasons; every refused cell says what refused it."""
+"""Grounds without a place to land: no site, and the reasons; every refused cell has a reason."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SAID = {"lake": "covered|surely|unknown", "hay": "covered|rough|surely", "glare"
 
 @cache
 def flown(ground: str) -> Decision:
-    """18 m above nothing but this, 25 exposures, true poses."""
+    """Fly 18 m above one kind of ground, 25 exposures, true poses."""
     scene = Scene.model_validate({"name": ground, "ground": {"size": [90, 90], **GROUNDS[ground]}})
     rig = Rig((RigCamera("cam0", LENS, default_rig().cameras[0].body_from_cam),))
     f = fly(scene, 3, 5.0, rig=rig, rate_hz=5.0, height=18.0, speed=2.0)
@@ -61,7 +61,7 @@ def test_tall_grass_is_refused_as_what_it_is() -> None:
 
 
 def test_a_lake_from_rim_to_rim_is_refused_and_half_of_it_as_water() -> None:
-    """Nothing but water in the frame: the classes know half of it only, the missing heights refuse the rest."""
+    """The frame shows water only: the classes recognise half of it, and missing heights refuse the rest."""
     danger = flown("lake").hazards
     assert danger is not None
     assert ((danger.reasons & (Hazard.TERRAIN | Hazard.UNKNOWN | Hazard.EDGE)) != 0).mean() > 0.95

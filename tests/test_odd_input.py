@@ -1,4 +1,4 @@
-"""Odd input that a walk through every command found: each was silent, a traceback or a wait for ever."""
+"""Odd input found by trying every command: once each was ignored silently, or gave a traceback or an endless wait."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ LOCAL = LocalFrame(LATITUDE, LONGITUDE, HEIGHT)
 
 
 def ran(source: Path, *more: str) -> int:
-    """Exit code of a run."""
+    """Run a source; return the exit code."""
     return call(["run", str(source), "--out", str(source.parent / "out"), *more])
 
 
 def refused(capsys: Told, *words: str) -> None:
-    """One line of an error with these words."""
+    """Assert one line of an error with these words."""
     said = capsys.readouterr().err
     assert said.startswith("error: "), said
     assert said.count("\n") == 1
@@ -54,13 +54,13 @@ def refused(capsys: Told, *words: str) -> None:
     ],
 )  # fmt: skip
 def test_what_is_no_number_of_ours(setting: str, words: str, capsys: Told) -> None:
-    """YAML 1.1 takes 1:30 for 90 and 0x10 for 16, Python true for 1."""
+    """YAML 1.1 reads 1:30 as 90 and 0x10 as 16; Python takes true for 1."""
     assert call(["settings", "--set", setting]) == 2
     refused(capsys, words)
 
 
 def test_a_number_with_a_leading_zero_is_decimal(capsys: Told) -> None:
-    """YAML 1.1 takes 010 for 8."""
+    """YAML 1.1 reads 010 as 8."""
     assert call(["settings", "--set", "lander.radius=010"]) == 0
     assert "  radius: 10.0\n" in capsys.readouterr().out
 
@@ -82,7 +82,7 @@ def test_merged_keys_are_no_repetition(tmp_path: Path, capsys: Told) -> None:
 
 @pytest.mark.parametrize("columns", ["0", ""])
 def test_a_terminal_without_columns(columns: str) -> None:
-    """It hid the whole help."""
+    """Without columns the whole help was missing."""
     code = "import sys; from alight.cli import main; sys.argv = ['alight', 'settings', '--help']; main()"
     env = os.environ | {"COLUMNS": columns, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
@@ -103,7 +103,7 @@ def test_a_stream_that_is_no_plain_file(stream: str, kind: str, flight: Path, ca
 
 
 def restamp(flight: Path, change: Callable[[int], str]) -> None:
-    """Write the times of all streams anew."""
+    """Replace the times of all streams."""
     for table in flight.glob("mav0/*/data.csv"):
         head, *rows = table.read_text().splitlines()
         fields = [row.partition(",") for row in rows]
@@ -178,7 +178,7 @@ def test_a_library_with_a_pipe_in_it(name: str, tmp_path: Path, capsys: Told) ->
 
 
 def test_a_video_that_is_none_is_told_by_us_alone(tmp_path: Path) -> None:
-    """In a process of its own: the decoder asks once a process how much it may say."""
+    """The test runs a process of its own, because the decoder reads the level of its messages once a process."""
     (tmp_path / "v.mp4").write_text("no video")
     place = "[latitude: 45.0] [longitude: 7.6] [abs_alt: 350]"
     (tmp_path / "v.srt").write_text(f"1\n00:00:00,000 --> 00:00:01,000\n{place}\n")
@@ -202,7 +202,7 @@ def test_a_video_that_is_none_is_told_by_us_alone(tmp_path: Path) -> None:
 
 
 def write_dem(path: Path, values: NDArray[np.generic], east: float = -12.0) -> Path:
-    """A raster on the grid of the made-up run, or elsewhere."""
+    """Write a raster on the grid of the made-up run, or elsewhere."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows, cols = values.shape
     form = {"driver": "GTiff", "width": cols, "height": rows, "count": 1, "dtype": values.dtype.name}
@@ -220,13 +220,13 @@ def test_complex_heights(tmp_path: Path, capsys: Told) -> None:
 
 @pytest.fixture
 def done(tmp_path: Path) -> Path:
-    """A run over the place of the flight."""
+    """Write a run over the place of the flight."""
     write_run(some_run(local=LOCAL), tmp_path / "run")
     return tmp_path / "run"
 
 
 def evaluated(run: Path, flight: Path) -> int:
-    """Exit code of `alight evaluate`."""
+    """Call `alight evaluate`; return the exit code."""
     return call(["evaluate", str(run), "--truth", str(flight)])
 
 
@@ -248,7 +248,7 @@ def test_a_site_beyond_the_frame(done: Path, flight: Path, capsys: Told) -> None
 
 @pytest.mark.parametrize("case", ["elsewhere", "nothing known"])
 def test_truth_that_says_nothing_of_the_map(case: str, done: Path, flight: Path, capsys: Told) -> None:
-    """Its sites were counted as unsafe."""
+    """Sites of such a run were counted as unsafe."""
     height = np.full((120, 160), np.nan if case == "nothing known" else HEIGHT, np.float32)
     for name, values in (("dem", height), ("class", np.ones((120, 160), np.uint8))):
         write_dem(flight / "truth" / f"{name}.tif", values, -12.0 if case == "nothing known" else -12000.0)
@@ -261,7 +261,7 @@ def test_truth_that_says_nothing_of_the_map(case: str, done: Path, flight: Path,
 
 @pytest.mark.parametrize("item", ["0", "-1", "3"])
 def test_an_item_that_a_list_has_not(item: str, tmp_path: Path, capsys: Told) -> None:
-    """0 was the last one."""
+    """Item 0 was once the last one."""
     (tmp_path / "s.yaml").write_text("ground: {layers: [{thing: rocks}, {thing: trees}]}\n")
     words = ["--set", f"ground.layers.{item}.per_hectare=5", "--out", str(tmp_path / "flight")]
     assert call(["simulate", str(tmp_path / "s.yaml"), *words]) == 2
@@ -291,7 +291,7 @@ def test_options_out_of_range(words: list[str], capsys: Told) -> None:
 
 
 def test_a_rehearsal_that_cannot_keep_up_ends_and_knows_it() -> None:
-    """It stepped for ever after a clock that ran away, and took no Ctrl-C."""
+    """The steps once never ended behind a clock that ran away, and Ctrl-C had no effect."""
     nobody = SimpleNamespace(step=lambda seconds: None, pending=lambda: [], receive=lambda data: None)
     with UdpServer(nobody, step=0.001, after_step=lambda: time.sleep(0.02)) as server:  # type: ignore[arg-type]
         time.sleep(0.3)
@@ -302,7 +302,7 @@ def test_a_rehearsal_that_cannot_keep_up_ends_and_knows_it() -> None:
 
 
 def test_a_photo_whose_attitude_nothing_fixes_is_not_registered() -> None:
-    """Two photos of noise matched each other: their variances were -3e6, and Python warned of a root on stderr."""
+    """Two photos of noise were matched: their variances were -3e6, and Python warned of a square root on stderr."""
     joint = np.eye(6 * 4 + 2) * 1e-4
     joint[9, 9], joint[16, 16], joint[21:24, 21:24] = 1e9, -1e-9, np.nan
     assert fixed_attitudes(joint, 4).tolist() == [True, False, False, False]

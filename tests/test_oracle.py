@@ -29,7 +29,7 @@ def ground(height, label=None):
 
 
 def down_at(east=0.0, north=0.0, heading=0.0):
-    """Body pose at a place, its nose `heading` clockwise from north."""
+    """Body pose at a place, with the nose `heading` clockwise from north."""
     s, c = math.sin(heading), math.cos(heading)
     return Pose(np.array([[s, -c, 0.0], [c, s, 0.0], [0.0, 0.0, 1.0]]), np.array([east, north, 0.3]))
 
@@ -47,7 +47,7 @@ def test_a_plane_has_its_slope_and_nothing_else(lander, heading):
 
 
 def test_a_step_under_one_foot_rocks_about_the_diagonal_through_it():
-    """It stands on the raised foot and the opposite one, and tips to either of the others: the slope of that plane."""
+    """The lander stands on the raised foot and the opposite one, and tips to another one: the tilt of that plane."""
     step = 0.12
     world = ground(np.where((EAST > 0.3) & (NORTH > 0.3), step, 0.0))
     got = judge_touchdown(world, LEGGED, down_at())
@@ -58,7 +58,7 @@ def test_a_step_under_one_foot_rocks_about_the_diagonal_through_it():
 
 
 def test_four_feet_that_straddle_a_diagonal_rest_on_three():
-    world = ground(np.where((EAST > 0.3) & (NORTH > 0.0), 0.1, 0.0))  # one side up in front: north-east foot
+    world = ground(np.where((EAST > 0.3) & (NORTH > 0.0), 0.1, 0.0))  # one side is high in front: north-eastern foot
     level = judge_touchdown(ground(np.where(EAST > 0.0, 0.1, 0.0)), LEGGED, down_at())
     assert math.tan(level.tilt) == pytest.approx(0.1, rel=1e-6)  # both eastern feet: 0.1 m over 1 m, no rocking
     assert judge_touchdown(world, LEGGED, down_at()).tilt == pytest.approx(level.tilt, rel=1e-6)
@@ -79,7 +79,7 @@ def test_skids_rock_over_a_ridge_between_their_ends_and_both_ends_are_judged():
     ridge = 0.1
     world = ground(np.where(np.abs(NORTH) < 0.04, ridge, 0.0))
     got = judge_touchdown(world, SKIDDED, down_at())
-    assert math.tan(got.tilt) == pytest.approx(ridge / 0.8, rel=1e-3)  # tipped until an end of the rails is down
+    assert math.tan(got.tilt) == pytest.approx(ridge / 0.8, rel=1e-3)  # tilted until an end of the rails is down
 
 
 def test_without_gear_the_roughness_of_the_whole_footprint_counts():
@@ -166,7 +166,7 @@ def test_a_step_has_a_limit_of_its_own_where_one_is_set():
 
 
 def test_every_limit_of_a_lander_is_judged_or_left_aside_by_name():
-    """A new one is not left out without a word."""
+    """A new limit is not ignored silently."""
     with pytest.raises(TypeError):
         OracleLander.of({"radius": 0.9, "max_hum": 3.0})
     assert OracleLander.of(Settings().lander.model_dump()).max_step is None

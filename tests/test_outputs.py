@@ -1,4 +1,4 @@
-"""The folder of a run: contents, and that it is whole or not at all."""
+"""The folder of a run: its contents, and that it is complete or absent."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_dem_is_above_the_ellipsoid_and_empty_where_refused(out: Path) -> None:
 
 
 def test_what_the_whole_map_shares_stands_in_tags_and_run_json(tmp_path: Path) -> None:
-    """Offset and tilt of the poses; nothing where the poses came without covariance."""
+    """Offset and tilt come from the poses; without a covariance of the poses there are none."""
     gauge = Datum(3.0, -4.0, np.array([[1.21, 0, 0], [0, 4e-6, 1e-6], [0, 1e-6, 9e-6]]))
     warp = np.full(GRID.shape, 0.04, np.float32)
     write_run(some_run(elevation=replace(elevation(), gauge=gauge, warp=warp)), tmp_path)
@@ -92,7 +92,7 @@ def test_what_the_whole_map_shares_stands_in_tags_and_run_json(tmp_path: Path) -
     assert [float(v) for v in tags["COMMON_CENTRE_M"].split(",")] == pytest.approx([3.0, -4.0])
     covariance = np.array([float(v) for v in tags["COMMON_COVARIANCE"].split(",")]).reshape(3, 3)
     np.testing.assert_allclose(covariance, gauge.covariance, rtol=1e-5)
-    assert np.nanmax(sigma) == pytest.approx(0.05)  # 0.03 of the match, 0.04 of what the poses bend
+    assert np.nanmax(sigma) == pytest.approx(0.05)  # 0.03 of the match, 0.04 of the warp by the poses
     common = loaded(tmp_path / "run.json")["common_error"]
     assert common["offset_sigma_m"] == pytest.approx(1.1)
     assert common["tilt_sigma_rad"] == pytest.approx([2e-3, 3e-3])
@@ -155,7 +155,7 @@ def test_reasons_name_their_bits(out: Path) -> None:
 
 
 def test_hazards_on_coarser_cells_are_written_on_the_grid_of_the_heights(tmp_path: Path) -> None:
-    """Judged on cells of twice the size, of which the last row reaches beyond the heights."""
+    """Hazards are judged on cells of twice the size, whose last row reaches beyond the heights."""
     fine = hazards()
     cut = replace(GRID, rows=ROWS - 1)
     e = elevation()
@@ -277,7 +277,7 @@ def test_plan_is_what_qgroundcontrol_reads(out: Path) -> None:
 
 
 def test_a_plan_with_a_home_is_relative_to_it(tmp_path: Path) -> None:
-    """The home lies 20 m below the site; GPS there shows 250.12 m above the sea and 33 m more above the ellipsoid."""
+    """The home lies 20 m below the site; GPS there gives 250.12 m above the sea, which is 33 m above the ellipsoid."""
     home = Home.parse("48.1, 15.44, 250.12, 33.0")
     write_run(some_run(home=home), tmp_path)
     plan = loaded(tmp_path / "route.plan")
@@ -288,7 +288,7 @@ def test_a_plan_with_a_home_is_relative_to_it(tmp_path: Path) -> None:
 
 
 def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -> None:
-    """pymavlink's own loader of missions, by way of QGroundControl's text format."""
+    """pymavlink's own loader reads the plan in QGroundControl's text format."""
     mavwp = pytest.importorskip("pymavlink.mavwp")
     items = loaded(out / "route.plan")["mission"]["items"]
     rows = [[i["doJumpId"] - 1, 0, i["frame"], i["command"], *i["params"], 1] for i in items]
@@ -453,7 +453,7 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
 
 @contextmanager
 def small_disk(size: int) -> Iterator[None]:
-    """The kernel's own file size limit stands in for a full disk."""
+    """Limit the size of files in this process, in place of a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -463,7 +463,7 @@ def small_disk(size: int) -> Iterator[None]:
 
 
 def test_disk_full_names_what_is_missing_and_keeps_the_rest_whole(tmp_path: Path, out: Path) -> None:
-    write_run(some_run(), tmp_path)  # an older answer: nothing of it may stay
+    write_run(some_run(), tmp_path)  # an older result, of which nothing may stay
     large = {p.name for p in out.iterdir() if p.stat().st_size > 20_000}
     assert {"dem.tif", "ortho.tif", "report.html"} <= large
     with small_disk(20_000), pytest.raises(OutputError, match="the disk is full; free some space") as e:
@@ -521,7 +521,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_the_settings_of_an_earlier_version_are_read(out: Path, tmp_path: Path) -> None:
-    """`alight evaluate` takes runs that were made before keys moved or were dropped."""
+    """`alight evaluate` reads runs that were made before keys were moved or removed."""
     folder = tmp_path / "earlier"
     shutil.copytree(out, folder)
     info = loaded(folder / "run.json")

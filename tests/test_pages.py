@@ -1,4 +1,4 @@
-"""The pages are held to the code: constants they quote, files they name, links, and the length of what must be read."""
+"""Agreement of the pages with the code: constants, names of files, links; and the length of pages for readers."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ Number = int | float
 
 
 def name_of(path: Path) -> str:
-    """The test's name: where the page is in the project."""
+    """Name of a test case: the path of the page in the project."""
     return path.relative_to(ROOT).as_posix()
 
 
 def prose(text: str) -> str:
-    """A page without its code, equations, tables and headings."""
+    """Return a page without its code, equations, tables and headings."""
     text = re.sub(r"```.*?```|\$\$.*?\$\$", " ", text, flags=re.S)
     return "\n".join(row for row in text.split("\n") if not row.lstrip().startswith(("|", "#")))
 
 
 def sentences(text: str) -> list[int]:
-    """Words of each sentence."""
+    """Number of words of each sentence."""
     return [len(part.split()) for part in re.split(r"[.!?:]\s+", prose(text)) if part.split()]
 
 
 def quoted(page: Path) -> Iterator[tuple[str, str, str]]:
-    """(constant, value, where) of every row of the page's table of constants."""
+    """Yield (constant, value, where) of every row of the page's table of constants."""
     text = page.read_text(encoding="utf-8")
     assert text.count(HEADING) == 1, f"{page.name}: one table of constants"
     for row in text.split(HEADING)[1].strip().split("\n"):
@@ -60,7 +60,7 @@ QUOTED = [pytest.param(*row, id=f"{page.stem}-{row[2]}-{i}") for page in METHOD 
 
 
 def literals(module: str, function: str) -> set[Number]:
-    """The numbers that stand in the body of a function; no import, so that no kernel is compiled for it."""
+    """Numbers in the body of a function; it is not imported, so that no kernel is compiled for it."""
     spec = importlib.util.find_spec(module)
     assert spec is not None
     assert spec.origin is not None
@@ -71,19 +71,19 @@ def literals(module: str, function: str) -> set[Number]:
 
 
 def looked_up(root: Any, path: str) -> Any:
-    """What `a.b.c` is below a module, a model or a table."""
+    """Look up `a.b.c` in a module, a model or a table."""
     for part in path.split("."):
         root = root[part] if isinstance(root, dict) else getattr(root, part)
     return root
 
 
 def number(text: str) -> float:
-    """A number as a page writes it; degrees where it says so."""
+    """Read a number of a page; a number with ` deg` is converted to radians."""
     return math.radians(float(text.removesuffix(" deg"))) if text.endswith(" deg") else float(text)
 
 
 def agrees(value: str, found: Any) -> bool:
-    """Whether a page's value is what the code has: a word, a truth, a number or several."""
+    """Return whether a page's value agrees with the code: a word, true or false, one number or several."""
     if isinstance(found, str | bool):
         return value == str(found)
     said = [number(v) for v in value.split(", ")]
@@ -129,7 +129,7 @@ def test_a_method_page_has_one_drawn_figure(page: Path) -> None:
 
 
 def spoken(path: Path) -> str:
-    """The comments and docstrings of a file."""
+    """Return the comments and docstrings of a file."""
     text = path.read_text(encoding="utf-8")
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
     documented = [node for node in ast.walk(ast.parse(text)) if isinstance(node, kinds)]
@@ -160,7 +160,7 @@ def test_links_lead_to_files_and_headings_that_exist(page: Path) -> None:
 
 
 def anchors(page: Path) -> set[str]:
-    """The headings of a page as links write them."""
+    """Return the anchors of a page's headings, as links write them."""
     titles = re.findall(r"^#+ +(.+)$", page.read_text(encoding="utf-8"), re.M)
     return {re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles}
 

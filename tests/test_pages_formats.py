@@ -1,4 +1,4 @@
-"""The pages on formats are read back: their examples are a flight log, and what a run writes is named on them."""
+"""The pages on formats are read back: their examples are a flight log, and all outputs of a run are named."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from alight.sources import open_source
 
 PAGES = Path(__file__).parents[1] / "docs" / "formats"
 LOG, OUTPUTS = ((PAGES / f"{name}.md").read_text(encoding="utf-8") for name in ("flight-log", "outputs"))
-TABLES = {  # the head of a table's first line: where it stands in a flight
+TABLES = {  # header of a table: its place in a flight
     "#timestamp [ns],filename": "mav0/cam0/data.csv",
     "#timestamp,latitude": "mav0/nav0/data.csv",
     "#timestamp [ns],w_x": "mav0/imu0/data.csv",
@@ -38,13 +38,13 @@ TABLES = {  # the head of a table's first line: where it stands in a flight
 
 
 def blocks(page: str, language: str) -> list[str]:
-    """The code blocks of one language."""
+    """Return the code blocks of one language."""
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.S | re.M)
 
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Path:
-    """A flight made of the examples of the page, and of black images."""
+    """Write a flight of the page's examples, with black images."""
     files = {text.split("\n")[0].removeprefix("# "): text for text in blocks(LOG, "yaml")}
     for text in blocks(LOG, "csv"):
         files[next(path for head, path in TABLES.items() if text.startswith(head))] = text

@@ -1,4 +1,4 @@
-"""The Python on the pages is run: every block of a page in turn, in an empty folder, as a reader would."""
+"""All Python on the pages is run: every block of a page in turn, in an empty folder, as a reader would."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ PAGES = ("python", "your-camera")
 
 
 def blocks(page: str) -> list[tuple[int, str]]:
-    """Line on the page and text of every block of Python that this version can run."""
+    """Line and text of every block of Python on a page that this version can run."""
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
     return [(text.count("\n", 0, m.start(1)), m[1]) for m in re.finditer(r"^```python\n(.*?)^```", text, re.S | re.M)]
 
 
 class Reader:
-    """Runs the blocks of one page in one namespace, each once and after all before it."""
+    """Runner of the blocks of one page, in one namespace, each once and after all before it."""
 
     def __init__(self, page: str) -> None:
         self._page, self._left = page, blocks(page)
         self.names: dict[str, Any] = {"__name__": page}
 
     def read_to(self, line: int) -> None:
-        """Run the block at `line`, and what stands before it and has not been run."""
+        """Run the block at `line`, and the blocks before it that have not been run."""
         while self._left and self._left[0][0] <= line:
             start, text = self._left.pop(0)
             exec(compile("\n" * start + text, str(DOCS / f"{self._page}.md"), "exec"), self.names)
 
     def read(self) -> dict[str, Any]:
-        """Run all that is left; what the page has made."""
+        """Run the remaining blocks; return the names that the page has defined."""
         self.read_to(blocks(self._page)[-1][0])
         return self.names
 
@@ -49,7 +49,7 @@ def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, R
 
 @pytest.fixture
 def reader(readers: dict[str, tuple[Path, Reader]], monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Reader]:
-    """The reader of a page, who works in the page's folder."""
+    """Return a function that gives the reader of a page, in the page's folder."""
 
     def of(page: str) -> Reader:
         folder, found = readers[page]
@@ -64,7 +64,7 @@ ALL = sorted(p.relative_to(DOCS).with_suffix("").as_posix() for p in DOCS.rglob(
 
 @pytest.mark.parametrize("page", [p for p in ALL if blocks(p)])
 def test_what_an_example_imports_is_there(page: str) -> None:
-    """Also on pages whose examples are not run."""
+    """Examples that are not run are checked as well."""
     for _, code in blocks(page):
         for node in ast.walk(ast.parse(code)):
             if isinstance(node, ast.ImportFrom):
@@ -83,7 +83,7 @@ def test_an_example_runs(page: str, line: int, reader: Callable[[str], Reader]) 
 
 
 def test_the_examples_find_a_site_and_its_place(reader: Callable[[str], Reader]) -> None:
-    """The page would be a poor one if its examples ran over a flight without a site."""
+    """The examples are only useful if their flight has a site."""
     names = reader("python").read()
     assert names["site"] is not None
     assert 47.62 < names["latitude"] < 47.63

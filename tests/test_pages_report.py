@@ -1,4 +1,4 @@
-"""The page on the report has every reason, flag and key that a run can give."""
+"""The page on the report explains every reason, flag and key that a run can give."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO = re.compile(r"^(no [a-z]+[^.]{12,}|the aircraft hardly .*|the photos .*|ther
 
 
 def sentences() -> list[str]:
-    """Reasons of having no site, from the sources: what stands in a string before the first number."""
+    """Reasons for having no site, from the sources: the text of a string before the first number."""
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES]
     docs = {ast.get_docstring(n, clean=False) for t in trees for n in ast.walk(t) if isinstance(n, _DOCUMENTED)}
     found = {n.value for t in trees for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
@@ -27,7 +27,7 @@ def sentences() -> list[str]:
 
 
 def shares() -> list[str]:
-    """What is said of the ground that a hazard refuses: the values of the table whose keys are hazards."""
+    """Texts about ground that a hazard refuses: the values of the table whose keys are hazards."""
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES if "landing" in path.parts]
     tables = [n for t in trees for n in ast.walk(t) if isinstance(n, ast.Dict) and n.keys]
     said = [v for d in tables if all(ast.unparse(k).startswith("Hazard.") for k in d.keys if k) for v in d.values]
@@ -60,7 +60,7 @@ def test_a_key_of_the_map_of_flags_is_on_the_page(flag: Flag) -> None:
 
 
 def errors() -> list[str]:
-    """The errors in the last table of the page, in the pieces between what a run fills in."""
+    """The errors in the last table of the page, split at the parts that a run fills in."""
     table = PAGE.split("### `alight run` stops with an error")[1].split("| --- | --- |")[1]
     said = [row.split("|")[1].strip() for row in table.strip().split("\n") if row.startswith("|")]
     return [piece.strip() for error in said for piece in error.split("...") if piece.strip()]

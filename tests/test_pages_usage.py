@@ -1,4 +1,4 @@
-"""The page on the command line has every command with its options, and no option that there is not."""
+"""The page on the command line has every command with its options, and no others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EVERYWHERE = {"--help", "--verbose", "-v", "--version"}
 
 
 def commands() -> dict[str, Any]:
-    """Each command by the words that call it."""
+    """Commands by the words that call them."""
     top = typer.main.get_command(application.app)
     found: dict[str, Any] = {}
     for name, command in top.commands.items():  # type: ignore[attr-defined]
@@ -26,13 +26,13 @@ def commands() -> dict[str, Any]:
 
 
 def section(name: str) -> str:
-    """What the page says of a command: all that follows a heading with its name, up to the next heading."""
+    """Return the section on a command: the text from the heading with its name to the next heading."""
     parts = re.split(r"^## ", PAGE, flags=re.M)
     return "\n".join(p for p in parts if re.search(rf"`alight {name}\b", p.split("\n")[0]))
 
 
 def options(command: Any) -> set[str]:
-    """The options of a command, as they are typed."""
+    """Return the options of a command, as they are typed."""
     return {o for p in command.params for o in (*p.opts, *p.secondary_opts) if o.startswith("--")}
 
 

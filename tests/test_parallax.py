@@ -1,4 +1,4 @@
-"""Parallax on synthetic views: heights, edges, what must not be trusted, the range. A parallax pixel is 0.5 m."""
+"""Parallax on synthetic views: heights, edges, refused heights, the range. A parallax pixel is 0.5 m."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_plane_is_found_to_a_twentieth_of_a_parallax_pixel(ground: object) -> 
 
 
 def test_a_box_is_found_and_its_walls_are_marked() -> None:
-    """Two cells from its walls heights are right again; nearer, STEP says so."""
+    """Two cells from the walls of the box heights are right again; nearer, STEP is set."""
     found = heights(box_views(), high=4.0)
     out = np.maximum(np.abs(EAST), np.abs(NORTH)) - 2.0  # metres outside the box
     error = np.abs(found.height - np.where(out < 0, BOX, 0.0))
@@ -104,11 +104,11 @@ def test_the_same_views_give_the_same_bits() -> None:
         assert getattr(a, f).tobytes() == getattr(b, f).tobytes()
 
 
-# -- what is not seen
+# -- unseen cells
 
 
 def seeing(grid: Grid, margin: float) -> np.ndarray:
-    """How many views have level ground in their picture, or within `margin` pixels of it."""
+    """Number of views with level ground in their picture, or within `margin` pixels of it."""
     x, y = np.meshgrid(*grid.xy())
     ground = np.stack([x, y, np.zeros_like(x)], axis=-1)
     count = np.zeros(grid.shape, int)
@@ -120,7 +120,7 @@ def seeing(grid: Grid, margin: float) -> np.ndarray:
 
 
 def test_what_no_two_views_see_stays_unknown() -> None:
-    """A grid that reaches far beyond the pictures: NaN and UNSEEN there, never filled from the neighbours."""
+    """The grid reaches far beyond the pictures: it is NaN and UNSEEN there, never filled from the neighbours."""
     wide = Grid(-29.9, 4.5, CELL, 46, 300)
     matched = match_tile(Images(level_views(), CELL, 0.0), wide, LOW, HIGH, ParallaxSettings())
     assert matched is not None
@@ -160,14 +160,14 @@ def test_heights_as_high_as_the_cameras_are_not_swept(high: float) -> None:
 
 @pytest.mark.parametrize("ground", [19.99, 20.0, 25.0])
 def test_a_view_that_stands_no_higher_than_the_ground_can_still_be_made_ready(ground: float) -> None:
-    """Seen in a campaign: a wrong height above a vehicle that had come down halved its picture to nothing."""
+    """Seen in a campaign: a wrong height above a vehicle that had descended reduced its picture to nothing."""
     ready = prepare_view(level_views()[0], CELL, ground)
     assert min(ready.grey.shape) >= 4
     assert np.isfinite(ready.norm).all()
 
 
 def test_views_are_chosen_for_their_baseline() -> None:
-    """Three of thirty: both ends and about the middle."""
+    """Of thirty views three are chosen: both ends, and one about the middle."""
     first = level_views()[0]
     views = [replace(first, world_from_cam=Pose(DOWN, np.array([0.2 * k - 3.0, 0.0, UP]))) for k in range(30)]
     chosen = choose_views(views, GRID, 0.0, 3, 0.4)
@@ -176,12 +176,12 @@ def test_views_are_chosen_for_their_baseline() -> None:
     assert np.diff(x).min() > 1.0
 
 
-# -- what must not be trusted
+# -- refused heights
 
 
 @pytest.mark.parametrize("places", first(1, [10, 40]))
 def test_no_view_that_sees_a_place_is_lost_at_a_glance_and_most_others_are(places: int) -> None:
-    """Views in all directions over a kilometre, and the same choice from what is left as from all."""
+    """Views look in all directions over a kilometre; the choice from the preselected ones is that from all."""
     rng = np.random.default_rng(4)
     like = level_views()[0]
     views = []
@@ -217,11 +217,11 @@ def test_ground_without_texture_is_not_trusted() -> None:
 
 
 def test_ground_that_changes_in_every_view_is_not_trusted() -> None:
-    """As water without a bed: another texture in each view. Its heights are wrong, and not given out."""
+    """Water without a bed has another texture in each view: its heights are wrong, and not given out."""
     still, waves = Texture(1), [Texture(100 + k) for k in range(COUNT)]
     found = heights(scene(paint=lambda e, n, k: np.where(e > 0, waves[k](e, n), still(e, n))).views(COUNT))
     inside, outside = EAST > 1.4, EAST < -1.4
-    assert np.nanmedian(np.abs(found.height[inside])) > 0.5 * PX  # the test is hard: what is found is wrong
+    assert np.nanmedian(np.abs(found.height[inside])) > 0.5 * PX  # the test is hard: the heights found are wrong
     assert trusted(found)[inside].mean() < 0.02
     assert trusted(found)[outside].mean() > 0.95
     assert np.median(found.residual[inside]) > 5 * np.median(found.residual[outside])
@@ -234,7 +234,7 @@ def test_a_burnt_out_picture_is_not_trusted() -> None:
 
 
 def test_heights_at_the_end_of_the_range_are_marked() -> None:
-    """The ground lies at 0.8 m, outside what is searched; a corner that slopes into it knows that it may be off."""
+    """The ground lies at 0.8 m, above the range; a trusted height is within 1.96 sigma of it."""
     found = heights(scene(surface=plane(level=0.8), top=1.0).views(COUNT), low=-1.5, high=0.5)
     ok = trusted(found)
     assert ok.mean() < 0.001
@@ -246,7 +246,7 @@ def test_heights_at_the_end_of_the_range_are_marked() -> None:
 
 @pytest.mark.parametrize(("make", "largest"), [(level_views, 10), (noisy_views, 3)], ids=["quiet", "noisy"])
 def test_sigma_covers_the_error_and_is_not_merely_large(make: Callable[[], tuple[View, ...]], largest: float) -> None:
-    """It covers what it promises, and is never below 0.03 cells: a window is no point."""
+    """Sigma covers the claimed share of errors, and is at least 0.03 cells, because a window is no point."""
     found = heights(make())
     ok = trusted(found)
     assert ok.mean() > 0.9
@@ -269,7 +269,7 @@ def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
 
 
 def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
-    """Flat ground from nothing, first look at the first baseline, every later keyframe starts from the map."""
+    """Flat ground is found from nothing at the first baseline; every later keyframe starts from the map."""
     s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
     truth = s.surface(EAST, NORTH)
     ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
@@ -280,7 +280,7 @@ def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
     for v in views[1:]:
         ring.push([v])
         parts = ring.step(GRID, known, LOW, HIGH)
-        if parts:  # none while the baseline is too short
+        if parts:  # no part while the baseline is too short
             known = with_parts(known, parts)
             spread.append(nmad(known.height - truth))
     assert len(spread) >= 4
@@ -305,7 +305,7 @@ def test_the_ring_never_fills_what_it_does_not_see() -> None:
 
 
 def test_a_seam_starts_from_the_heights_beside_it_and_a_wide_hole_does_not() -> None:
-    """Before there is baseline for a sweep: of what a first look left open, only what is narrow can be told."""
+    """Without a baseline for a sweep, only narrow gaps that the first sweep left can be filled."""
     s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
     truth = s.surface(EAST, NORTH).astype(np.float32)
     seam, hole = np.zeros(GRID.shape, np.bool_), np.zeros(GRID.shape, np.bool_)
@@ -326,7 +326,7 @@ def test_a_seam_starts_from_the_heights_beside_it_and_a_wide_hole_does_not() -> 
     assert np.isnan(found.height[18:22, 44:50]).all()
 
 
-# -- where the ground is
+# -- position of the ground
 
 
 def test_points_of_the_ground_and_the_range_to_search() -> None:
@@ -342,7 +342,7 @@ def test_points_of_the_ground_and_the_range_to_search() -> None:
 
 
 def test_plain_ground_has_faint_points() -> None:
-    """A twentieth of the contrast, two grey levels: as gravel or sand from high up."""
+    """The contrast is a twentieth, two grey levels, as of gravel or sand from high up."""
     faint = [replace(v, image=np.round(100 + 0.05 * (v.image.astype(float) - 100)).astype(np.uint8))
              for v in level_views()]  # fmt: skip
     found = find_points(faint, PointsTuning())
@@ -358,12 +358,12 @@ def test_the_range_of_a_place_is_that_of_its_own_points() -> None:
     points = np.concatenate([here, hill])
     assert height_range(points, 40.0)[1] > 15.0
     assert height_range(points, 40.0, (0.0, 0.0, 10.0))[1] < 5.0
-    assert height_range(points, 40.0, (500.0, 0.0, 10.0)) == height_range(points, 40.0)  # nothing near: all
+    assert height_range(points, 40.0, (500.0, 0.0, 10.0)) == height_range(points, 40.0)  # no point is near: all count
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.3, 0), (0.7, 70)])
 def test_a_pair_whose_rays_mostly_meet_at_too_small_an_angle_gives_no_points(share: float, found: int) -> None:
-    """The few that do not are wrong matches, all of them too high: a whole flight was searched at their height."""
+    """The few other rays are wrong matches, all of them too high: once a whole flight was searched at their height."""
     rng = np.random.default_rng(0)
     ground = np.column_stack([rng.uniform(-8, 8, (100, 2)), np.full(100, -100.0)])
     ground[: round(100 * share), 2] = -40.0  # a base of 1 m: angles of 0.01 and 0.025 rad
@@ -394,7 +394,7 @@ def test_triangulation_meets_points_and_sees_what_cannot_meet() -> None:
     ra, rb = ((X - c) / np.linalg.norm(X - c, axis=1)[:, None] for c in (a, b))
     points, angle, miss = triangulate_pair(a, ra, b, rb)
     assert_allclose(points, X, atol=1e-9)
-    assert_allclose(angle, np.arccos((ra * rb).sum(1)), rtol=5e-3)  # its sine: small angles
+    assert_allclose(angle, np.arccos((ra * rb).sum(1)), rtol=5e-3)  # approximated by its sine: small angles
     assert (miss < 1e-9).all()
     assert np.isinf(triangulate_pair(a, -ra, b, -rb)[2]).all()
     skewed = rb + np.array([0.0, 0.05, 0.0])
@@ -418,10 +418,10 @@ def test_parallax_per_metre_is_the_widest_baseline_over_the_height() -> None:
 
 
 def test_a_height_above_a_camera_hides_all_below_it_and_asks_for_no_more_memory_than_the_map() -> None:
-    """A spike above the cameras has rays of any length; how far they reach ends at the map."""
+    """A spike above the cameras has rays of any length; their reach is limited to the map."""
     grid = Grid(0.0, 0.0, 0.1, 64, 80)
     height = np.zeros(grid.shape, np.float32)
     height[30:38, 40:48] = 500.0
     centres = np.array([[2.0, -3.0, 6.0], [5.0, -3.0, 6.0]])
     seen = Skyline.of(height, grid, centres)
-    assert (seen.tops == 500.0).all()  # the dilation reached all of it
+    assert (seen.tops == 500.0).all()  # the dilation reached the whole map

@@ -1,4 +1,4 @@
-"""Traffic: paved ground that something moved across is refused for a while."""
+"""Traffic: paved ground is refused for a while after something moved across it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SECOND = 1_000_000_000
 
 
 def road(moving: tuple[float, float, float, float] | None = None, east: float = 0.0, cell: float = 0.1) -> ElevationMap:
-    """20 m of level ground each way; something moves in a box of west, south, east, north."""
+    """Return 20 m of level ground each way; something moves in a box of west, south, east, north."""
     flat = elevation()
     rows = cols = round(20 / cell)
     grid = Grid(east, 20.0, cell, rows, cols)
@@ -40,13 +40,13 @@ def road(moving: tuple[float, float, float, float] | None = None, east: float = 
 
 
 def cells(box: tuple[float, float, float, float] | None = None) -> np.ndarray:
-    """What moves on such a map."""
+    """Return the moving cells of such a map."""
     e = road(box)
     return what_moves(e.grid, e.flags)
 
 
 def test_what_moved_is_remembered_where_it_was() -> None:
-    """A car of 4 x 2 m, found again on another grid of other cells; after two minutes it is forgotten."""
+    """A car of 4 x 2 m is found again on another grid of other cells, but not among cells seen since a later time."""
     seen = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 7 * SECOND)
     assert len(seen.cells) == 32
     other = Grid(3.3, 12.0, 0.25, 24, 24)
@@ -68,7 +68,7 @@ def test_it_goes_with_the_frame() -> None:
 
 @pytest.mark.parametrize(("sigma", "wide"), [(0.0, 4.0), (0.6, 7.0), (50.0, 14.0)])
 def test_it_covers_what_is_not_known_of_the_way_between_two_frames(sigma: float, wide: float) -> None:
-    """A car of 4 x 2 m grows by 2 sigma on each side, 5 m at most, round at the corners; the latest time counts."""
+    """A car of 4 x 2 m grows by 2 sigma on each side, 5 m at most, with round corners; the latest time counts."""
     shift, car = np.array([100.0, -50.0, 3.0]), (4.0, 8.0, 8.0, 10.0)
     seen = NOWHERE.with_seen(cells(car), 0).with_seen(cells(car)[:1], SECOND).moved(shift, sigma)
     on = seen.on(Grid(90.25, -20.25, 0.1, 400, 400))
@@ -82,7 +82,7 @@ def test_it_covers_what_is_not_known_of_the_way_between_two_frames(sigma: float,
 
 @pytest.mark.parametrize("cell", [0.25, 0.4, 0.55, 0.64, 0.8, 1.0, 1.28])
 def test_on_wide_cells_it_is_remembered_as_well(cell: float) -> None:
-    """A lorry of 6 x 10 m; as wide as the cells show it, and found again on cells of that size."""
+    """A lorry of 6 x 10 m is as wide as on the cells of the map, and is found again on such cells."""
     e = road((4.0, 5.0, 10.0, 15.0), cell=cell)
     shown = (e.flags & np.uint16(Flag.MOVING)) != 0
     moves = what_moves(e.grid, e.flags)
@@ -111,7 +111,7 @@ def test_specks_are_noise() -> None:
 
 @pytest.mark.parametrize(("side", "kept"), [(0.2, 0), (0.4, 4)])
 def test_a_person_is_enough_to_be_remembered(side: float, kept: int) -> None:
-    """With every cell that they reach into; less is noise."""
+    """All cells that a person reaches into are remembered; less is noise."""
     e = road((5.0 - side / 2, 9.0 - side / 2, 5.0 + side / 2, 9.0 + side / 2))
     cells = who_came(e.grid, (e.flags & np.uint16(Flag.MOVING)) != 0)
     assert len(cells) == kept
@@ -127,7 +127,7 @@ def test_plants_that_sway_are_no_traffic(kind: Terrain, kept: int) -> None:
 
 
 def test_ground_beside_traffic_is_refused() -> None:
-    """The footprint and the margin about it; farther away nothing changes."""
+    """The footprint and the margin about it are refused; farther away nothing changes."""
     e, lander, settings = road(), Lander(radius=1.0), HazardsSettings(smoothed=False, traffic_margin=1.0)
     passed = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 0).on(e.grid)
     free, found = assess(e, None, lander, settings), assess(e, None, lander, settings, passed=passed)
@@ -141,7 +141,7 @@ def test_ground_beside_traffic_is_refused() -> None:
 
 
 def test_ground_beside_somebody_who_came_is_free() -> None:
-    """Footprints that hold some of it are refused, whatever the margin for traffic."""
+    """Footprints that contain a part of it are refused, independent of the margin for traffic."""
     e, lander, settings = road(), Lander(radius=1.0), HazardsSettings(smoothed=False, traffic_margin=1.0)
     came = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 0).on(e.grid)
     found = assess(e, None, lander, settings, came=came)

@@ -1,4 +1,4 @@
-"""Least squares matching of patches: drawn pictures of a plane, whose every pixel is known."""
+"""Least squares matching of patches, on drawn pictures of a plane with known values at all pixels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FINER = Camera(640, 480, 800.0, 800.0, 319.5, 239.5)
 
 
 def texture(seed: int) -> Callable[[F64, F64], F64]:
-    """Grey levels of a plane by two coordinates: waves of 5 to 30 units."""
+    """Return the grey levels of a plane as a function of two coordinates: waves of 5 to 30 units."""
     rng = np.random.default_rng(seed)
     length, way, phase = rng.uniform(5, 30, 60), rng.uniform(0, 2 * np.pi, 60), rng.uniform(0, 2 * np.pi, 60)
     k = 2 * np.pi / length * np.array([np.cos(way), np.sin(way)])
@@ -38,7 +38,7 @@ def texture(seed: int) -> Callable[[F64, F64], F64]:
 
 
 def picture(grey: Callable[[F64, F64], F64], warp: F64, shift: F64) -> np.ndarray:
-    """(H, W) of a plane: pixel p shows the place warp p + shift."""
+    """Picture (H, W) of a plane: pixel p shows the place warp p + shift."""
     c, r = np.meshgrid(np.arange(90.0), np.arange(80.0))
     place = np.stack([c, r], axis=-1) @ warp.T + shift
     return grey(place[..., 0], place[..., 1]).astype(np.float32)
@@ -55,7 +55,7 @@ def matched(one: np.ndarray, other: np.ndarray, at: F64, expected: F64, warp: F6
 @pytest.mark.parametrize("gain", [1.0, 0.6])
 @pytest.mark.parametrize("turn", [0.0, 0.5])
 def test_patches_are_found_to_a_hundredth_of_a_pixel(gain: float, turn: float) -> None:
-    """Turned, stretched, darker: 0.3 to 1 px from where they were expected."""
+    """Patches are turned, stretched and darker, and the search starts 0.3 to 1 px off."""
     grey = texture(3)
     warp = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ np.diag([1.1, 0.95])
     inverse = np.linalg.inv(warp)  # other pixel = warp (pixel - 40) + 40
@@ -75,7 +75,7 @@ def test_patches_are_found_to_a_hundredth_of_a_pixel(gain: float, turn: float) -
 
 
 def test_what_is_not_there_is_not_found() -> None:
-    """Even ground, another ground, a place at the edge of either picture: no number is made up."""
+    """On even ground, other ground, or at the edge of either picture, the result is NaN or a low correlation."""
     one, even = picture(texture(3), np.eye(2), np.zeros(2)), np.full((80, 90), 100.0, np.float32)
     at = np.array([[40.0, 40.0], [30.0, 52.0], [55.2, 33.3]])
     for first, second in ((even, one), (one, even)):
@@ -92,7 +92,7 @@ def test_what_is_not_there_is_not_found() -> None:
 def survey(
     seed: int, cameras: tuple[Camera, ...] = (CAMERA,)
 ) -> tuple[BundleState, BundleObservations, Priors, list[Frame]]:
-    """Four leaning photos of level ground from 20 m, observed without an error; the cameras take them in turn."""
+    """Four tilted photos of level ground from 20 m, by the cameras in turn, with exact observations."""
     grey, rng = texture(seed), np.random.default_rng(seed)
     centres = np.array([[0.0, 0.0, 20.0], [3.0, 0.5, 20.5], [0.5, 3.0, 19.5], [3.0, 3.5, 20.0]])
     down = np.diag([1.0, -1.0, -1.0])
@@ -124,7 +124,7 @@ def survey(
 def test_observations_of_features_become_sharper(
     cameras: tuple[Camera, ...], longest: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A quarter of a pixel of noise; the first observation of a point stays, and the others go with it.
+    """With a quarter of a pixel of noise, the first observation of a point stays, and the others are matched with it.
 
     In the photos' own pixels, in pictures of three quarters of the size, and beside a finer camera whose pictures
     alone are reduced.
@@ -139,7 +139,7 @@ def test_observations_of_features_become_sharper(
     others = sharp.by_patch & (np.arange(320) != first)
     assert others.sum() > 0.75 * 240
     assert sharp.by_patch[exact.starts].mean() > 0.8
-    focal = priors.lenses.focal(exact.photo)[:, :1]  # but for it the photos are nearly alike in scale and heading
+    focal = priors.lenses.focal(exact.photo)[:, :1]  # apart from it, the photos are nearly alike in scale and heading
     left = (sharp.pixels - exact.pixels - focal / focal[first] * noise[first])[others]
     assert np.median(np.abs(left)) < 0.03
     assert_allclose(sharp.pixels[~sharp.by_patch], noisy.pixels[~sharp.by_patch])

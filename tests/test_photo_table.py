@@ -1,4 +1,4 @@
-"""What is understood of each photo: tags of several makers, zoom levels, flights, and what became of them."""
+"""The table of photos: tags of several makers, zoom levels, flights, and the use of each photo."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_angles_from_the_horizon_of_several_makers(tmp_path: Path, make: str, na
 
 
 def test_angles_of_a_yuneec_that_declares_no_prefix(tmp_path: Path) -> None:
-    """The CGO3+."""
+    """The camera is a CGO3+."""
     xmp = (
         b'<?xpacket begin="" id="W5M0MpCehiHzreSzNTczkc9d"?><rdf:RDF '
         b'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><xmp:GPSAltitude>6</xmp:GPSAltitude>\n'
@@ -73,7 +73,7 @@ def test_angles_of_a_yuneec_that_declares_no_prefix(tmp_path: Path) -> None:
 
 
 def test_a_skydio(tmp_path: Path) -> None:
-    """Structures whose parts have the same names, a lens in pixels, and its centre from that of the first pixel."""
+    """The tags have structures with equal names of parts, and the lens in pixels from the first pixel's centre."""
     parts = {
         "CameraOrientationFLU": {"Yaw": "1", "Pitch": "2", "Roll": "3"},
         "CameraOrientationNED": {"Yaw": "30", "Pitch": "-90", "Roll": "1"},
@@ -97,7 +97,7 @@ def test_a_skydio(tmp_path: Path) -> None:
 
 
 def test_an_autel_that_writes_its_pitch_from_the_horizon_into_the_names_of_pix4d(tmp_path: Path) -> None:
-    """The EVO Lite Enterprise 640T: straight down is -90 there, 0 in the names' own sense."""
+    """The EVO Lite Enterprise 640T writes -90 for straight down; in the meaning of these names it is 0."""
     tags = {"Yaw": "90", "Pitch": "-90", "Roll": "0"}
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(tags, d.PIX4D), main={271: "Camera"}, photo=LENS)
     source = opened(tmp_path)
@@ -154,7 +154,7 @@ def test_a_phone_says_where_but_not_whither(tmp_path: Path) -> None:
 
 
 def test_each_zoom_level_is_a_camera_and_each_pause_ends_a_flight(tmp_path: Path) -> None:
-    """Four photos at 28 mm, three at 56 mm six minutes later, and one at 84 mm that is left out."""
+    """Four photos are at 28 mm, three at 56 mm six minutes later, and one at 84 mm is left out."""
     for k in range(8):
         zoom = 1 if k < 4 else 2 if k < 7 else 3
         time = f"2026:01:26 13:{50 if k < 4 else 57}:{10 + k:02d}"
@@ -193,7 +193,7 @@ def test_photos_that_are_not_used_say_why(tmp_path: Path) -> None:
 
 
 def test_photos_of_two_zoom_levels_are_adjusted_each_with_its_own_lens(tmp_path: Path) -> None:
-    """The second line is flown at another focal length: all photos get their true place."""
+    """The second line is flown at another focal length, and all photos get their true place."""
     pytest.importorskip("pycolmap")
     draw_photos(tmp_path, zooms=(1.0, 1.3))
     source = opened(tmp_path)

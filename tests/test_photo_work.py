@@ -1,4 +1,4 @@
-"""Photos whose run is interrupted and goes on: the same rasters, and nothing is done twice but the piece in work."""
+"""Photos whose run is interrupted and continued: the same rasters, and only the interrupted piece is done twice."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def tasks(count: int) -> list[Task]:
 
 
 class Interrupting(dict[str, bytes]):
-    """Ctrl-C while the n-th piece is being saved."""
+    """Raise Ctrl-C while the n-th piece is being saved."""
 
     def __init__(self, after: int, have: dict[str, bytes]) -> None:
         super().__init__(have)
@@ -110,7 +110,7 @@ def test_arguments_are_sent_and_kept() -> None:
     jobs = InTurn()
     work = [Task(f"{k}", add, (KeptHere("cache", make), (Sent("a", 10), 20), 30)) for k in range(3)]
     assert list(jobs.run(work)) == [61, 61, 61]
-    assert list(jobs.run(work)) == [62, 62, 62]  # made anew: what a step kept is let go at its end
+    assert list(jobs.run(work)) == [62, 62, 62]  # made anew: the objects of a step are released at its end
 
 
 def test_work_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_work_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
         WorkFolder(tmp_path, key | {"settings": {"parallax": {"cell": 0.2}}}, resume=True)
     with pytest.raises(InputError, match="another photos"):
         WorkFolder(tmp_path, key | {"photos": "b" * 64}, resume=True)
-    assert len(WorkFolder(tmp_path, key, resume=False)) == 0  # begun anew
+    assert len(WorkFolder(tmp_path, key, resume=False)) == 0  # started anew
     (tmp_path / WORK / "run.json").write_text("{")
     with pytest.raises(InputError, match="is damaged; run without --resume"):
         WorkFolder(tmp_path, key, resume=True)
@@ -144,14 +144,14 @@ def pieces(out: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight small photos."""
+    """Draw eight small photos."""
     pytest.importorskip("pycolmap")
     return draw_photos(tmp_path_factory.mktemp("photos") / "survey")
 
 
 @pytest.fixture(scope="module")
 def whole(survey: Path) -> Path:
-    """The results of a run that nothing interrupted."""
+    """Return the results of a run without interruption."""
     out = survey.parent / "whole"
     assert call(["run", str(survey), "--out", str(out), *SMALL]) == 0
     assert not (out / WORK).exists()
@@ -176,7 +176,7 @@ def assert_same(out: Path, whole: Path) -> None:
 
 
 def wait_for(out: Path, what: str, count: int, still: Callable[[], bool]) -> None:
-    """Until so many pieces of a kind are saved, or what does them has ended."""
+    """Wait until `count` pieces of a kind are saved, or the work has ended."""
     until = time.monotonic() + 300
     while sum(name.startswith(what) for name in pieces(out)) < count and still() and time.monotonic() < until:
         time.sleep(0.02)
@@ -186,7 +186,7 @@ def wait_for(out: Path, what: str, count: int, still: Callable[[], bool]) -> Non
 def test_a_run_that_was_killed_gives_the_same_rasters(
     survey: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Killed among the tiles by kill -9; then gone on with."""
+    """A run is killed among the tiles by kill -9 and then continued."""
     cut = tmp_path / "cut"
     run = start(survey, cut)
     wait_for(cut, "tile", 2, lambda: run.poll() is None)

@@ -1,4 +1,4 @@
-"""A camera that hangs repeats one picture to the bit; one that looks at still ground does not, for its noise."""
+"""A camera that hangs repeats the same bits; one that looks at still ground does not, because of its noise."""
 
 from __future__ import annotations
 

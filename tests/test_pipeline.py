@@ -48,23 +48,23 @@ def one_camera(body_from_cam: Pose | None = None) -> Rig:
 
 @cache
 def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
-    """40 m over the demo's meadow, 15 m above it, 41 frames of 160 x 120."""
+    """Flight 40 m over the demo's meadow, 15 m above it, 41 frames of 160 x 120."""
     f = fly("demo", 1, 8.0, rig=one_camera(), rate_hz=5.0, height=15.0)
     return f, tuple(e for e in f.events() if not isinstance(e, ImuSample))
 
 
 def settings_of(*assignments: str) -> Settings:
-    """Coarse and quick; no place is sure on cells of 0.25 m, and the way to a site is to be seen all the same."""
+    """Coarse and quick settings; P(safe) is low on cells of 0.25 m, and a site and its route are needed anyway."""
     quick = ["parallax.cell=0.25", "tuning.elevation.tile=64", "hazards.p_safe=0.02"]
     return load_settings("", [*quick, *assignments])
 
 
 @dataclass(frozen=True)
 class Run:
-    """A decision and how it came about."""
+    """A decision, and the motions on the way to it."""
 
     decision: Decision
-    given: list[Motion | None]  # what `feed` returned for each exposure
+    given: list[Motion | None]  # result of `feed` for each exposure
 
 
 def run(settings: Settings, events: tuple[Event, ...] | None = None, rig: Rig | None = None) -> Run:
@@ -80,7 +80,7 @@ def run(settings: Settings, events: tuple[Event, ...] | None = None, rig: Rig | 
 
 @dataclass(frozen=True)
 class Mapped:
-    """A map by given poses, and what was held at a time while it was made."""
+    """A map by given poses, and the most memory that it held while it was made."""
 
     found: FinishedMap
     most_bytes: int  # of pixels
@@ -93,7 +93,7 @@ class Mapped:
 
 
 def mapped(mapper: BatchMapper | RecursiveMapper, events: tuple[Event, ...] | None = None) -> Mapped:
-    """Navigation and mapping alone, in turn."""
+    """Run navigation and mapping alone, in turn."""
     f, all_events = flight()
     lane, most_bytes, most_keyframes = GivenLane(f.rig, f.truth_trajectory, Settings().motion), 0, 0
     for e in events or all_events:
@@ -110,7 +110,7 @@ def batch_mapper(settings: StageSettings) -> BatchMapper:
 
 
 def brief_mapper() -> RecursiveMapper:
-    """Of a flight that may last for ever."""
+    """Return the mapper of a flight of unlimited length."""
     settings = settings_of("parallax.method=ring").stages()
     return RecursiveMapper(flight()[0].rig, settings, NullStore(), Timings(), history=False)
 
@@ -121,7 +121,7 @@ def batch() -> Run:
 
 
 def errors(elevation: ElevationMap) -> np.ndarray:
-    """Found less true height of every cell; NaN where nothing was found or the world ends."""
+    """Found minus true height of every cell; NaN where nothing was found or outside the world."""
     f, _ = flight()
     x, y = np.meshgrid(*elevation.grid.xy())
     whole = f.world.truth()
@@ -138,7 +138,7 @@ def trusted_of(d: Decision) -> ElevationMap:
 
 
 def with_frames(**changes: object) -> tuple[Event, ...]:
-    """The flight with every frame changed."""
+    """Return the flight's events with every frame changed."""
     return tuple(replace(e, **changes) if isinstance(e, Frame) else e for e in flight()[1])  # type: ignore[arg-type]
 
 
@@ -147,7 +147,7 @@ def with_frames(**changes: object) -> tuple[Event, ...]:
 
 @pytest.mark.parametrize("method", ["batch", "ring"])
 def test_heights_are_right(method: str) -> None:
-    """Half a percent of the height above ground, with 160 x 120 pixels."""
+    """The median error is below half a percent of the height above ground, with 160 x 120 pixels."""
     d = batch().decision if method == "batch" else run(settings_of("parallax.method=ring")).decision
     m = trusted_of(d)
     error = errors(m)[m.trusted]
@@ -209,7 +209,7 @@ def test_what_is_too_vague_is_refused() -> None:
 def test_a_height_among_refused_ones_is_refused() -> None:
     given = np.zeros((100, 120), np.bool_)
     given[5, 5] = given[20:34, 60:74] = True  # one cell, and 196 of 1681
-    given[60:, :] = True  # a half-plane: at its border half of what is about is given out
+    given[60:, :] = True  # a half-plane: at its border half of the surrounding cells are given out
     given[75:80, 60:65] = False
     alone = lone(given, MappingTuning())
     assert alone.sum() == 197
@@ -217,7 +217,7 @@ def test_a_height_among_refused_ones_is_refused() -> None:
 
 
 def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
-    """Ten frames fit: the older half is mapped before it is forgotten, tiles that both halves see included."""
+    """Ten frames fit: the older half is mapped before it is forgotten, also in tiles that both halves see."""
     frame = 160 * 120 * 3
     s = settings_of().stages()
     small = replace(s, parallax=s.parallax.model_copy(update={"store_mb": 10 * frame / 1e6}))
@@ -227,7 +227,7 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
     a, b = whole.elevation, bounded.elevation
     assert b.trusted.sum() > 0.95 * a.trusted.sum()
     r, c = round((a.grid.north - b.grid.north) / 0.25), round((b.grid.east - a.grid.east) / 0.25)
-    rows = slice(max(0, -r), min(a.grid.rows - r, b.grid.rows))  # rows of b that a has as well
+    rows = slice(max(0, -r), min(a.grid.rows - r, b.grid.rows))  # rows of b that are in a, too
     cols = slice(max(0, -c), min(a.grid.cols - c, b.grid.cols))
     part = np.s_[rows.start + r : rows.stop + r, cols.start + c : cols.stop + c]
     both = b.trusted[rows, cols] & a.trusted[part]
@@ -248,12 +248,12 @@ def test_a_flight_without_history_makes_the_same_map_and_holds_little() -> None:
     row, col = (np.rint(k).astype(int) for k in whole.grid.index(e, n))
     same = whole.height[np.ix_(row, col)]
     both = np.isfinite(b.height)
-    assert both.sum() > 5000  # what was forgotten may be missing
+    assert both.sum() > 5000  # forgotten ground may be missing
     assert (same[both] == b.height[both]).all()
 
 
 def test_a_full_store_of_a_flight_forgets_the_oldest() -> None:
-    """Pixels of five frames fit: no more are held, and the map is the same, which has used them already."""
+    """Pixels of twelve frames fit, and no more are held; the map has used the others already and is the same."""
     frame, s = 160 * 120 * 3, settings_of("parallax.method=ring").stages()
     small = replace(s, parallax=s.parallax.model_copy(update={"store_mb": 12 * frame / 1e6}))
     found = mapped(RecursiveMapper(flight()[0].rig, small, None, Timings(), history=True))
@@ -272,7 +272,7 @@ def test_without_history_only_the_last_motion_is_kept() -> None:
 
 
 def test_a_hover_without_history_holds_little() -> None:
-    """40 exposures on the spot: no keyframes pile up."""
+    """In 40 exposures on the spot no keyframes accumulate."""
     f, mapper = flight()[0], brief_mapper()
     frames = [e for e in flight()[1] if isinstance(e, Frame)]
     lane = GivenLane(f.rig, (f.frame_times, [f.pose(frames[0].t_ns)] * len(frames)), Settings().motion, history=False)
@@ -284,7 +284,7 @@ def test_a_hover_without_history_holds_little() -> None:
 
 
 def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:
-    """What earlier keyframes showed is kept although the newest does not look there any more."""
+    """Sites of earlier keyframes are kept although the newest keyframe does not see them any more."""
     f, events = flight()
     settings = settings_of("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.1", "sites.margin=0")
     p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
@@ -331,7 +331,7 @@ def test_the_end_of_a_flight_knows_what_moved_and_who_came(monkeypatch: pytest.M
 
 
 def test_a_place_that_is_asked_about_is_judged_though_the_newest_keyframe_does_not_look_there() -> None:
-    """The executive asks for the place that it flies to: the map keeps it from when it was seen."""
+    """The executive requests a verdict on the place that it flies to, and the map still has the ground there."""
     f, events = flight()
     settings = settings_of("parallax.method=ring", "sites.every=0")
     p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
@@ -361,7 +361,7 @@ def test_nothing_is_judged_in_flight_where_it_is_not_asked_for() -> None:
 
 
 def test_no_navigation_no_site() -> None:
-    """Frames alone: the filter has nothing to start from, and says so."""
+    """Without navigation the filter cannot start, and the reason names this."""
     f, events = flight()
     p = Pipeline(f.rig, "flight", settings_of())
     for e in events:
@@ -424,7 +424,7 @@ def test_frames_without_a_picture_or_a_pose_are_left_out() -> None:
 
 
 def test_given_poses_replace_what_navigation_says() -> None:
-    """True poses are used as they are: navigation samples far off change nothing."""
+    """True poses are used as they are, and navigation samples that are far off change nothing."""
     wrong = tuple(
         replace(e, position_world=np.asarray(e.position_world) + 500.0) if isinstance(e, NavSample) else e
         for e in flight()[1]
@@ -448,7 +448,7 @@ def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -
 
 
 def navigated(faults: Faults) -> tuple[Trajectory, SimulatedFlight]:
-    """A flight with faults through tracker and filter."""
+    """Run tracker and filter on a flight with faults."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
     lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
@@ -458,7 +458,7 @@ def navigated(faults: Faults) -> tuple[Trajectory, SimulatedFlight]:
 
 
 def test_late_frames_are_used() -> None:
-    """A third of the exposures arrives up to a second late, rightly stamped: every one has its motion, in its place."""
+    """A third of the exposures arrives up to a second late, with right stamps: each has its motion, in order."""
     found, f = navigated(Faults(late=0.35, late_by=0.2))
     motions = found.motions
     stamps = f.exposures.stamp_ns
@@ -471,7 +471,7 @@ def test_late_frames_are_used() -> None:
 
 
 def test_of_frames_with_one_stamp_the_first_is_used() -> None:
-    """As the log's reader has it: what comes again under a stamp is left out, and said."""
+    """A frame with a repeated stamp is left out and reported, as by the reader of logs."""
     found, f = navigated(Faults(repeated=0.25))
     motions = found.motions
     single = np.unique(f.exposures.stamp_ns)
@@ -499,7 +499,7 @@ def test_thinning_keeps_the_newest_and_every_second() -> None:
 
 
 def test_what_could_not_be_refined_together_is_said() -> None:
-    """Two exposures are too few for a batch: the poses of the flight stay, and the run says so."""
+    """Two exposures are too few for a batch: the poses of the flight stay, and the run reports this."""
     f, events = flight()
     lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
     given = 0
@@ -509,7 +509,7 @@ def test_what_could_not_be_refined_together_is_said() -> None:
             break
     found = lane.finish(lambda share: None)
     assert len(found.motions) == 2
-    assert found.joint is not None  # off as one body, as the last of them claims
+    assert found.joint is not None  # errors as of one body, with the covariance of the last motion
     np.testing.assert_array_equal(found.joint.covariance[-6:, -6:], found.motions[-1].covariance)
     assert any("could not be refined" in w for w in found.warnings)
     assert "as it was in flight" in str(found.notes["motion"])

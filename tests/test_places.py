@@ -1,4 +1,4 @@
-"""Where a command runs: odd names, closed streams, signals, and a folder that somebody else uses. In processes."""
+"""Places where a command runs: odd names, closed streams, signals, and a folder in use by another process."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ LEFT = {"run.json", "report.html", "sites.geojson", "trajectory.tum", "trajector
 
 
 def environment(**more: str) -> dict[str, str]:
-    """This process's, with the package."""
+    """Return the environment of this process, with the package."""
     return os.environ | {"PYTHONPATH": str(ROOT / "src")} | more
 
 
 def alight(*arguments: str | bytes | Path, **how: Any) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command."""
+    """Run a command; return exit code, stdout and stderr."""
     env = environment(**how.pop("env", {}))
     done = subprocess.run([*COMMAND, *arguments], env=env, capture_output=True, timeout=300, **how)
     return done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace")
 
 
 def names(out: Path) -> set[str]:
-    """What stands in a folder."""
+    """Return the names in a folder."""
     return {p.name for p in out.iterdir()}
 
 
 def whole(out: Path) -> None:
-    """The folder holds a finished run and nothing else."""
+    """Assert that the folder holds a finished run and nothing else."""
     assert names(out) == LEFT
     assert "alight" in json.loads((out / "run.json").read_text(encoding="utf-8"))
 
@@ -121,7 +121,7 @@ def test_two_runs_into_one_folder(flight: Path, tmp_path: Path) -> None:
 
 @pytest.fixture
 def running(flight: Path, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A run that has taken its folder."""
+    """Start a run and wait until it has locked its folder."""
     out = tmp_path / "out"
     with subprocess.Popen(
         [*COMMAND, "run", flight, "--out", out], env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE

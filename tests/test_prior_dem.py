@@ -1,4 +1,4 @@
-"""A DEM from elsewhere: put on the world's grid, it narrows the search where points are few, and is compared with."""
+"""A prior DEM: put on the world's grid, it narrows the search where points are few, and the map is compared."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from alight.records import InputError, PriorHeights
 from alight.settings import load_settings
 from alight.sources.prior_dem import read_prior
 
-GEOID = 47.0  # m, that the DEM is counted from above the ellipsoid
+GEOID = 47.0  # m above the ellipsoid, height of the geoid of the DEM
 
 
 def write_dem(path: Path, crs: str | None = "EPSG:32632", offset: float = -GEOID, side: float = 160.0) -> Path:
-    """The relief of the drawn photos, on cells of 1 m in UTM or of about as much in degrees, above a geoid."""
+    """Write the relief of the drawn photos, on cells of 1 m in UTM or of about 1 m in degrees, above a geoid."""
     import pyproj
 
     size = int(side)
@@ -44,7 +44,7 @@ def write_dem(path: Path, crs: str | None = "EPSG:32632", offset: float = -GEOID
 
 @pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:4326"])
 def test_a_dem_is_put_on_the_grid_of_the_world(tmp_path: Path, crs: str) -> None:
-    """In metres of UTM, whose north is not the world's, and in degrees."""
+    """The DEM is in metres of UTM, whose north is not the world's, or in degrees."""
     prior = read_prior(write_dem(tmp_path / "dem.tif", crs, offset=0.0), PLACE)
     east, north = np.meshgrid(np.linspace(-50, 50, 21), np.linspace(-50, 50, 21))
     off = prior.at(east, north) - relief(east, north)
@@ -65,7 +65,7 @@ def test_a_dem_that_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
 
 
 def test_the_search_begins_with_the_prior_where_points_are_few() -> None:
-    """A step of 20 m half way across; the points lie on its lower half alone."""
+    """The prior has a step of 20 m in the middle, and the points lie on its lower half only."""
     rng = np.random.default_rng(1)
     grid = Grid(-100.0, 100.0, 1.0, 200, 200)
     east = np.broadcast_to(grid.xy()[0], grid.shape)
@@ -77,7 +77,7 @@ def test_the_search_begins_with_the_prior_where_points_are_few() -> None:
     for m in (lane, without):
         m._points = points
     high = Grid(60.0, 10.0, 0.25, 64, 64)
-    assert without._range(high, 100.0)[1] < 20.0  # the points say nothing of it
+    assert without._range(high, 100.0)[1] < 20.0  # the points hold no height there
     low, top = lane._range(high, 100.0)
     assert low < 20.0 < top
     assert low > 10.0

@@ -1,4 +1,4 @@
-"""Rates of hazards: their lines, their files, and what they may never do."""
+"""Rates of hazards: their lines, their files, and their invariants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What earlier runs left, damaged, and read back by the commands: one line and exit 2, or the work is done again."""
+"""Damaged files of earlier runs, read back by the commands: one line and exit code 2, or the work is done again."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ each_damage = pytest.mark.parametrize("data", [*DAMAGED.values(), PIPE], ids=[*D
 
 
 def damage(path: Path, data: bytes) -> None:
-    """Put other bytes, or a pipe, in the place of a file."""
+    """Replace a file by other bytes or by a pipe."""
     path.unlink(missing_ok=True)
     if data is PIPE:
         os.mkfifo(path)
@@ -48,7 +48,7 @@ def damage(path: Path, data: bytes) -> None:
 
 
 def refused(capsys: Told, *words: str) -> None:
-    """One line of an error with these words."""
+    """Assert one line of an error with these words."""
     said = capsys.readouterr().err
     assert said.startswith("error: "), said
     assert said.count("\n") == 1
@@ -62,13 +62,13 @@ def refused(capsys: Told, *words: str) -> None:
 
 @pytest.fixture
 def campaigns(tmp_path: Path) -> tuple[Path, Path]:
-    """Two campaigns of which all is flown."""
+    """Write two campaigns whose landings are all flown."""
     return write_campaign(tmp_path / "one"), write_campaign(tmp_path / "two")
 
 
 @pytest.fixture
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No landing may be flown."""
+    """Fail the test if a landing is flown."""
     monkeypatch.setattr(campaign_run, "fly_conditions", lambda *_: pytest.fail("a landing was flown"))
 
 
@@ -185,7 +185,7 @@ def test_run_json_of_an_earlier_run(data: bytes, flight: Path, tmp_path: Path, c
     damage(out / "run.json", data)
     assert call(["evaluate", str(out), "--truth", str(flight)]) == 2
     refused(capsys, "run.json")
-    if data != DAMAGED["wrong types"]:  # these leave it a run's
+    if data != DAMAGED["wrong types"]:  # these do not prove that it is no run
         assert call(["run", str(flight), "--out", str(out)]) == 2
         refused(capsys, "holds files that are not a run's")
 
@@ -202,7 +202,7 @@ def test_whose_work_it_was(data: bytes, photos: Path, tmp_path: Path, capsys: To
 
 @pytest.fixture
 def unfinished(photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """What a run of photos saved, which is not removed."""
+    """Return the saved work of a run over photos, which is not removed."""
     pytest.importorskip("pycolmap")
     with monkeypatch.context() as patch:
         patch.setattr(folder, "remove_work", lambda out: None)
@@ -248,7 +248,7 @@ Record = Callable[[str, bytes], Path]
 
 @pytest.fixture
 def record(flight: Path, tmp_path: Path) -> Record:
-    """Write a recording of the flight log over noise, with these bytes as its last message."""
+    """Return a function that writes a recording of the flight log over noise, with these bytes as its last message."""
 
     def write(topic: str, data: bytes) -> Path:
         source = open_source(flight, Settings())

@@ -1,4 +1,4 @@
-"""The page a person opens first."""
+"""The HTML report of a run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VOID = {"meta", "image", "circle", "line", "path"}
 
 
 class Page(HTMLParser):
-    """Checks that every element is closed in order, and collects attributes."""
+    """Check that every element is closed in order, and collect attributes."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ def test_no_site_says_why() -> None:
 
 
 def with_candidates(**changes: object) -> RunResult:
-    """No site, a candidate that a view settles and one that none does."""
+    """Return a run without a site, with a candidate that a view settles and one that none does."""
     blind = replace(candidate(2, 12.0, 6.0), look=None, doubt="ground")
     reason = "no safe site: of the seen ground 20 % is too steep"
     return some_run(**{"sites": Sites((), reason, candidates=(candidate(), blind)), "route": None, **changes})
@@ -121,7 +121,7 @@ def test_a_view_that_is_too_high_still_and_one_from_straight_above_say_so() -> N
 
 
 def test_both_accuracies_stand_in_the_answer_and_a_place_that_is_too_vague_is_no_place_to_fly_to() -> None:
-    """The clearance is 6.3 m: twice a sigma of 3 m is within it, twice one of 4 m is not."""
+    """The clearance is 6.3 m: twice a sigma of 3 m is below it, twice a sigma of 4 m is above it."""
     for sigma, heed in ((3.0, False), (4.0, True)):
         placed = replace(elevation(), position_covariance=np.diag([sigma**2, 1.0, 6.25]))
         run = some_run(elevation=placed)
@@ -207,7 +207,7 @@ def test_unknown_numbers_are_called_unknown() -> None:
 
 
 def test_a_mark_lies_on_its_place() -> None:
-    """The cell under the site is painted red: the mark must stand on the red of the picture."""
+    """The cell under the site is painted red: the mark must lie on the red of the picture."""
     e = elevation()
     row, col = 92, 68  # north -2, east 5
     assert (GRID.north - row * CELL, GRID.east + col * CELL) == (-2.0, 5.0)
@@ -227,7 +227,7 @@ def test_a_mark_lies_on_its_place() -> None:
 
 
 def test_numbers_do_not_hide_other_sites() -> None:
-    """Three sites in a row from south to north: a number above its disc would lie on the next one."""
+    """Three sites lie in a row from south to north: a number above its disc would cover the next one."""
     row = Sites(tuple(site(i + 1, 5.0, -2.0 + 3.2 * i) for i in range(3)))
     run = some_run(sites=row)
     found = figures.marks(run, canvas.whole(run.elevation))
@@ -336,7 +336,7 @@ def test_a_stray_cell_does_not_shrink_the_map() -> None:
     views[3, 3] = 5
     e = replace(e, views=views)
     assert canvas.whole(e).grid.shape == (40, 40)
-    far = canvas.whole(e, [(GRID.east, GRID.north)])  # but a site is always on it
+    far = canvas.whole(e, [(GRID.east, GRID.north)])  # but every site is on it
     assert far.xy(GRID.east, GRID.north) >= (0.0, 0.0)
 
 

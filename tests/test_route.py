@@ -1,4 +1,4 @@
-"""The route clears everything mapped by its margin, or says what it crosses."""
+"""The route clears everything mapped by its margin, or names the obstacles that it crosses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def site(east: float, north: float, up: float = 0.0) -> Site:
 
 
 def path(r: Route, until: str) -> np.ndarray:
-    """Points of the line every few centimetres, up to the way-point of that name."""
+    """Return points of the line, every few centimetres, up to the way-point of that name."""
     names = [w.name for w in r.waypoints]
     corners = [w.position_world for w in r.waypoints[: names.index(until) + 1]]
     pieces = [a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in pairwise(corners)]
@@ -32,9 +32,9 @@ def path(r: Route, until: str) -> np.ndarray:
 
 
 def least_gap(r: Route, e: ElevationMap, clearance: float, start_climb: bool) -> float:
-    """Smallest height of the line above what lies within `clearance` beside it, until the descent over the site."""
+    """Smallest height of the line above the ground within `clearance` beside it, until the descent over the site."""
     line = path(r, "approach")
-    if start_climb:  # the vehicle is where it is: the climb itself is not judged
+    if start_climb:  # the vehicle's position is given: the climb itself is not judged
         line = line[400:]
     east, north = e.grid.xy()
     x, y = np.meshgrid(east, north)
@@ -88,7 +88,7 @@ def test_a_tree_on_the_way_keeps_the_line_level() -> None:
 
 @pytest.mark.parametrize(("height", "beside", "told"), [(6.5, 2.5, True), (2.0, 2.5, False), (6.5, 4.5, False)])
 def test_a_way_down_beside_what_is_tall_is_warned_of(height: float, beside: float, told: bool) -> None:
-    """The vehicle drifts while it comes down: 3 m are asked for beside a way, and beside the last one, too."""
+    """The vehicle drifts while it comes down, so that 3 m are required also beside the last leg."""
     z = np.zeros((101, 141))
     z[50, round((60.0 + beside) / 0.5)] = height
     got = route.plan_route(site(60.0, 25.0), ground(z, cell=0.5), np.array([5.0, 25.0, 30.0]), SETTINGS)
@@ -106,7 +106,7 @@ def test_unknown_ground_may_be_as_high_as_anything_known() -> None:
 
 @pytest.mark.parametrize("flag", [Flag.SATURATED, Flag.UNSEEN])
 def test_unknown_ground_beside_the_way_counts_as_well(flag: Flag) -> None:
-    """A tower of 2 x 2.5 m, 1 m beside the way, that no camera could measure; far off, something of 40 m."""
+    """A tower of 2 x 2.5 m, 1 m beside the way, has no measured height; something of 40 m stands far off."""
     z = np.zeros((101, 141))
     z[5:8, 5:8] = 40.0
     e = ground(z, cell=0.5)
@@ -128,7 +128,7 @@ def test_small_holes_beside_the_way_and_holes_farther_off_change_nothing(hole: t
 
 
 def test_the_rim_of_the_map_beyond_both_ends_changes_nothing() -> None:
-    """The map ends 1 m behind the vehicle and 1 m behind the site; 1 m beside the way it does count."""
+    """The map ends 1 m behind the vehicle and 1 m behind the site; 1 m beside the way, its rim counts."""
     e = ground(np.zeros((101, 141)), cell=0.5)
     beyond = route.plan_route(site(69.0, 25.0), e, np.array([1.0, 25.0, 14.0]), SETTINGS)
     assert beyond.warnings == ()
@@ -150,7 +150,7 @@ def test_a_vehicle_over_the_site_only_descends() -> None:
 
 @pytest.mark.parametrize(("wind", "speed"), [((-8.0, 0.0), 2.0), ((8.0, 0.0), 5.0), ((0.0, 6.0), 5.0), (None, 5.0)])
 def test_against_the_wind_it_flies_slower_over_the_ground(wind: tuple[float, float] | None, speed: float) -> None:
-    """Ten metres a second through the air are left two against eight."""
+    """Of ten metres a second through the air, two are left against a wind of eight."""
     settings = SETTINGS.model_copy(update={"wind": wind, "air_speed": 10.0})
     e = ground(np.zeros((101, 141)), cell=0.5)
     got = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 10.0]), settings)
@@ -164,7 +164,7 @@ def test_a_recording_is_given_its_wind_by_a_setting() -> None:
 
 
 def test_no_line_leads_down_with_the_wind_from_behind() -> None:
-    """Level to above the site, and straight down there; against the wind, or in a light one, down a line."""
+    """The route is level to above the site and then straight down; against the wind, or in a light one, it slopes."""
     e, start = ground(np.zeros((101, 141)), cell=0.5), np.array([5.0, 25.0, 30.0])
     for wind, names in {
         (4.0, 0.0): ["start", "transit", "approach", "inspect", "touchdown"],

@@ -1,4 +1,4 @@
-"""Settings: unknown keys and bad values are refused by name, assignments win, YAML goes out and comes back."""
+"""Settings: unknown keys and bad values are refused by name, assignments win, YAML is written and read back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import alight
 from alight.settings import ImuNoise, Settings, load_settings, settings_of_run, settings_page
 from alight.settings.keys import all_keys, user_keys
 
-# what was a user's key before tuning had a place of its own
+# keys of users before the tuning had a group of its own
 MOVED = {
     "tracks": "count window_px levels search_px search_sigmas search_sigma_px forward_backward_px epipolar_px texture",
     "motion.filter": "points clones pixel_sigma pixel_repeat texture_reference depth_share vague_share "
@@ -135,7 +135,7 @@ def test_assignments_win_over_the_file_and_the_last_over_the_first() -> None:
     text = "parallax: {cell: 0.5, store_mb: 90}"
     s = load_settings(text, ["parallax.cell=0.2", "parallax.cell=0.3", "lander.radius=2"])
     assert (s.parallax.cell, s.parallax.store_mb, s.lander.radius) == (0.3, 90, 2.0)
-    assert s.parallax.method == "batch"  # and what nobody names keeps its default
+    assert s.parallax.method == "batch"  # keys that are not named keep their defaults
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_the_method_auto_of_earlier_versions_is_batch() -> None:
 
 @pytest.mark.parametrize("tuning", [False, True])
 def test_yaml_goes_out_and_comes_back(tuning: bool) -> None:
-    """A tuned constant that was changed is never lost, whether the others are shown or not."""
+    """A changed constant of the tuning is never lost, whether the others are written or not."""
     s = load_settings("", ["parallax.cell=0.07", "lander.skids=[1.2, 0.8]", "tuning.filter.gate=0.9"])
     text = s.to_yaml(tuning)
     assert load_settings(text) == s
@@ -205,14 +205,14 @@ def test_every_key_has_a_description() -> None:
 
 
 def test_no_bound_is_overruled_by_another() -> None:
-    """Of two bounds of one kind the last wins in silence: `Field(0.0, le=100)` of a type that has its own."""
+    """Of two bounds of one kind the last wins silently: `Field(0.0, le=100)` of a type with its own bound."""
     for key, info in all_keys().items():
         kinds = [type(bound) for bound in info.metadata]
         assert len(kinds) == len(set(kinds)), key
 
 
 def test_every_tuned_constant_is_used() -> None:
-    """A constant that no stage reads can be set and does nothing."""
+    """A constant that no stage reads would have no effect."""
     folder = Path(alight.__file__).parent
     sources = [p for p in folder.rglob("*.py") if folder / "settings" not in p.parents]
     read = set(re.findall(r"\.([a-z][a-z0-9_]*)\b", "\n".join(p.read_text(encoding="utf-8") for p in sources)))
@@ -257,7 +257,7 @@ def test_a_stage_gets_what_is_set_for_it(assignment: str, stage: str) -> None:
 
 
 def test_the_imu_of_a_recording_is_as_noisy_as_it_states() -> None:
-    """Its numbers replace defaults, with a margin; what is set, and what is no noise, stays. The settings stay, too."""
+    """A recording's noise replaces defaults, with a margin; keys that are set win, zero is ignored. Settings stay."""
     imu = ImuNoise(gyroscope_noise_density=2e-3, accelerometer_noise_density=8e-3, gyroscope_random_walk=0.0)
     settings = load_settings("", ["tuning.filter.accelerometer_noise=0.02"])
     found, plain = settings.stages(imu).motion.filter, settings.stages().motion.filter
@@ -269,14 +269,14 @@ def test_the_imu_of_a_recording_is_as_noisy_as_it_states() -> None:
 
 
 def test_stored_settings_read_back_the_same_recording_alike() -> None:
-    """What a recording states still counts when a run is repeated with the settings that it stored."""
+    """The noise that a recording states still counts when a run is repeated with its stored settings."""
     imu = ImuNoise(gyroscope_noise_density=2e-3)
     stored = load_settings(Settings().to_yaml(tuning=True))
     assert stored.stages(imu) == Settings().stages(imu)
 
 
 def test_settings_of_an_earlier_run_are_read() -> None:
-    """Moved keys keep their values, unknown ones are left out."""
+    """Moved keys keep their values, and unknown keys are left out."""
     stored = {
         "lander": {"radius": 2.0, "wings": 2},
         "motion": {"filter": {"gate": 0.9, "time_offset": 0.02}},
@@ -296,7 +296,7 @@ def test_an_impossible_value_of_an_earlier_run_is_named() -> None:
 
 
 def test_the_page_of_settings_is_current() -> None:
-    """`alight settings --markdown > docs/settings.md` makes it."""
+    """The page is the output of `alight settings --markdown > docs/settings.md`."""
     page = (Path(__file__).parents[1] / "docs" / "settings.md").read_text(encoding="utf-8")
     assert page == settings_page()
     assert all(f"| `{key}` |" in page for key in all_keys())

@@ -1,4 +1,4 @@
-"""The SIFT detector against OpenCV's, on the whole picture."""
+"""The SIFT detector against OpenCV's, on whole pictures."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def ground(seed: int, side: int = 400) -> U8:
 
 
 def of_opencv(picture: U8) -> F64:
-    """Its features that do not come from the doubled picture: column, row, size, angle."""
+    """Features of OpenCV that do not come from the doubled picture: column, row, size, angle."""
     found = cv2.SIFT.create(nfeatures=0, contrastThreshold=CONTRAST).detect(picture, None)
     return np.array([[k.pt[0] - 0.25, k.pt[1] - 0.25, k.size, k.angle] for k in found if k.octave & 255 < 128])
 
 
 def compared(found: F64) -> F64:
-    """Columns in which features of two detectors may be compared: pixels, a tenth of an octave, a tenth of a radian."""
+    """Columns in comparable units, for features of two detectors: pixels, a tenth of an octave, a tenth of a radian."""
     angle = np.radians(found[:, -1])
     return np.c_[found[:, :2], 10 * np.log2(found[:, 2]), 10 * np.cos(angle), 10 * np.sin(angle)]
 
 
 def test_features_are_those_of_opencv() -> None:
-    """A few lie at a limit. OpenCV doubles centres, not corners: its own lie a quarter of a pixel too far right."""
+    """A few lie at a limit. OpenCV doubles centres, not corners, and its own lie a quarter of a pixel too far right."""
     picture = ground(1)
     own, other = compared(detect(picture, CONTRAST)[:, [0, 1, 2, 4]]), compared(of_opencv(picture))
     assert len(own) == pytest.approx(len(other), rel=0.02)
@@ -55,7 +55,7 @@ def test_a_turned_picture_has_the_same_features_turned() -> None:
 
 
 def test_a_shift_of_a_part_of_a_pixel_is_found() -> None:
-    """Features are placed between pixels: of a picture that is half as large, the shift of one pixel is a half."""
+    """Features are placed between pixels: in a picture of half the size, a shift of one pixel is a half."""
     large = ground(3, 800)
     first, second = (cv2.resize(large[:, k : 798 + k], (399, 400), interpolation=cv2.INTER_AREA) for k in (0, 1))
     a, b = (compared(detect(np.ascontiguousarray(p), CONTRAST)[:, [0, 1, 2, 4]]) for p in (first, second))
@@ -74,7 +74,7 @@ def test_nothing_to_see_has_no_features(picture: U8) -> None:
 
 
 def test_opencv_describes_them() -> None:
-    """Descriptors of its own features and of these are alike: what is packed in an octave is as it packs it."""
+    """OpenCV's descriptors of its own features and of these are similar, so that the octave is packed as in OpenCV."""
     picture = ground(4)
     sift, found = cv2.SIFT.create(nfeatures=0, contrastThreshold=CONTRAST), detect(picture, CONTRAST)
     own, table = sift.compute(picture, keypoints(found))
@@ -87,7 +87,7 @@ def test_opencv_describes_them() -> None:
 
 
 def test_a_small_picture_has_those_of_the_doubled_one_too() -> None:
-    """Its own come first; the finer ones lie where the picture shows them."""
+    """The features of the picture come first; the finer ones agree with OpenCV's of the doubled picture."""
     picture = ground(5)
     own = len(detect(picture, CONTRAST))
     few, many = (extract(picture, BundleSettings(features=n)) for n in (own, own + 500))

@@ -40,7 +40,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    """A scene file that is made and flown in a second or two."""
+    """Write a scene file that is made and flown in a second or two."""
     file = tmp_path / "mine.yaml"
     file.write_text(SMALL)
     return file
@@ -197,7 +197,7 @@ def test_the_scenes_of_the_documentation_are_scenes() -> None:
 def test_a_picture_in_a_terminal_has_two_pixels_a_character(tmp_path: Path) -> None:
     columns, rows = PICTURE
     image = np.zeros((2 * rows, columns, 3), np.uint8)
-    image[::2] = (0, 0, 255)  # red over blue, as OpenCV counts
+    image[::2] = (0, 0, 255)  # red above blue, in OpenCV's order
     image[1::2] = (255, 0, 0)
     cv2.imwrite(str(tmp_path / "stripes.png"), image)
     picture = blocks(tmp_path / "stripes.png")

@@ -1,4 +1,4 @@
-"""Families of scenes: what the seed draws, stones by their law, and touchdowns on what lies there."""
+"""Families of scenes: random choices by the seed, the size law of stones, and touchdowns on their objects."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def flat(*layers: dict[str, Any], size: float = 20.0, seed: int = 0, **ground: A
 
 
 def at(truth: SceneTruth, east: float, north: float) -> tuple[float, Terrain, bool]:
-    """Height, class and safety of the cell at a place."""
+    """Return height, class and safety of the cell at a place."""
     r, c = (int(np.rint(v)) for v in truth.grid.index(np.array(east), np.array(north)))
     return float(truth.height[r, c]), Terrain(int(truth.label[r, c])), bool(truth.safe()[r, c])
 
 
-# -- what is drawn
+# -- random choices
 
 
 def test_draws_are_put_in_by_name_and_differ_from_seed_to_seed() -> None:
@@ -123,7 +123,7 @@ def test_the_share_of_the_ground_under_stones_follows_the_law(form: str, k: floa
         sampling = math.sqrt(float((area**2).sum()) + diameter**4) / 76.0**2
         assert area.sum() / 76.0**2 == pytest.approx(law, abs=3.5 * sampling), diameter
     truth = world.truth()
-    found = (truth.label == Terrain.ROCK).mean()  # one stone hides a part of another
+    found = (truth.label == Terrain.ROCK).mean()  # stones partly hide each other
     law = 1.0 - math.exp(-(share_above(0.3, k) - share_above(2.0, k)))
     assert found == pytest.approx(law, rel=0.2)
     covered = 1.0 - math.exp(-(share_above(0.1, k) - share_above(2.0, k)))
@@ -184,7 +184,7 @@ def test_stones_look_like_the_ground_that_they_lie_on_or_as_they_are_told() -> N
     told = flat({"thing": "stones", "share": 0.2, "look": "rock", "hidden": 0.5}, **ground).patch((-5, -5, 5, 5))
     assert told.look is not None
     of_rock = (told.look != patch.look.flat[0])[told.label == Terrain.ROCK].mean()
-    assert 0.2 < of_rock < 0.8  # the rest is hidden in the ground's own look
+    assert 0.2 < of_rock < 0.8  # the rest has the look of the ground
 
 
 def test_stones_keep_off_a_cleared_track() -> None:

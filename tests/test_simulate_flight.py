@@ -1,4 +1,4 @@
-"""The assembled flight: one source of events whatever goes wrong, truth beside it, a log that reads back the same."""
+"""The assembled flight: one source of events for any faults, truth beside it, and a log that reads back the same."""
 
 import dataclasses
 import math
@@ -53,7 +53,7 @@ def of(flight, kind):
 
 
 def same(a, b):
-    """Bit-equal records."""
+    """Return whether two records are equal, bit for bit."""
     if type(a) is not type(b):
         return False
     for f in dataclasses.fields(a):
@@ -123,7 +123,7 @@ def test_late_frames_come_late_and_keep_their_stamp(world, small_rig):
     assert sorted(stamps) == flight.frame_times.tolist()
     assert stamps != sorted(stamps)
     clock = 0
-    for e in events:  # nothing but a frame is ever behind the clock
+    for e in events:  # only frames may be behind the clock
         assert isinstance(e, Frame) or e.t_ns >= clock
         clock = max(clock, e.t_ns)
 
@@ -173,7 +173,7 @@ def test_everything_that_the_cameras_see_lies_in_the_box_of_the_truth(world, sma
             assert (points[:, 0] < east).all()
             assert (points[:, 1] > south).all()
             assert (points[:, 1] < north).all()
-    assert (east - west) * (north - south) < 0.75 * 72**2  # and it is a box about that, not the world
+    assert (east - west) * (north - south) < 0.75 * 72**2  # it is a box about the flight, not the world
     grid = flight.truth.grid
     assert grid.east - west < 1.5 * grid.cell
     assert grid.rows * grid.cell == pytest.approx(north - south, abs=2 * grid.cell)
@@ -246,7 +246,7 @@ def test_safe_fraction_of_the_sample_flight_agrees_with_its_maker(shared_data):
 
 @pytest.fixture(scope="module", params=["sound", "damaged"])
 def written(request, world, small_rig, tmp_path_factory):
-    """A flight of four exposures that all arrive, and one on which nearly everything goes wrong."""
+    """Write a flight of four exposures that all arrive, and one with nearly every fault."""
     out = tmp_path_factory.mktemp("simulated") / "flight"
     damage = {"faults": Faults.model_validate(EVERYTHING), "nav": NavErrors.model_validate(HOLES)}
     wishes = damage if request.param == "damaged" else {}
@@ -280,7 +280,7 @@ def test_written_log_reads_back_the_same(written):
         else:
             assert np.abs(a.specific_force_body - b.specific_force_body).max() < 1e-8
     lost = {k.replace(" lost", " left out"): n for k, n in flight.counts.items() if k != "exposures"}
-    for name, count in lost.items():  # at the ends of the log they are an excerpt's
+    for name, count in lost.items():  # missing rows at the ends of the log are an excerpt
         assert 0 < source.counts.get(name, 0) <= count
     assert bool(source.warnings) == bool(lost)
 
@@ -321,7 +321,7 @@ def test_written_truth_reads_back_the_same(written):
 
 
 def test_pictures_and_truth_agree_through_the_written_files(written):
-    """The depth that the log's own poses, the true calibration and the DEM give is the depth that was drawn."""
+    """The depth by the log's poses, the true calibration and the DEM is the drawn depth."""
     flight, out = written
     times, poses = open_source(out, Settings()).truth_trajectory
     t, cam = int(flight.frame_times[1]), flight.true_rig.cameras[1]
@@ -371,7 +371,7 @@ def test_writer_refuses_what_is_there_and_leaves_nothing_half_done(world, small_
     assert (out / "truth" / "scene.yaml").is_file()
 
 
-# -- bad wishes
+# -- invalid wishes
 
 
 @pytest.mark.parametrize(
@@ -461,7 +461,7 @@ def test_a_rolling_shutter_reads_each_row_at_its_own_time(world, small_rig):
     line_time = 2e-3
     rolled = fly(world, 1, plan=calm, rig=small_rig, imaging=Imaging(**clear, line_time=line_time)).image(8, 0)
     rows = fly(world, 1, plan=calm, rig=small_rig, imaging=Imaging(**clear, rate_hz=1000.0))
-    for r in (3, 40):  # the row of a picture that is taken at that row's time
+    for r in (3, 40):  # each row of the picture is exposed at that row's time
         index = round(1000 + (r - 23.5) * line_time * 1000)
         ours, theirs = rows.image(index, 0)[r].astype(int), rolled[r].astype(int)
         assert np.abs(ours - theirs).mean() < 1.0
@@ -513,7 +513,7 @@ def test_a_camera_is_its_field_of_view_and_its_tilt():
     assert cam.camera.fu == pytest.approx(160.0)
     axis = cam.body_from_cam.rotation[:, 2]
     assert axis == pytest.approx([math.cos(math.radians(30)), 0.0, -0.5])
-    assert cam.body_from_cam.rotation[:, 0] == pytest.approx([0.0, -1.0, 0.0])  # the image's right is the body's
+    assert cam.body_from_cam.rotation[:, 0] == pytest.approx([0.0, -1.0, 0.0])  # the image's right is the body's right
     assert np.linalg.det(cam.body_from_cam.rotation) == pytest.approx(1.0)
 
 

@@ -1,4 +1,4 @@
-"""Light, looks, shutters and cars: against closed forms and plain NumPy twins; blocks and threads do not show."""
+"""Light, looks, shutters and cars: against closed forms and plain NumPy twins, independent of blocks and threads."""
 
 import dataclasses
 
@@ -41,7 +41,7 @@ def above(east=0.0, north=0.0, up=12.0):
 
 
 def along(start, velocity):
-    """A camera that looks down and flies straight on: what `radiance` takes."""
+    """Return the poses, as a function of time, of a camera that looks down and flies straight on."""
     return lambda t: (np.repeat(DOWN[None], len(t), axis=0), np.array(start) + np.outer(t, velocity))
 
 
@@ -50,7 +50,7 @@ def along(start, velocity):
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_plane_sphere_and_step_land_where_projection_says(lens):
-    assert max(errors(LENSES[lens]).values()) < 0.001  # pixels; demanded: 0.02
+    assert max(errors(LENSES[lens]).values()) < 0.001  # pixels; required: 0.02
 
 
 def test_rays_of_a_pixel_spread_about_its_centre():
@@ -143,7 +143,7 @@ def test_small_functions_agree_with_numpy():
 
 
 def scratch(x, y, look, foot=0.02):
-    """A block of pixels as the passes take it."""
+    """Return the working memory of a block of pixels."""
     buf = np.zeros(block.PARAM + texture.PARAMS * block.B, np.float32)
     for slot, values in ((block.TX, x), (block.TY, y), (block.FOOT, foot)):
         buf[slot : slot + block.B] = values
@@ -196,11 +196,11 @@ def test_boxes_agree_with_a_dense_march():
     assert hit_box(np.array([0, 0, 0, 1, 0, 2, 1, 1.5, 0, 0, 0, 0.0]), (0.0, 0.0, 5.0), (0.0, 0.0, -1.0)) == (3.5, 1)
 
 
-# -- what must not show
+# -- invariance
 
 
 def test_texture_does_not_depend_on_blocks_threads_or_samples_before():
-    """Another principal point shifts the blocks of pixels over the ground; the ground stays."""
+    """Another principal point shifts the blocks of pixels over the ground, but not the texture."""
     rough = ground(Look.MEADOW, side=60.0, surface=lambda x, y: 0.8 * np.sin(1.3 * x) + np.where(y > 4, 3.0, 0.0))
     wide = Camera(300, 40, 120.0, 120.0, 150.0, 19.5)
     moved = dataclasses.replace(wide, cu=wide.cu - 53.0)
@@ -271,7 +271,7 @@ def reddish(picture):
 def test_a_car_is_where_its_path_and_time_say():
     mover = Mover(RED, lambda e, n: 0.5, 3)
     first, later = mover.places_at(np.array([0.0, 1.5]))[0]
-    assert (later[0, 0] - first[0, 0]) % 30.0 == pytest.approx(9.0)  # who leaves at the end comes again at the start
+    assert (later[0, 0] - first[0, 0]) % 30.0 == pytest.approx(9.0)  # a car comes again at the start
     assert later[0, 1:] == pytest.approx([1.0, 0.5])
     boxes = boxes_at((mover,), np.array([0.0]))
     assert boxes.shape == (1, 2, 12)
@@ -394,7 +394,7 @@ def test_plain_surfaces_are_plain_and_white_ones_bright():
 
 
 def test_leaves_look_different_from_two_places_and_stones_do_not():
-    """Plants are seen into: several layers in depth, so that matching is as hard as on real ones."""
+    """Plants have several layers in depth, so that matching is as hard as on real ones."""
 
     def likeness(look):
         world = ground(look, side=40.0)
@@ -477,7 +477,7 @@ def test_coarser_layers_are_means_and_what_most_are():
 
 
 def test_a_far_picture_is_as_smooth_as_many_rays_would_make_it(monkeypatch):
-    """Stripes and shadows finer than a pixel do not sparkle, and cost less memory."""
+    """Stripes and shadows finer than a pixel do not sparkle, and the picture needs less memory."""
     n = 1201
     tint = np.ones((n, n, 3), np.float32)
     tint[::2, ::3] = 0.1

@@ -37,7 +37,7 @@ def tilted(east=1.3, north=-2.1, up=20.0):
 
 
 def look(world, camera, pose):
-    """Depth and world points of all pixels."""
+    """Return depth and world points of all pixels."""
     eye = Eye(camera)
     depth = eye.depth(world, pose)
     return depth, pose.apply(eye.rays[0].astype(np.float64) * depth[..., None])
@@ -116,7 +116,7 @@ def test_step_edge_lies_where_projection_says_to_a_fiftieth_of_a_pixel(lens):
     truth = world.truth()
     brink = truth.grid.xy()[0][np.argmax(truth.height[0] > 1.0)]
     edge = camera.project(pose.inverse.apply(np.stack([np.full(21, brink), north, np.full(21, 2.0)], -1)))
-    # which way over the picture leads to the east
+    # image direction of east
     beyond = camera.project(pose.inverse.apply(np.stack([np.full(21, brink + 0.1), north, np.full(21, 2.0)], -1)))
     way = (beyond - edge) / np.linalg.norm(beyond - edge, axis=1, keepdims=True)
     for side, sign in (("on", 1.0), ("off", -1.0)):
@@ -283,7 +283,7 @@ def test_water_moves_and_ground_does_not(meadow):
 
 
 def test_texture_is_fixed_to_the_ground():
-    """A point seen from two places has one colour: matching can work."""
+    """A point seen from two places has one colour, so that matching is possible."""
     flat = make_world(lambda x, y: 0.0 * x, side=40.0)
     camera = LENSES["none"]
     a, b = Pose(DOWN, np.array([0.0, 0.0, 14.4])), Pose(DOWN, np.array([2.0, 1.0, 14.4]))
@@ -302,7 +302,7 @@ def test_texture_is_fixed_to_the_ground():
 
 
 def test_texture_is_band_limited_by_the_pixel():
-    """One ray a pixel is near enough to four: no sparkle that a lens would not show."""
+    """One ray a pixel is close to four: there is no sparkle that a lens would not show."""
     flat = make_world(lambda x, y: 0.0 * x, side=100.0, cell=0.2)
     pose = Pose(DOWN, np.array([0.0, 0.0, 30.0]))
     one, four = (Eye(LENSES["none"], n).radiance(flat, pose, 0.0) for n in (1, 4))

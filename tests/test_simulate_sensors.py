@@ -1,4 +1,4 @@
-"""Sensors, imaging and faults: closed forms, claimed against true, and every source of chance with its own stream."""
+"""Sensors, imaging and faults: closed forms, true sigmas, and a random stream for each source of errors."""
 
 import dataclasses
 import math
@@ -92,7 +92,7 @@ def test_outages_empty_the_position_or_take_the_rows(trajectory):
     assert np.array_equal(empty, (t >= 2.0) & (t < 5.0))
     assert all((s.sigma_position is None) == (s.position_world is None) for s in holed)
     by_time = {s.t_ns: s for s in whole}
-    for s in holed:  # what is left is what it was
+    for s in holed:  # the remaining rows are unchanged
         assert np.array_equal(s.world_from_body, by_time[s.t_ns].world_from_body)
         assert np.array_equal(s.velocity_world, by_time[s.t_ns].velocity_world)
 
@@ -397,7 +397,7 @@ def test_changing_one_fault_leaves_the_others_bit_for_bit(wish):
     assert np.array_equal(*lost) == ("dropped" not in wish)
     assert np.array_equal(*late) == ("late" not in wish)
     assert np.array_equal(*again) == ("repeated" not in wish)
-    assert (late[1] >= late[0]).all()  # more of the same: what was late stays late
+    assert (late[1] >= late[0]).all()  # with more of the fault, the exposures that were late are still late
 
 
 def test_claimed_rig_differs_as_asked():

@@ -72,7 +72,7 @@ def test_every_limit_holds(pattern, kind, limits):
 
 
 def test_limits_are_used_not_only_kept():
-    """A flight that never comes near a limit would pass the test above."""
+    """A flight that stays far below every limit would pass the test above."""
     up_down = FlightPlan(waypoints=[(0, 0, 20), (0, 0, 60), (0, 0, 20), (60, 0, 20), (60, 60, 20)], speed=9.0)
     flight = flown(up_down)
     t = times(flight)

@@ -1,4 +1,4 @@
-"""Worlds: pure functions of scene, seed and place; things do what they say; rasters; errors; truth by brute force."""
+"""Worlds: pure functions of scene, seed and place; things as described; rasters; errors; truth by brute force."""
 
 import math
 import re
@@ -39,7 +39,7 @@ def truth_of(*layers, seed=0, **ground):
 
 
 def at(truth, east, north):
-    """Height and class of the cell at a place."""
+    """Return height and class of the cell at a place."""
     r, c = (int(np.rint(v)) for v in truth.grid.index(np.array(east), np.array(north)))
     return float(truth.height[r, c]), Terrain(int(truth.label[r, c]))
 
@@ -192,7 +192,7 @@ def test_a_crown_is_ragged_with_holes():
     tree = truth_of({"thing": "trees", "at": [[0, 0]], "radius": 4, "height": 9})
     crown = tree.label == Terrain.TREE
     edge = (crown[1:] != crown[:-1]).sum() + (crown[:, 1:] != crown[:, :-1]).sum()
-    assert edge > 1.3 * 4.0 / math.sqrt(math.pi) * math.sqrt(crown.sum()) * math.sqrt(math.pi)  # a disc's would be 1
+    assert edge > 1.3 * 4.0 / math.sqrt(math.pi) * math.sqrt(crown.sum()) * math.sqrt(math.pi)  # a disc would have 1
 
 
 def test_a_house_has_sheer_walls_and_a_roof_of_its_pitch():
@@ -205,7 +205,7 @@ def test_a_house_has_sheer_walls_and_a_roof_of_its_pitch():
 
 
 def test_a_wall_askew_has_a_straight_edge():
-    """The half-height contour of a roof that is turned against the grid strays less than a tenth of a cell."""
+    """The half-height contour of a roof that is turned against the grid deviates by less than a tenth of a cell."""
     house = {"thing": "houses", "at": [[0, 0]], "length": 20, "width": 12, "walls": 4, "roof": "flat", "turn_deg": 17}
     truth = truth_of(house, size=(60, 60))
     east, north = truth.grid.xy()

@@ -1,4 +1,4 @@
-"""Sites: order, distance between them, and the sentence when there is none."""
+"""Sites: their order, the distance between them, and the sentence if there is none."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def choose(
 
 
 def rocky(rows: int = 101, cols: int = 151) -> np.ndarray:
-    """A wall of rocks on the left, and open ground on the right."""
+    """Return heights with a field of rocks on the left and open ground on the right."""
     z = np.zeros((rows, cols))
     z[::3, :70:3] = 1.0
     return z
@@ -57,7 +57,7 @@ def test_the_roomiest_place_comes_first_and_all_are_safe() -> None:
 
 
 def test_of_even_ground_the_dry_part_comes_before_a_wet_patch() -> None:
-    """The middle is the roomiest; it is wet."""
+    """The middle has the most room around it, but it is wet."""
     rgb = np.full((101, 101, 3), 130, np.uint8)
     dry = choose(ground(np.zeros((101, 101)), rgb=rgb)).sites[0]
     assert math.hypot(dry.east - 5.0, dry.north - 5.0) < 0.2
@@ -127,7 +127,7 @@ def test_ground_that_may_not_be_landed_on_is_named() -> None:
 
 
 def doubtful(e: ElevationMap, p: np.ndarray, reasons: np.ndarray | None = None) -> HazardMap:
-    """A verdict with these probabilities of obstacles, undecided everywhere or for these reasons."""
+    """A hazard map with these probabilities of obstacles, undecided everywhere or for these reasons."""
     h = assess(e, None, LANDER, EXACT)
     why = np.full(e.grid.shape, Hazard.DOUBT, np.uint16) if reasons is None else reasons
     one, p = np.ones(e.grid.shape, np.float32), p.astype(np.float32)
@@ -147,7 +147,7 @@ def undecided(h: HazardMap, e: ElevationMap, observer: Observer | None = None, *
 
 
 def hill_of_chance(row: int, col: int, height: float = 0.4) -> np.ndarray:
-    """0.5, and more about one cell, (101, 101)."""
+    """Probabilities (101, 101) of 0.5, higher about one cell."""
     r, c = np.mgrid[:101, :101]
     return np.asarray(0.5 + height * np.exp(-(np.hypot(r - row, c - col) ** 2) / 200))
 
@@ -155,7 +155,7 @@ def hill_of_chance(row: int, col: int, height: float = 0.4) -> np.ndarray:
 def test_candidates_are_what_nothing_refuses_the_surest_first_and_apart() -> None:
     e = ground(np.full((101, 101), 3.0))
     why = np.full((101, 101), Hazard.DOUBT, np.uint8)
-    why[:, 60:] = Hazard.ROUGHNESS | Hazard.DOUBT  # refused for good, however surely it would else be safe
+    why[:, 60:] = Hazard.ROUGHNESS | Hazard.DOUBT  # refused for good, for any probability
     found = undecided(doubtful(e, hill_of_chance(30, 40), why), e)
     assert found.sites == ()
     assert found.reason.startswith("no safe site: ")
@@ -165,7 +165,7 @@ def test_candidates_are_what_nothing_refuses_the_surest_first_and_apart() -> Non
     assert all(c.kind == "candidate" and c.doubt == "obstacle" and c.east < 5.5 for c in found.candidates)
     assert first.p_safe > found.candidates[-1].p_safe + 0.1
     assert_allclose(first.clearance, (60 - first.east / 0.1 - 0.5) * 0.1, atol=1e-5)
-    assert first.look is None  # nobody is there to look
+    assert first.look is None  # no observer is given
 
 
 def test_one_lucky_cell_is_no_good_candidate() -> None:
@@ -206,7 +206,7 @@ def test_a_separation_below_four_radii_does_not_hold() -> None:
 
 
 def test_a_verdict_on_coarser_cells_than_the_heights_has_the_same_places() -> None:
-    """Height, sigma and class of a site are those of its footprint on their own grids."""
+    """Height, sigma and class of a site are those of its footprint, each on its own grid."""
     fine = ground(np.add.outer(np.zeros(160), 0.02 * np.arange(160)), cell=0.05)
     coarse = fine.grid.coarser(4)
     judged = ground(np.add.outer(np.zeros(40), 0.08 * np.arange(40)), cell=0.2)
@@ -228,14 +228,14 @@ def watcher(height: float = 40.0, stereo: bool = False, east: float = -20.0) -> 
 
 
 def look_of(observer: Observer, settles_at: float) -> NextView | None:
-    """The view of the first candidate at (7, 7, 3)."""
+    """Return the view of the first candidate, at (7, 7, 3)."""
     e = ground(np.full((101, 101), 3.0))
     h = replace(doubtful(e, hill_of_chance(30, 70)), settles_at=np.full((101, 101), settles_at, np.float32))
     return undecided(h, e, observer).candidates[0].look
 
 
 def test_the_next_view_is_as_low_as_the_pixel_has_to_be_fine() -> None:
-    """Pixels of 2 cm and a focal length of 600: from 12 m. The base of one camera: 0.12 of that, to the vehicle."""
+    """Pixels of 2 cm at a focal length of 600 need 12 m; one camera needs 0.12 of it as baseline, to the vehicle."""
     look = look_of(watcher(), 0.02)
     assert look is not None
     assert look.height == pytest.approx(12.0)

@@ -38,11 +38,11 @@ def test_healthy_flight(flight: Path) -> None:
     assert source.warnings == []
     assert source.counts["cam0 images"] == source.counts["exposures"] == 6
     at_start = [type(e) for e in events if e.t_ns == d.T0]
-    assert at_start == [NavSample, ImuSample, Frame]  # what is measured at a frame's time comes before the frame
+    assert at_start == [NavSample, ImuSample, Frame]  # samples at a frame's time come before the frame
 
 
 def test_numbers_of_a_healthy_flight(flight: Path) -> None:
-    source = opened(flight / "mav0")  # the inner folder will do as well
+    source = opened(flight / "mav0")  # the inner folder is accepted as well
     assert source.name == "flight"
     cam = source.rig.cameras[1]
     assert (cam.name, cam.camera.fu, cam.camera.model) == ("cam1", 50.0, "radial-tangential")
@@ -118,7 +118,7 @@ def test_image_of_another_size_is_dropped(flight: Path) -> None:
 
 
 def test_rows_beyond_the_images_are_an_excerpt(flight: Path) -> None:
-    """Whoever cuts a log short keeps data.csv: no complaint, but a note."""
+    """Logs that are cut short often keep data.csv: this gives a note, not a warning."""
     for k in (0, 5):
         (flight / f"mav0/cam0/data/{k}.png").unlink()
         (flight / f"mav0/cam1/data/{k}.png").unlink()
@@ -135,7 +135,7 @@ def test_right_camera_without_images(flight: Path) -> None:
 
 
 def test_missing_nav0(flight: Path) -> None:
-    """A plain EuRoC folder: read, and said to be without a place."""
+    """A plain EuRoC folder is read, with a warning that its place is unknown."""
     shutil.rmtree(flight / "mav0/nav0")
     source = opened(flight)
     assert not source.georeferenced
@@ -165,7 +165,7 @@ def test_nav0_without_rows(flight: Path) -> None:
     ],
 )
 def test_bad_nav_row(flight: Path, column: int, text: str, why: str) -> None:
-    """The row is left out and named by its line; the others stay."""
+    """The row is left out, and the warning gives its line; the other rows stay."""
     d.change_field(flight / "mav0/nav0/data.csv", 5, column, text)
     source = opened(flight)
     (warning,) = source.warnings
@@ -206,7 +206,7 @@ def test_time_going_backwards_and_repeated(flight: Path, stream: str) -> None:
 
 @pytest.mark.parametrize("stream", ["nav0", "imu0", "cam0"])
 def test_rows_that_came_late_are_put_in_their_place(flight: Path, stream: str) -> None:
-    """Right stamps in the order of arrival, as a radio link writes them: nothing is lost."""
+    """Rows with right stamps in the order of arrival, as from a radio link, are sorted, and none is lost."""
     path = flight / "mav0" / stream / "data.csv"
     whole = [e.t_ns for e in opened(flight).events()]
     lines = path.read_text().splitlines()
@@ -217,7 +217,7 @@ def test_rows_that_came_late_are_put_in_their_place(flight: Path, stream: str) -
 
 
 def test_of_images_with_one_stamp_the_first_is_used(flight: Path) -> None:
-    """In both cameras: the others were exposed at another time, which nobody knows."""
+    """The first image is used in both cameras: the others were exposed at another, unknown time."""
     for cam in ("cam0", "cam1"):
         folder = flight / "mav0" / cam
         first = (folder / "data.csv").read_text().splitlines()[3]
@@ -271,7 +271,7 @@ BAD_CAMERAS: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("changes", "why"), BAD_CAMERAS)
 def test_bad_calibration(flight: Path, changes: dict[str, Any], why: str) -> None:
-    """One line that names the file and the key, and says what to write."""
+    """The error is one line with the file, the key, and a remedy."""
     path = flight / "mav0/cam0/sensor.yaml"
     d.write_yaml(path, d.camera_yaml(**changes))
     with pytest.raises(InputError) as caught:
@@ -436,7 +436,7 @@ def test_missing_camchain(flight: Path) -> None:
 
 
 def test_euroc_excerpt(shared_data: Path) -> None:
-    """Plain EuRoC: nothing to complain of but the missing place."""
+    """A plain EuRoC log gives one warning, for its missing place."""
     source = opened(shared_data / "euroc-excerpt")
     frames = of_kind(source, Frame)
     assert [i.shape for i in frames[0].images] == [(480, 752)] * 2

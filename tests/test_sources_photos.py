@@ -55,7 +55,7 @@ def test_healthy_folder(photos: Path) -> None:
 
 
 def test_looking_down_with_the_top_of_the_image_to_the_east(photos: Path) -> None:
-    """Gimbal pitch -90, yaw 90."""
+    """The gimbal's pitch is -90 and its yaw 90."""
     nav = of_kind(opened(photos), NavSample)[0]
     world_from_cam = nav.world_from_body @ BODY_FROM_CAM.rotation
     np.testing.assert_allclose(world_from_cam @ [0, 0, 1], [0, 0, -1], atol=1e-12)  # the optical axis
@@ -83,7 +83,7 @@ def test_xmp_as_elements(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("make", "sign"), [("Parrot", 1), ("senseFly", -1)])
 def test_pix4d_names(tmp_path: Path, make: str, sign: int) -> None:
-    """Camera:Yaw, Pitch, Roll of zero look down with the top to the north; pitch 90 looks ahead."""
+    """Angles of zero (Camera:Yaw, Pitch, Roll) look down with the top to the north; a pitch of 90 looks ahead."""
     tags = {"Yaw": "30", "Pitch": "20", "Roll": "10"}
     photo = {41989: 28}
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(tags, d.PIX4D), main={271: make}, photo=photo)
@@ -149,13 +149,13 @@ def test_position_sigma(tmp_path: Path, changes: dict[str, str], expected: list[
     ],
 )
 def test_position_sigma_of_other_makers(tmp_path: Path, changes: dict[str, str], expected: list[float]) -> None:
-    """Pix4D's names, metres; 0 is not known."""
+    """The names are Pix4D's, in metres; 0 stands for unknown."""
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(changes, d.PIX4D), photo={41989: 28})
     np.testing.assert_allclose(of_kind(opened(tmp_path), NavSample)[0].sigma_position, expected)
 
 
 def test_a_place_in_decimal_degrees(tmp_path: Path) -> None:
-    """Minutes and seconds of 0/0."""
+    """Minutes and seconds are 0/0."""
     undefined = IFDRational(0, 0)
     degrees = {2: (45.25, undefined, undefined), 4: (7.5, 30.0, undefined)}
     d.write_photo(tmp_path / "a.jpg", gps=degrees)
@@ -217,7 +217,7 @@ def test_exif_altitude_left_at_zero_by_the_maker(tmp_path: Path) -> None:
 
 
 def test_order_is_that_of_capture(tmp_path: Path) -> None:
-    """Not that of names; photos of one second share it out, subseconds count."""
+    """Names do not count; photos of one second are spread over it, and subseconds count."""
     d.write_photo(tmp_path / "a.jpg", second="30")
     d.write_photo(tmp_path / "b.jpg", second="10", subsecond="90")
     d.write_photo(tmp_path / "c.jpg", second="10", subsecond="10")
@@ -244,7 +244,7 @@ def test_sub_folders_and_names(tmp_path: Path) -> None:
     d.write_photo(tmp_path / "DCIM/.x.JPG", second="16")
     source = opened(tmp_path / "DCIM")
     assert names(source) == ["101/x.JPG", "102/x.JPG", "y.jpeg"]
-    assert source.name == tmp_path.name  # "DCIM" says nothing
+    assert source.name == tmp_path.name  # "DCIM" names nothing
 
 
 def test_the_root_of_a_memory_card(tmp_path: Path) -> None:
@@ -264,7 +264,7 @@ def test_skip_and_every(photos: Path) -> None:
 
 
 def test_two_cameras_mixed(photos: Path) -> None:
-    """The larger group is used, the others named."""
+    """The larger group is used, and the others are named."""
     d.write_photo(photos / "A_thermal.JPG", model="H20T", size=(32, 24))
     d.write_photo(photos / "B_zoomed.JPG", photo={37386: 12.0})
     source = opened(photos)
@@ -277,7 +277,7 @@ def test_two_cameras_mixed(photos: Path) -> None:
 
 
 def test_thermal_pictures_do_not_become_the_camera(photos: Path) -> None:
-    """However many they are; the name, the tags or the size tells them."""
+    """Thermal pictures are recognised by name, tags or size, also if they are the majority."""
     source = d.xmp_packet(d.dji_tags(ImageSource="InfraredCamera"))
     lwir = d.xmp_packet({"BandName": "LWIR"}, d.PIX4D)
     for k in range(4):
@@ -293,7 +293,7 @@ def test_thermal_pictures_do_not_become_the_camera(photos: Path) -> None:
 
 
 def test_nothing_but_thermal_pictures_is_used(tmp_path: Path) -> None:
-    """And photos that were made as small as those of a thermal camera are no thermal pictures."""
+    """Photos that were reduced to the size of a thermal camera are not taken for thermal pictures."""
     d.write_photo(tmp_path / "a" / "a_T.JPG")
     assert names(opened(tmp_path / "a")) == ["a_T.JPG"]
     for k in range(3):
@@ -303,7 +303,7 @@ def test_nothing_but_thermal_pictures_is_used(tmp_path: Path) -> None:
 
 
 def write_bands(folder: Path, bands: dict[str, int], colour: int = 0) -> None:
-    """Captures of a multispectral camera, and colour pictures of the same model."""
+    """Write captures of a multispectral camera, and colour pictures of the same model."""
     for place, (band, n) in enumerate(bands.items(), start=1):
         focal = f"{4.5 + 0.1 * place}"
         for k in range(n):
@@ -316,7 +316,7 @@ def write_bands(folder: Path, bands: dict[str, int], colour: int = 0) -> None:
 
 
 def test_one_band_of_a_multispectral_camera_is_used(tmp_path: Path) -> None:
-    """Each band is a camera with a lens of its own; of as many photos of each it is green."""
+    """Each band is a camera with a lens of its own; with equal numbers of photos, green is used."""
     write_bands(tmp_path, {"Blue": 4, "Green": 4, "Red": 4, "LWIR": 4})
     source = opened(tmp_path)
     assert names(source) == [f"IMG_000{k}_2.jpg" for k in range(4)]
@@ -350,7 +350,7 @@ def test_colour_pictures_that_name_their_three_bands_are_no_bands(tmp_path: Path
 
 @pytest.mark.parametrize("share", [0.9, 0.6])
 def test_photo_cut_off(photos: Path, share: float) -> None:
-    """Not decoded as far as it goes: left out, named, the rest read."""
+    """A truncated photo is not decoded in part: it is left out and named, and the others are read."""
     d.cut_off(photos / "DJI_0002.JPG", share)
     source = opened(photos)
     assert names(source) == ["DJI_0000.JPG", "DJI_0001.JPG", "DJI_0003.JPG"]
@@ -361,7 +361,7 @@ def test_photo_cut_off(photos: Path, share: float) -> None:
 
 
 def test_photo_with_zeros_for_its_end(photos: Path) -> None:
-    """Decoders take zeros for picture and stay silent."""
+    """Decoders read zeros as image data, without a warning."""
     d.zero_tail(photos / "DJI_0002.JPG", 0.7)
     source = opened(photos)
     assert "DJI_0002.JPG" not in names(source)
@@ -395,7 +395,7 @@ def test_nothing_but_rubbish(tmp_path: Path) -> None:
 
 def test_every_photo_without_gps(tmp_path: Path) -> None:
     d.write_photo(tmp_path / "a.jpg", place=None)
-    d.write_photo(tmp_path / "b.jpg", place=(0.0, 0.0, 40.0))  # what a receiver without fix writes
+    d.write_photo(tmp_path / "b.jpg", place=(0.0, 0.0, 40.0))  # written by a receiver without fix
     with pytest.raises(InputError, match="no photo has a GPS position; photos need EXIF GPS latitude"):
         opened(tmp_path)
 
@@ -411,7 +411,7 @@ def test_one_photo_without_gps(photos: Path) -> None:
 
 
 def test_turned_photos_are_used_as_they_are_stored(photos: Path) -> None:
-    """Of one camera with the others; only where they looked is not known."""
+    """Turned photos belong to the same camera as the others; only their attitude is unknown."""
     d.write_photo(photos / "DJI_0009.JPG", 9, second="59", main={274: 6})
     source = opened(photos)
     assert (source.length, len(source.rig.cameras)) == (5, 1)
@@ -433,7 +433,7 @@ def test_turned_photos_are_used_as_they_are_stored(photos: Path) -> None:
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_a_tiff_is_not_turned_either(tmp_path: Path, orientation: int, grey: bool) -> None:
-    """Pillow would, and scrambles grey ones."""
+    """Pillow would turn it, and damages grey ones."""
     picture, path = d.picture(3, grey=grey), tmp_path / "a.tif"
     exif = Image.Exif()
     exif[274] = orientation
@@ -445,7 +445,7 @@ def test_a_tiff_is_not_turned_either(tmp_path: Path, orientation: int, grey: boo
 
 @pytest.mark.parametrize("packet", [b"<x:xmpmeta", b'<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>'])
 def test_broken_xmp(photos: Path, packet: bytes) -> None:
-    """One warning, however many photos."""
+    """One warning covers all photos with broken XMP."""
     for k in range(8, 10):
         d.write_photo(photos / f"DJI_000{k}.JPG", second=f"5{k}", xmp=packet)
     source = opened(photos)
@@ -458,7 +458,7 @@ def test_broken_xmp(photos: Path, packet: bytes) -> None:
 
 @pytest.mark.parametrize("elements", [False, True])
 def test_values_are_picked_out_of_damaged_xmp(tmp_path: Path, elements: bool) -> None:
-    """A prefix that nobody declared, an element that nobody closed."""
+    """Values are found in spite of an undeclared prefix and an unclosed element."""
     whole = d.xmp_packet(d.dji_tags(), elements=elements)
     packet = whole.replace(b"<rdf:Description", b"<rdf:Description odd:tag='1'").replace(
         b"</rdf:RDF>", b"<a></rdf:RDF>"
@@ -475,7 +475,7 @@ def test_values_are_picked_out_of_damaged_xmp(tmp_path: Path, elements: bool) ->
 
 @pytest.mark.parametrize("piece", ["<a:b>", "<a:b><rdf:Seq>", "a", "<a:b ", " a:b=", "<x:xmpmeta", "xmlns:a="])
 def test_damaged_xmp_takes_no_time(piece: str) -> None:
-    """What regular expressions could look at for hours."""
+    """Regular expressions could take hours for such packets."""
     assert salvage_xmp(piece * (400_000 // len(piece))) == {}
 
 
@@ -525,7 +525,7 @@ def lens_of(folder: Path, changes: dict[str, str], **photo: Any) -> tuple[Any, d
 
 
 def test_factory_calibration(tmp_path: Path) -> None:
-    """The maker counts from the corner: the centre of a 64x48 image is (31.5, 23.5) of ours."""
+    """The maker counts from the corner: the centre of a 64x48 image is at (31.5, 23.5) in our pixels."""
     lens, notes = lens_of(tmp_path, {})
     assert (lens.fu, lens.fv, lens.cu, lens.cv) == (60, 60, 33.5, 22.5)
     assert lens.distortion == (-0.1, 0.01, 0.001, 0.0005, 0.002)
@@ -536,7 +536,7 @@ def test_factory_calibration(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("nominal", "expected"), [("58.0", 60.0), ("70.0", 62.0), ("", 61.0)])
 def test_two_focal_lengths(tmp_path: Path, nominal: str, expected: float) -> None:
-    """Pixels are square: of two that disagree the one nearer to the design is believed, and the choice is noted."""
+    """Pixels are square: of two focal lengths the one nearer to the design is used, and the choice is noted."""
     dewarp = "2022-03-02;62.0,60.0,2.0,-1.0,-0.1,0.01,0.001,0.0005,0.002"
     lens, notes = lens_of(tmp_path, {"DewarpData": dewarp, "CalibratedFocalLength": nominal})
     assert (lens.fu, lens.fv) == (expected, expected)
@@ -559,7 +559,7 @@ def test_already_dewarped(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("exif_size", [(128, 96), (64, 48)])
 def test_resized_photo(tmp_path: Path, exif_size: tuple[int, int]) -> None:
-    """Half size, with the EXIF size as the camera wrote it or as the tool that resized rewrote it."""
+    """The photo has half its size; its EXIF size is the camera's or that of the tool that reduced it."""
     centre = {"CalibratedOpticalCenterX": "64.0", "CalibratedOpticalCenterY": "48.0"}
     lens, notes = lens_of(tmp_path, centre, exif_size=exif_size)
     assert (lens.fu, lens.cu, lens.cv) == (30, 32 + 1 - 0.5, 24 - 0.5 - 0.5)
@@ -604,7 +604,7 @@ FACTORY = {
 def test_factory_calibration_in_the_tags_of_pix4d(
     tmp_path: Path, changes: dict[str, str], expected: tuple[float, ...], distortion: tuple[float, ...], source: str
 ) -> None:
-    """Ten pixels a millimetre; the principal point counts from the corner of the image of 6.4 x 4.8 mm."""
+    """The sensor has ten pixels a millimetre; the principal point is from the corner of the 6.4 x 4.8 mm image."""
     sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4}
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(FACTORY | changes, d.PIX4D), photo=sensor)
     source_opened = opened(tmp_path)
@@ -633,14 +633,14 @@ def test_the_unit_of_the_factory_focal_length(
 
 
 def fisheye(scale: float, polynomial: Sequence[float], angle: F64) -> F64:
-    """Pix4D's fisheye model: pixels from the centre of a ray at an angle from the axis."""
+    """Pix4D's fisheye model: distance in pixels from the centre, of a ray at an angle from the axis."""
     t = 2 * angle / np.pi
     return scale * sum(p * t**i for i, p in enumerate(polynomial))  # type: ignore[return-value]
 
 
 @pytest.mark.parametrize("polynomial", [(0, 1, 0, 0), (0, 1, 0, -0.17), (0, 1, -0.02, -0.15)])
 def test_a_fisheye_becomes_an_equidistant_camera(tmp_path: Path, polynomial: tuple[float, ...]) -> None:
-    """A Sequoia's band, at a twentieth of its size; rays are projected as the maker's model says."""
+    """The tags are those of a Sequoia's band, at a twentieth of its size; rays agree with the maker's model."""
     tags = {
         "ModelType": "fisheye", "FisheyeAffineMatrix": "83.4,0.0,0.0,83.4", "PrincipalPoint": "3.3,2.3",
         "FisheyePolynomial": ",".join(str(p) for p in polynomial),
@@ -669,7 +669,7 @@ def test_a_fisheye_that_is_none_is_not_taken(tmp_path: Path) -> None:
 
 
 def test_a_rational_calibration(tmp_path: Path) -> None:
-    """DewarpDataK6 of the Matrice 4: the radial term is divided by a second polynomial."""
+    """DewarpDataK6 of the Matrice 4 divides the radial term by a second polynomial."""
     k = [0.30, 0.05, 0.002, 0.42, 0.08, 0.004]
     text = f"2024-11-02;60,60,2,-1,{k[0]},{k[1]},0.0005,-0.0002,{k[2]},{k[3]},{k[4]},{k[5]}"
     lens, notes = lens_of(tmp_path, {"DewarpData": "", "DewarpDataK6": text})
@@ -694,7 +694,7 @@ def test_a_rational_calibration(tmp_path: Path) -> None:
 def test_a_picture_that_is_cut_out_of_its_sensor(
     tmp_path: Path, make: str, model: str, size: tuple[int, int], width: float
 ) -> None:
-    """The focal length for 35 mm film compares the diagonals of film and whole sensor."""
+    """The 35 mm equivalent focal length compares the diagonals of the film and of the whole sensor."""
     d.write_photo(tmp_path / "a.jpg", xmp=b"", main={271: make}, model=model, size=size, photo={41989: 24})
     lens = opened(tmp_path).rig.cameras[0].camera
     assert lens.fu == pytest.approx(24 * width / math.hypot(36, 24))
@@ -704,7 +704,7 @@ def test_a_picture_that_is_cut_out_of_its_sensor(
     ("told", "expected"), [("47500", 48 * 47.5e-6), ("0", 0.0), ("-1", None), ("1e12", None), ("nan", None)]
 )
 def test_the_readout_that_a_maker_tells(tmp_path: Path, told: str, expected: float | None) -> None:
-    """Nanoseconds a row of the sensor."""
+    """The tag has nanoseconds a row of the sensor."""
     xmp = d.xmp_packet({"LineReadoutTime": told}, d.PIX4D)
     d.write_photo(tmp_path / "a.jpg", xmp=xmp, photo={41989: 28})
     assert opened(tmp_path).rig.cameras[0].readout == (None if expected is None else pytest.approx(expected))
@@ -724,7 +724,7 @@ def test_malformed_factory_calibration_falls_back(tmp_path: Path, dewarp: str) -
 
 
 def test_no_focal_length_at_all(tmp_path: Path) -> None:
-    """A guess of a usual field of view, which says that it is one."""
+    """A usual field of view is assumed, and a warning names it a guess."""
     d.write_photo(tmp_path / "a.jpg", xmp=b"")
     source = opened(tmp_path)
     lens = source.rig.cameras[0].camera
@@ -775,7 +775,7 @@ def test_two_factory_calibrations(photos: Path) -> None:
     assert "2 different factory calibrations" in source.warnings[0]
 
 
-# -- what it is
+# -- recognition of photos
 
 
 def test_what_is_no_source(tmp_path: Path) -> None:
@@ -803,7 +803,7 @@ def test_a_picture_without_tags_is_no_photo(tmp_path: Path) -> None:
 
 
 def test_mirafiori_attitude_and_place_agree_with_the_reference(shared_data: Path) -> None:
-    """Gimbal tags within 2.6 degrees and RTK within 4 cm of structure from motion."""
+    """Gimbal tags agree within 2.6 degrees, and RTK within 4 cm, with structure from motion."""
     source = open_source(shared_data / "mirafiori/images", Settings())
     z = np.load(shared_data / "mirafiori/sfm_reference.npz")
     index = {str(n): i for i, n in enumerate(z["names"])}

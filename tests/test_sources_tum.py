@@ -20,7 +20,7 @@ def written(path: Path, text: str) -> Path:
 
 
 def test_times_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
-    """A float64 would give ...512."""
+    """Read as a float64, the first time would end in ...512."""
     rows = [
         "1403715273.262142976 1 2 3 0 0 0 1",
         "",

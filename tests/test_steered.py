@@ -1,4 +1,4 @@
-"""Steered flights: set-points are reached, sensors err as claimed, and what comes on command is seen and true."""
+"""Steered flights: set-points are reached, sensors have the claimed errors, and objects on command are real."""
 
 import math
 from itertools import pairwise
@@ -24,18 +24,18 @@ PERFECT_IMU = ImuErrors(
     gyroscope_bias=0, accelerometer_bias=0,
 )  # fmt: skip
 SMALL = {"size": (64, 48), "gusts": 0.0}
-BLIND = {**SMALL, "rate_hz": 0.01, "stereo": False}  # one picture at the start, no more
+BLIND = {**SMALL, "rate_hz": 0.01, "stereo": False}  # one picture at the start only
 LEVEL = Scene(ground=SceneGround(size=(60, 60), relief=()), imaging=Imaging(**QUIET))
 
 
 @pytest.fixture(scope="module")
 def level():
-    """A level meadow, its pictures without chance."""
+    """Build a level meadow with noise-free pictures."""
     return build(LEVEL)
 
 
 def hold(flight, seconds, wanted=None, dt=0.1):
-    """Events of a flight that stays where it is, or does what is wanted."""
+    """Events of a flight that stays in place, or follows `wanted`."""
     wanted = wanted or Wanted(position=flight.true_pose.translation)
     return [e for _ in range(round(seconds / dt)) for e in flight.step(dt, wanted)]
 
@@ -45,7 +45,7 @@ def of(events, kind):
 
 
 def bits(events):
-    """All numbers of all events."""
+    """Bytes of all numbers of all events."""
     out = []
     for e in events:
         values = [*e.images, e.t_ns] if isinstance(e, Frame) else vars(e).values()
@@ -88,11 +88,11 @@ def test_a_landing_ends_on_the_ground_at_the_speed_that_was_flown(level):
         flight.world, OracleLander(), flight.contact.pose, flight.contact.velocity_world, flight.seconds
     )
     assert (verdict.safe, verdict.sink) == (True, pytest.approx(0.6, abs=0.01))
-    assert hold(flight, 0.5, Wanted())  # sensors go on
+    assert hold(flight, 0.5, Wanted())  # the sensors continue
 
 
 def posts(*things):
-    """A level meadow with square things on it: east, north, half a side, height, metres."""
+    """Build a level meadow with square objects: east, north, half a side, height, metres."""
     n = 600
     height = np.zeros((n, n), np.float32)
     grid = Grid(-30.0 + 0.05, 30.0 - 0.05, 0.1, n, n)
@@ -103,7 +103,7 @@ def posts(*things):
 
 
 def test_what_stands_beside_the_way_is_struck_once():
-    """It passes 1.0 m beside a post that reaches 2 m above its feet; a vehicle of 0.8 m does not touch it."""
+    """The way passes 1.0 m beside a post that reaches 2 m above the feet; a vehicle of 0.8 m does not touch it."""
     world = posts((6.0, 1.1, 0.15, 12.0))
     struck = []
     for radius in (1.5, 0.8, 0.0):
@@ -114,7 +114,7 @@ def test_what_stands_beside_the_way_is_struck_once():
 
 
 def test_a_car_of_the_scene_is_as_solid_as_one_that_comes_on_command():
-    """It drives through below a vehicle whose feet are 1.3 m above the street, and is 1.5 m high."""
+    """A car 1.5 m high drives below a vehicle whose feet are 1.3 m above the street."""
     traffic = Traffic(path=((-25.0, 0.0), (25.0, 0.0)), speed=5.0, gap=100.0)
     scene = Scene(ground=SceneGround(size=(60, 60), relief=()), imaging=Imaging(**QUIET), traffic=(traffic,))
     flight = SteeredFlight(build(scene), 1, start=(0, 0, 1.3), steered_by="truth", radius=0.5, **BLIND)
@@ -124,7 +124,7 @@ def test_a_car_of_the_scene_is_as_solid_as_one_that_comes_on_command():
 
 
 def test_the_last_metre_is_the_touchdowns():
-    """A kerb of 0.8 m beside the touchdown is its roughness; what stands 3 m high is struck on the way down."""
+    """A kerb of 0.8 m beside the touchdown is its roughness; an object 3 m high is struck on the way down."""
     for up, count in ((0.8, 1), (3.0, 2)):
         flight = SteeredFlight(posts((1.2, 0.0, 0.1, up)), 1, start=(0, 0, 5), steered_by="truth", radius=1.5, **BLIND)
         hold(flight, 12.0, Wanted(velocity=np.array([0.0, 0.0, -0.6])))
@@ -143,7 +143,7 @@ def test_the_gap_is_that_to_the_highest_thing_within_the_radius():
     bare = SteeredFlight(posts(), 1, start=(0, 0, 10), steered_by="truth", radius=1.5, **BLIND)
     bare.walk_in(1.6, 0.0, start=(1.6, 0.0))
     hold(bare, 0.3)
-    assert 8.0 < bare.gap < 8.6  # a person whose shoulder is within the radius
+    assert 8.0 < bare.gap < 8.6  # a person whose shoulder lies within the radius
 
 
 def test_a_new_wind_moves_it_until_the_autopilot_has_learned_it(level):
@@ -173,7 +173,7 @@ def test_a_gust_pushes_for_its_time(level):
 
 
 def test_a_gust_that_lasts_is_learned_as_a_wind_is(level):
-    """Within the autopilot's limits it would hold against 3 m/s^2 with nothing to spare, and it was blown 7 m away."""
+    """The limits of the autopilot just suffice to hold against 3 m/s^2; once the vehicle was blown 7 m away."""
     flight = SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND)
     place, away = flight.true_pose.translation, []
     flight.gust((0.0, 3.0, 0.0), 9.0)
@@ -199,7 +199,7 @@ def test_the_battery_pays_for_hovering_and_climbing_and_its_end_is_a_fall(level)
     assert "sink" in judge_touchdown(level, OracleLander(), flight.contact.pose, flight.contact.velocity_world).reasons
 
 
-# -- what it measures
+# -- measurements
 
 
 def test_same_seed_and_set_points_give_the_same_bits_and_another_seed_does_not():
@@ -263,7 +263,7 @@ def test_a_perfect_imu_integrates_back_to_the_true_pose(level):
     assert np.abs(so3_log(R.T @ flight.true_pose.rotation)).max() < 1e-6
 
 
-# -- what comes on command
+# -- objects on command
 
 
 def picture(flight):
@@ -277,14 +277,14 @@ def test_a_parked_car_is_in_the_pictures_and_in_the_truth(level):
     lander = OracleLander(radius=1.0)
     assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe
     car = flight.park(0.0, 0.0, start=(20.0, 0.0))
-    assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe  # it is still coming
+    assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe  # the car is still on its way
     hold(flight, car.arrives - flight.seconds + 0.1)
     after = picture(flight)
     changed = (np.abs(after - before).max(axis=2) > 25).mean()
     share = 4.4 * 1.8 / (64 * 48 * (12.0 / 48.1) ** 2)  # of the picture that a car covers
     assert 0.6 * share < changed < 2.5 * share
     assert not judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe
-    assert not level.bodies  # the world that was given has none
+    assert not level.bodies  # the original world has no bodies
     hold(flight, 9.0, Wanted(velocity=np.array([0.0, 0.0, -1.5])))
     assert flight.contact.pose.translation[2] == pytest.approx(level.height_at(0, 0) + 1.5 + flight.standing, abs=0.1)
 
@@ -338,7 +338,7 @@ def test_navigation_and_inertial_samples_are_lost_on_command(level):
 def test_a_lens_in_the_ground_sees_nothing_and_the_flight_goes_on():
     grid = Grid(-5.0, 5.0, 0.1, 101, 101)
     hill = np.zeros(grid.shape, np.float32)
-    hill[48:53, 45:50] = 1.0  # left of where it stands
+    hill[48:53, 45:50] = 1.0  # left of the vehicle's place
     flight = SteeredFlight(world_of(grid, hill), 1, start=(0.0, 0.0, 0.0), **SMALL)
     image = of(hold(flight, 1.0), Frame)[-1].images
     assert image[0].mean() < 40 < image[1].mean() or image[1].mean() < 40 < image[0].mean()

@@ -1,4 +1,4 @@
-"""The thread that listens to an autopilot: it outlives errors, and a flight knows when nobody listens."""
+"""The thread that listens to an autopilot: it survives errors, and a flight detects the end of listening."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LOCAL = "127.0.0.1"
 
 @pytest.fixture
 def pair() -> Iterator[tuple[TelemetryFeed, UdpServer]]:
-    """A feed and the simulated autopilot that it hears."""
+    """A feed, and the simulated autopilot that it listens to."""
     feed = TelemetryFeed(f"udp:{LOCAL}:0")
     server = UdpServer(SimulatedAutopilot(), (LOCAL, feed._link.port), speed=5.0)  # type: ignore[attr-defined]
     with server:
@@ -30,7 +30,7 @@ def pair() -> Iterator[tuple[TelemetryFeed, UdpServer]]:
 
 
 def wait(seconds: float, feed: TelemetryFeed, until: Callable[[], bool]) -> bool:
-    """As a flight does: look twenty times a second, and send what is ready."""
+    """Test twenty times a second, as a flight does, and send the pending messages."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         feed.flush()
@@ -61,7 +61,7 @@ def test_the_listener_outlives_errors(
         monkeypatch.setattr(feed._link, "read", faulty)
         assert wait(3.0, feed, lambda: left[0] < -5)
     assert vehicle(feed).alive
-    assert len(caplog.records) == 1  # the same error is said once
+    assert len(caplog.records) == 1  # the same error is logged once
     server.autopilot.pilot(Doing.RETURN)
     assert wait(3.0, feed, lambda: vehicle(feed).telemetry.mode is FlightMode.RETURN)
 
@@ -71,7 +71,7 @@ def test_the_listener_outlives_errors(
 def test_a_flight_knows_when_nobody_listens(
     pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch, dies: bool
 ) -> None:
-    """The listener hangs or has ended: the link is lost, heartbeats grow old, and no order leaves any more."""
+    """If the listener hangs or has ended, the link is lost, heartbeats grow old, and no order is sent any more."""
     feed, server = pair
     go_on = threading.Event()
 
@@ -90,7 +90,7 @@ def test_a_flight_knows_when_nobody_listens(
     assert [n.text for n in feed.autopilot.notices() if n.kind is NoticeKind.LINK_LOST] == [
         "nobody listens to the link"
     ]
-    server.autopilot.pilot(Doing.PILOT)  # who flies now is not seen
+    server.autopilot.pilot(Doing.PILOT)  # the takeover is not seen
     with feed.lock:
         vehicle(feed).set_mode(FlightMode.RETURN)
     wait(0.5, feed, lambda: False)
@@ -116,7 +116,7 @@ def test_a_listener_that_comes_back_hears_the_vehicle_again(
 
 
 def test_a_flight_that_stood_still_itself_has_lost_nothing(pair: tuple[TelemetryFeed, UdpServer]) -> None:
-    """It holds the lock for two seconds: the listener could not listen, and goes on at once."""
+    """The flight holds the lock for two seconds: the listener is blocked, and continues at once."""
     feed, _ = pair
     with feed.lock:
         time.sleep(2.0)

@@ -1,4 +1,4 @@
-"""Terrain: what must be refused is, and what looks like it but is not stays possible."""
+"""Terrain: hazardous ground is refused, and similar but safe ground stays possible."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def noise(sigma: float, seed: int = 0) -> np.ndarray:
 
 
 def scene(height: np.ndarray, inside: np.ndarray, colour: tuple[int, int, int], contrast: float) -> ElevationMap:
-    """Short grass around a patch of another colour and texture."""
+    """Return short grass around a patch of another colour and texture."""
     rgb = textured(GREEN, SHAPE, 0.05, 1)
     rgb[inside] = textured(colour, SHAPE, contrast, 2)[inside]
     return ground(height, sigma=0.04, rgb=rgb)
 
 
 def pond(depth: float, centre: tuple[int, int] = (120, 120)) -> tuple[ElevationMap, np.ndarray]:
-    """A pond whose bed was matched: a smooth confident surface below the shore."""
+    """Return a pond whose bed was matched: a smooth surface of low sigma below the shore; and its cells."""
     water = np.hypot(R - centre[0], C - centre[1]) < 60
     return scene(bowl(depth, centre=centre) + noise(0.03), water, POND, 0.02), water
 
@@ -57,7 +57,7 @@ def test_a_pond_with_a_visible_bed_is_refused() -> None:
 
 
 def test_ground_bears_where_it_may_be_landed_on_and_where_it_is_rock() -> None:
-    """What is held down beside a tree is held down in both."""
+    """The probability of bearing is nowhere below P(landable): a tree lowers both beside it."""
     e, water = pond(0.7)
     t = classify(e, SETTINGS)
     assert t.bears is not None
@@ -82,7 +82,7 @@ def test_a_grey_flat_slab_stays_possible_in_sun_and_shade() -> None:
     slab = (np.abs(R - 120) < 60) & (np.abs(C - 120) < 60)
     for colour in (GREY, (45, 50, 62)):
         t = classify(scene(noise(0.02), slab, colour, 0.02), SETTINGS)
-        assert (t.landable[slab] > 0.5).mean() > 0.9  # its rim is an edge
+        assert (t.landable[slab] > 0.5).mean() > 0.9  # the rim of the slab is an edge
 
 
 def test_restless_water_without_a_basin_is_refused() -> None:
@@ -145,7 +145,7 @@ def test_nothing_seen_is_unknown_and_no_evidence() -> None:
 
 
 def pit(side: int, level: int, fine: bool, plain: Flag = Flag.SATURATED) -> ElevationMap:
-    """Lawn with a patch of `side` cells of one level; with a finest picture beside the map's colours, or without."""
+    """Return lawn with a patch of `side` cells of one grey level; with or without a finest picture beside the map."""
     rgb, inside = textured(GREEN, SHAPE, 0.05, 1), (slice(100, 100 + side),) * 2
     rgb[inside] = level
     e = ground(noise(0.02), rgb=rgb)
@@ -154,7 +154,7 @@ def pit(side: int, level: int, fine: bool, plain: Flag = Flag.SATURATED) -> Elev
 
 
 def test_black_ground_is_seen_ground() -> None:
-    """A dark pit of 0.5 m: it has a class, that of the darkest grey."""
+    """A dark pit of 0.5 m has the class of the darkest grey."""
     black, dark = (classify(pit(5, level, fine=True), SETTINGS) for level in (0, 1))
     assert_allclose(black.landable, dark.landable, atol=1e-3)
     assert_allclose(black.novelty, dark.novelty, rtol=1e-2)
@@ -163,7 +163,7 @@ def test_black_ground_is_seen_ground() -> None:
 
 @pytest.mark.parametrize("side", [4, 5])
 def test_black_ground_of_which_no_picture_shows_more_is_like_nothing_known(side: int) -> None:
-    """No class, and no certainty, so no site. A gap in the map's colours is not black ground."""
+    """Such ground has no class and no certainty, and so no site. A gap in the map's colours is not black ground."""
     e, gap = pit(side, 0, fine=False), pit(side, 0, fine=False, plain=Flag(0))
     blank, inside = classify(e, SETTINGS), (slice(100, 100 + side),) * 2
     assert (blank.label[inside] == Terrain.UNKNOWN).all()
@@ -178,7 +178,7 @@ def test_black_ground_of_which_no_picture_shows_more_is_like_nothing_known(side:
 
 
 def test_ground_without_a_colour_has_the_class_that_its_finest_picture_shows() -> None:
-    """A map built view by view has the colours of the newest one; the orthophoto shows what earlier ones saw."""
+    """A map built view by view has the colours of the newest view; the orthophoto also has those of earlier views."""
     gap = (slice(60, 180), slice(100, 140))
     e, water = pond(0.7)
     bare = e.rgb.copy()
@@ -222,7 +222,7 @@ def test_a_height_is_taken_back_where_the_patch_is_water_not_where_that_is_the_l
     wet = open_water(cover)
     assert wet[2:12, 2:12].all()
     assert wet.sum() == 100
-    assert open_water(replace(cover, water=None)).sum() == 218  # nothing but the names is known
+    assert open_water(replace(cover, water=None)).sum() == 218  # only the names of classes are known
 
 
 def test_water_stands_to_the_brim_and_runs_off_where_the_ground_is_not_known() -> None:
@@ -251,7 +251,7 @@ def test_only_unknown_ground_that_reaches_the_rim_is_outside() -> None:
 
 
 def rolling() -> ElevationMap:
-    """A grey plain with a hollow that leaves the map at both ends, a closed hollow, and grass on its one side."""
+    """Grey plain with a hollow that leaves the map at both ends, a closed hollow, and grass on one side."""
     hollow = 0.5 * (1 - np.exp(-(((C - 90) / 25) ** 2))) + 0.0005 * (R - 120)
     rgb = textured(POND, SHAPE, 0.02, 2)
     rgb[:, 225:] = textured(GREEN, SHAPE, 0.05, 1)[:, 225:]
@@ -259,10 +259,10 @@ def rolling() -> ElevationMap:
 
 
 def test_a_grey_plain_that_looks_like_water_all_over_is_none_where_the_ground_lets_it_out() -> None:
-    """Under a grey sky all bare ground looks like water. The rim of the map is a shore only of what is a pond."""
+    """Under a grey sky all bare ground looks like water. The rim of the map is a shore only for ponds."""
     e = rolling()
     shape = relief(e, wetness(e, appearance(e)), SETTINGS)
-    assert (shape.depth[:, 80:100] > 0.2).mean() > 0.9  # as if the rim held the water
+    assert (shape.depth[:, 80:100] > 0.2).mean() > 0.9  # as if the rim retained the water
     assert (shape.walled[:, 80:100] < 0.05).all()
     found = classify(e, SETTINGS)
     assert (found.landable[:, :140] > 0.5).mean() > 0.95
@@ -270,7 +270,7 @@ def test_a_grey_plain_that_looks_like_water_all_over_is_none_where_the_ground_le
 
 
 def test_a_car_park_on_a_slope_is_no_pond() -> None:
-    """It looks like water, but water would run down the meadow below. On the level, or where it moves, it may be."""
+    """A car park looks like water, which would run down the meadow. Level or moving ground may be water."""
     slab = (np.abs(R - 120) < 30) & (np.abs(C - 120) < 30)
     seed = np.where(np.hypot(R - 120, C - 120) < 20, 2.0, -2.0).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""The model of appearance: what it measures, how it learns, when it is silent, and its commands."""
+"""The model of appearance: its features, its training, unknown ground, and its commands."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LOOKS = {  # colour, contrast, size of the grain in pixels
 
 
 def picture(kind: Terrain, seed: int, side: int = 96, light: float = 1.0) -> NDArray[np.uint8]:
-    """A made-up picture of that ground."""
+    """Return a made-up picture of this kind of ground."""
     colour, contrast, grain = LOOKS[kind]
     noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(side, side)), (0, 0), grain)
     shade = 1 + contrast * noise / noise.std()
@@ -172,7 +172,7 @@ def test_folders_are_named_for_classes(name: str, kind: int | None) -> None:
 
 
 def fill(folder: Path, sites: tuple[str, ...] = ("north", "south")) -> Path:
-    """A library on disk, a folder a class and a folder a site in it."""
+    """Write a library, with a folder for each class and a folder for each site in it."""
     for p_index, patch in enumerate(patches(sites, 3)):
         place = folder / Terrain(patch.kind).name.lower() / patch.site
         place.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The tracker on synthetic pictures whose motion is known exactly."""
+"""The tracker on synthetic pictures with exactly known motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SETTINGS = Settings(count=80)
 
 @pytest.fixture(scope="module")
 def ground() -> np.ndarray:
-    """A textured plane, one pixel a centimetre and a half."""
+    """A textured plane with pixels of a centimetre and a half."""
     noise = np.random.default_rng(0).uniform(0, 255, (900, 1100)).astype(np.float32)
     soft = cv2.GaussianBlur(noise, (0, 0), 2.5)
     return np.clip(128 + (soft - soft.mean()) * 40 / soft.std(), 0, 255).astype(np.float32)
@@ -34,7 +34,7 @@ def pose(x: float, y: float = 0.0, yaw: float = 0.0) -> Pose:
 
 
 def picture(ground: np.ndarray, world_from_cam: Pose) -> np.ndarray:
-    """The plane z = 0 as a camera sees it."""
+    """Draw the plane z = 0 as seen by a camera."""
     u, v = np.meshgrid(np.arange(320.0), np.arange(240.0))
     rays = CAMERA.rays(np.stack([u, v], axis=-1)) @ world_from_cam.rotation.T
     points = world_from_cam.translation + rays * (-world_from_cam.translation[2] / rays[..., 2:])
@@ -57,7 +57,7 @@ def frame(ground: np.ndarray, k: int, left: Pose) -> Frame:
 
 
 def carried(pixels: np.ndarray, then: Pose, now: Pose) -> np.ndarray:
-    """Where ground points seen at `pixels` are in another view."""
+    """Return the pixels in another view of the ground points that are seen at `pixels`."""
     rays = CAMERA.rays(pixels) @ then.rotation.T
     points = then.translation + rays * (-then.translation[2] / rays[:, 2:])
     return CAMERA.project(now.inverse.apply(points))
@@ -76,8 +76,8 @@ def test_features_follow_the_ground(ground: np.ndarray) -> None:
 
 
 def test_errors_do_not_add_up(ground: np.ndarray) -> None:
-    """Twelve steps over noisy pictures, turning: after the twelfth a feature is off by hardly more than after the
-    second, for it is held to what it looked like first (from picture to picture it would be 2.4 times as much)."""
+    """In twelve steps over noisy pictures, with turns, the error of a feature hardly grows from the second to the
+    twelfth: it is matched with its first appearance (from picture to picture the error would be 2.4 times as much)."""
     tracker, path = Tracker(RIG, SETTINGS), [pose(0.1 * k, 0.05 * k, 0.02 * k) for k in range(13)]
     rng, seen = np.random.default_rng(3), []
     for k, p in enumerate(path):
@@ -94,7 +94,7 @@ def test_errors_do_not_add_up(ground: np.ndarray) -> None:
 
 
 def test_cameras_need_not_be_equally_bright(ground: np.ndarray) -> None:
-    """Pale ground, the right camera 3 levels brighter, too little for a jump of the exposure: the disparity stays."""
+    """Over pale ground the right camera is 3 levels brighter, less than a jump of the exposure: the disparity stays."""
     here, tracker = pose(0.0), Tracker(RIG, SETTINGS)
     pale = [140.0 + 0.15 * i.astype(np.float32) for i in frame(ground, 0, here).images if i is not None]
     images = tuple(np.round(i + more).astype(np.uint8) for i, more in zip(pale, (0.0, 3.0), strict=True))
@@ -107,7 +107,7 @@ def test_cameras_need_not_be_equally_bright(ground: np.ndarray) -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.45])
 def test_turns_are_those_of_the_ground(tilt: float) -> None:
-    """Against points of the plane projected through a lens with distortion; a view along the ground has no plane."""
+    """Warps agree with points of the plane projected through a distorted lens; a view along the ground has no plane."""
     camera = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5, "radial-tangential", (-0.1, 0.02, 1e-3, -5e-4))
     here = pose(0.0) @ Pose(so3_exp([tilt, 0.0, 0.0]))
     then = pose(0.4, -0.2, 0.1) @ Pose(so3_exp([tilt, 0.05, 0.0]))
@@ -158,8 +158,8 @@ def test_features_are_spread_and_bounded(ground: np.ndarray) -> None:
 @pytest.mark.parametrize("cameras", [1, 2])
 @pytest.mark.parametrize("predicted", [True, False])
 def test_a_long_way_is_followed(ground: np.ndarray, predicted: bool, cameras: int) -> None:
-    """110 px between two exposures, one camera or two, with a prediction and without: the shift of the whole picture,
-    or with one camera the depth of the ground, is found first."""
+    """110 px lie between two exposures, of one camera or two, with a prediction and without: the shift of the whole
+    picture is found first, or with one camera the depth of the ground."""
     there, here = pose(0.0), pose(7.3)
     tracker = Tracker(Rig(RIG.cameras[:cameras]), SETTINGS)
     seen = []
@@ -190,7 +190,7 @@ def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None
 
 
 def moved_and(ground: np.ndarray, how: object) -> tuple[int, float]:
-    """Features followed over 12 px into a picture that is changed by `how`, and by how much they miss (RMS, px)."""
+    """Follow features over 12 px into a picture changed by `how`; return their number and their errors (RMS, px)."""
     tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(0.4, 0.2, 0.02)
     first = tracker.feed(frame(ground, 0, there), expected(there))
     images = [how(i.astype(np.float32)) for i in frame(ground, 1, here).images if i is not None]  # type: ignore[operator]
@@ -259,7 +259,7 @@ def test_corners_keep_clear_of_what_is_taken(ground: np.ndarray) -> None:
 def test_strength_grows_with_contrast(ground: np.ndarray) -> None:
     image = picture(ground, pose(0.0))
     weak = (128 + (image.astype(float) - 128) / 4).astype(np.uint8)
-    at = np.array([[100.0, 100.0], [-3.0, 500.0]], np.float32)  # outside is taken at the edge
+    at = np.array([[100.0, 100.0], [-3.0, 500.0]], np.float32)  # outside, the value at the edge is used
     ratio = corner_response(image, at, 21) / corner_response(weak, at, 21)
     np.testing.assert_allclose(ratio, 16.0, rtol=0.15)
 
@@ -283,7 +283,7 @@ def test_two_views_triangulate_and_keep_to_the_epipolar_line() -> None:
     ("sigma", "predicted", "count"), [(None, 0.0, 24), (0.01, 0.3, 1), (0.1, 0.0, 3), (3.0, 0.0, 24)]
 )
 def test_turns_that_the_prediction_excludes_are_not_tried(sigma: float | None, predicted: float, count: int) -> None:
-    """Four sigmas of 0.1 rad reach the turns of 15 degrees to both sides; the nearest is the predicted one."""
+    """Four sigmas of 0.1 rad reach the turns of 15 degrees to both sides; the predicted one comes first."""
     covariance = None if sigma is None else np.diag([1.0, 1.0, sigma**2, 1.0, 1.0, 1.0])
     turns = likely_turns(Pose(so3_exp([0.0, 0.0, predicted]), np.zeros(3)), covariance, 4.0)
     assert len(turns) == count

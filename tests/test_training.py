@@ -22,7 +22,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for folder in ("bench", "training"):
         monkeypatch.syspath_prepend(str(ROOT / folder))
     yield
-    for name in set(sys.modules) - before:  # bench and training have modules of common names
+    for name in set(sys.modules) - before:  # bench and training have modules with common names
         if str(ROOT / "training") in str(getattr(sys.modules[name], "__file__", "")):
             del sys.modules[name]
 

@@ -72,7 +72,7 @@ def test_a_focal_length_in_tenths_is_told_from_a_tele_lens(said: str, film: floa
 def test_subtitles_with_the_place_in_brackets(
     line: str, place: tuple[float, float, float] | None, coarse: bool
 ) -> None:
-    """Longitude first, unless the altitude has a unit or the latitude would be none; the height is the barometer's."""
+    """Longitude comes first, unless the altitude has a unit or the latitude would be invalid; height is barometric."""
     (row,) = read_srt(f"1\n00:00:01,000 --> 00:00:02,000\n{line}\n")
     assert (row.place, row.coarse) == (place, coarse)
 
@@ -90,7 +90,7 @@ def test_a_place_of_few_decimals_is_trusted_little(tmp_path: Path) -> None:
 
 
 def write_video(folder: Path) -> Path:
-    """Six seconds to the east over the drawn relief, 24 m."""
+    """Write a video of six seconds to the east over the drawn relief, 24 m."""
     folder.mkdir(exist_ok=True)
     path = folder / "DJI_0001.mp4"
     size = CAMERA.width, CAMERA.height
@@ -120,7 +120,7 @@ def events(source: Source) -> tuple[list[NavSample], list[Frame]]:
 
 
 def test_frames_are_taken_by_distance_and_know_their_place(tmp_path: Path) -> None:
-    """80 % of overlap of a field of 30 m: a frame every 6 m."""
+    """With 80 % overlap of a field of 30 m, there is a frame every 6 m."""
     source = open_source(write_video(tmp_path))
     assert (source.kind, source.name) == ("photos", "DJI_0001")
     nav, frames = events(source)

@@ -1,4 +1,4 @@
-"""What moves is told from what stands still by two cameras at one instant: the kernel's twin, pairs, ring and batch."""
+"""Temporal consistency: two cameras at one instant separate moving from still ground; twin, pairs, estimators."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WAVES = [Texture(100 + k, contrast=14.0) for k in range(8)]
 
 
 def stack(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of five views and a template, holes in both; sizes that blocks do not divide."""
+    """Samples of five views and a template, both with holes; sizes that are no multiple of a block."""
     rng = np.random.default_rng(seed)
     samples, mean = (rng.normal(0, 0.5, s).astype(np.float32) for s in ((5, 21, 29), (21, 29)))
     samples[rng.random(samples.shape) < 0.1] = np.nan
@@ -76,7 +76,7 @@ def test_pairs_are_views_of_one_instant_by_two_cameras() -> None:
 
 @pytest.mark.parametrize("together", [True, False])
 def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
-    """The same amount of change: alike in the two pictures of each instant, or different in every picture."""
+    """The change is common to the two pictures of each instant, or of equal amount but different in every picture."""
     rng = np.random.default_rng(2)
     mean = rng.normal(size=(64, 64)).astype(np.float32)
     change = rng.normal(0, 0.3, (8, 64, 64)).astype(np.float32)
@@ -90,9 +90,9 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
 
 
 def rig(moving: bool, count: int = 7, since: int = 0, tall: bool = False) -> list[list[View]]:
-    """A rig over level ground; in the west, waves change it from one exposure to the next, `since` one of them.
+    """Views of a rig over level ground; in the west, waves change it between exposures, from number `since` on.
 
-    What is `tall` shows each camera another side.
+    If it is `tall`, each camera sees another side.
     """
     still = Texture(1, contrast=30.0)
 
@@ -115,7 +115,7 @@ def rig(moving: bool, count: int = 7, since: int = 0, tall: bool = False) -> lis
 
 @cache
 def found(method: str, moving: bool, effort: int = 0) -> Heights:
-    """The grid by the ring, or by the batch."""
+    """Match the grid by the recursive estimator or in batch."""
     shots = rig(moving)
     if method == "batch":
         found = match_tile(Images([v for s in shots for v in s], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
@@ -133,7 +133,7 @@ def found(method: str, moving: bool, effort: int = 0) -> Heights:
 
 @pytest.mark.parametrize("method", ["batch", "ring"])
 def test_a_rig_tells_waves_from_ground(method: str) -> None:
-    """Without the witness the bed passes: its texture is twice as strong as the waves."""
+    """Without temporal consistency the bed would pass: its texture is twice as strong as the waves."""
     moves = (found(method, moving=True).flags & np.uint16(Flag.MOVING)) != 0
     inner = (np.abs(NORTH) < 3.0) & (np.abs(EAST) < 5.0)
     assert moves[inner & (EAST < -2.5)].mean() > 0.95
@@ -144,7 +144,7 @@ def test_a_rig_tells_waves_from_ground(method: str) -> None:
 
 @pytest.mark.parametrize("effort", [1, 3])
 def test_with_less_effort_the_rig_tells_waves_all_the_same(effort: int) -> None:
-    """Some exposures keep both cameras: with one of each, moving shadows were given out."""
+    """Some exposures keep both cameras: once, with one of each, moving shadows were given out."""
     moves = (found("ring", moving=True, effort=effort).flags & np.uint16(Flag.MOVING)) != 0
     inner = (np.abs(NORTH) < 3.0) & (np.abs(EAST) < 5.0)
     assert moves[inner & (EAST < -2.5)].mean() > 0.95
@@ -153,7 +153,7 @@ def test_with_less_effort_the_rig_tells_waves_all_the_same(effort: int) -> None:
 
 @pytest.mark.parametrize("since", [0, 4])
 def test_the_ring_tells_that_somebody_has_come(since: int) -> None:
-    """Where the ground was still before: what sways at all times has not come."""
+    """The ground was still before: a surface that always moves has not come."""
     ring, known, came = (
         RecursiveParallax(ParallaxSettings(), CELL, 0.0),
         nothing_known(GRID),
@@ -178,7 +178,7 @@ def test_one_camera_has_no_witness() -> None:
 
 
 def instants_of(kinds: list[int], noise: float = 0.1, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Two views of each instant, of one of several grounds (48, 48); pairs and times."""
+    """Two views of each instant, of one of several grounds (48, 48); also pairs and times."""
     rng = np.random.default_rng(seed)
     grounds = rng.normal(0, 0.6, (max(kinds) + 1, 48, 48))
     samples = np.repeat(grounds[kinds], 2, axis=0) + rng.normal(0, noise, (2 * len(kinds), 48, 48))
@@ -192,7 +192,7 @@ def instants_of(kinds: list[int], noise: float = 0.1, seed: int = 0) -> tuple[np
         ([0, 0, 0, 0, 0, 0], False),
         ([0, 0, 0, 0, 1, 1], True),
         ([0, 0, 1, 1, 1, 1], True),
-        ([0, 0, 0, 0, 0, 1], False),  # one instant may look past the map
+        ([0, 0, 0, 0, 0, 1], False),  # the view of one instant may miss the map
         ([0, 1, 0, 1, 0, 1], False),  # waves
         ([0, 1, 2, 3, 4, 5], False),
         ([0, 0, 1], False),
@@ -205,7 +205,7 @@ def test_a_change_is_what_was_one_ground_before_and_another_after(kinds: list[in
 
 
 def test_a_change_of_a_part_is_found_there_only() -> None:
-    """And the same in any order of the pairs."""
+    """Only the changed part is found, in any order of the pairs."""
     samples, pairs, times = instants_of([0, 0, 0, 1, 1, 1])
     samples[6:, :, :24] = samples[:6, :, :24]
     samples[:, 40:] = np.nan
@@ -216,7 +216,7 @@ def test_a_change_of_a_part_is_found_there_only() -> None:
 
 
 def known_before(residual: float, flags: int = 0) -> ElevationMap:
-    """A map of the ground of `instants_of`, whose views had so much of their variance apart."""
+    """A map of the ground of `instants_of`, whose views had this residual."""
     grid, shape = Grid(0.0, 0.0, 0.1, 48, 48), (48, 48)
     out = nothing_known(grid)
     return replace(
@@ -229,7 +229,7 @@ def known_before(residual: float, flags: int = 0) -> ElevationMap:
     ("kinds", "found"), [([0, 0, 0, 0], False), ([0, 1, 2, 3], True), ([0, 0, 0, 1], False), ([0, 1], False)]
 )
 def test_views_that_agree_on_nothing_contradict_the_map(kinds: list[int], found: bool) -> None:
-    """Of four instants one may look past the map; two are too few to tell."""
+    """Of four instants one may miss the map; two instants are too few to decide."""
     samples, _, _ = instants_of(kinds, 0.3)
     out = witness.contradicted(samples, known_before(0.5), 5, TUNING)
     assert out.wrong.all() == out.wrong.any() == found
@@ -241,13 +241,13 @@ def test_views_that_agree_on_nothing_contradict_the_map(kinds: list[int], found:
     [
         ([0, 0, 0, 0, 0, 0], 0.05, 0, False),
         ([0, 0, 0, 0, 1, 2], 0.05, 0, True),  # two instants of a walk
-        ([0, 0, 0, 0, 0, 1], 0.05, 0, False),  # one may look past the map
-        ([0, 0, 0, 0, 1, 2], 0.3, 0, False),  # swayed before
-        ([0, 0, 0, 0, 1, 2], 0.05, int(Flag.UNSURE), False),  # nothing was known
+        ([0, 0, 0, 0, 0, 1], 0.05, 0, False),  # two instants of a person's walk
+        ([0, 0, 0, 0, 1, 2], 0.3, 0, False),  # the ground swayed before
+        ([0, 0, 0, 0, 1, 2], 0.05, int(Flag.UNSURE), False),  # no height was trusted before
     ],
 )
 def test_somebody_has_come_where_views_agreed_before(kinds: list[int], residual: float, flags: int, came: bool) -> None:
-    """Sooner than the map's height is contradicted."""
+    """The arrival is found before the map's height is contradicted."""
     samples, _, _ = instants_of(kinds, 0.1)
     out = witness.contradicted(samples, known_before(residual, flags), 5, TUNING)
     assert out.came.all() == out.came.any() == came
@@ -255,7 +255,7 @@ def test_somebody_has_come_where_views_agreed_before(kinds: list[int], residual:
 
 
 def test_a_part_without_texture_or_views_contradicts_nothing() -> None:
-    """And the rest is told apart to a block."""
+    """Parts without texture or views are left out, and the others are separated to a block."""
     samples, _, _ = instants_of([0, 1, 2, 3, 4, 5])
     samples[:, :, :20] = np.random.default_rng(4).normal(0, 0.05, (len(samples), 48, 20))
     samples[4:, 24:] = np.nan

@@ -31,9 +31,9 @@ from alight.records import LANDABLE, Terrain
 from alight.settings import Lander, Settings
 
 SIZES = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20.0])  # widths over the sample or the pixel
-BASE = 1.2  # metres: what is narrower stands on the ground
+BASE = 1.2  # metres, window of the opening: narrower things stand out of the ground
 NEAR = 0.2  # metres by which an obstacle may be misplaced
-FALSE = 0.98  # of the even ground lies below what counts as found
+FALSE = 0.98  # share of the even ground that lies below the limit of detection
 QUIET = 0.08  # root mean square relief over the height of an obstacle, of truly quiet ground
 RIM = 1.0  # metres from unknown ground within which heights are worse than elsewhere
 WIDEST = 5.0  # times the limit, the widest obstacle that counts: a wider one shows in the roughness
@@ -48,7 +48,7 @@ class Obstacles:
     width: F64  # (N,) metres at half their height
     sampling: F64  # (N,) metres
     pixel: F64  # (N,) metres
-    contrast: F64  # (N,) root mean square contrast of the picture there, over what counts as found
+    contrast: F64  # (N,) root mean square contrast of the picture there, over the limit of detection
     by_heights: Mask  # (N,)
     by_pixels: Mask
 

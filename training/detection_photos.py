@@ -22,7 +22,7 @@ from alight.raster import local_max, log_brightness
 
 WIDTHS = (6.0, 9.0, 12.0, 18.0, 24.0)  # pixels of the full photo
 REDUCED = (2, 3, 4)
-FALSE = 0.98  # of a photo lies below what counts as a spot
+FALSE = 0.98  # share of the places of a photo below the limit of a spot
 QUALITY = 92  # of the JPEG that the reduced photo becomes
 PHOTOS = 12  # of a folder, evenly spread
 

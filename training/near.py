@@ -31,8 +31,8 @@ from alight.learned import Rate, rate_bytes
 from alight.learned.terms import NEAR_TERMS
 from alight.settings import Settings
 
-LEFT_OUT = ("marsh", "rubble")  # puddles like lawn make every lawn doubtful; nothing to tell apart (docs/lab/looks.md)
-SHALLOW = ("depot", "furrows")  # water of 3 cm on even ground: it lowers P everywhere, and is found no better for it
+LEFT_OUT = ("marsh", "rubble")  # puddles like lawn make every lawn doubtful; no term separates them (docs/lab/looks.md)
+SHALLOW = ("depot", "furrows")  # water of 3 cm on even ground: it lowers P everywhere, and is detected no better
 WORLDS = tuple(f"{family}/looks/tuning-{k}" for k in range(1, 5) for family in FAMILIES if family not in LEFT_OUT)
 SOME = 250  # cells of a look
 LEAST_NEARNESS = 0.5

@@ -35,7 +35,7 @@ FLIGHTS = (
     "lakes/50m/tuning-1", "farmland/100m/tuning-1", "meadow/100m/tuning-2", "village/150m/tuning-2",
 )  # fmt: skip
 WRONG = 0.01  # of the height above the cell
-EVERY = 5  # cells: neighbours say the same
+EVERY = 5  # cells: errors of neighbours are correlated
 
 
 @contextmanager

@@ -36,14 +36,14 @@ from alight.terrain.classify import Tables
 SOME = 1500  # cells of a map
 KNOTS = (0.02, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # quantiles of a term, families alike, at which its line bends
 PENALTY = 1e-5  # of squared rises of the lines
-ROUNDS = 3  # in which a family weighs more by what was lost on it
-EAGER = {"obstacle": 1.0, "ground": 0.5}  # how much more: dense stones and ground that looks safe and is not
+ROUNDS = 3  # after each of which the families with more loss get more weight
+EAGER = {"obstacle": 1.0, "ground": 0.5}  # exponent of that weight: dense stones; ground that looks safe but is not
 NAMES = {"obstacle": ("relief_rate", "density_rate"), "ground": ("ground_rate",)}
 FOLDS = 5  # of flights, or of families, each judged by a net that was fitted without it
 LEAST_STEP = 0.02  # of the range of a term: knots lie no nearer
 MOST = 3.0  # log of the largest rate of a part
 LEAST = 100  # cells of a family that count
-KEPT = ((0.95, 1.0), (0.99, 1.5))  # levels of P, and how often the hazards that they allow may be met
+KEPT = ((0.95, 1.0), (0.99, 1.5))  # levels of P, and the limit of the share of hazards over 1 - P
 
 
 @dataclass(frozen=True, eq=False)

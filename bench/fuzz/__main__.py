@@ -1,12 +1,12 @@
-"""Damage inputs for a given time from a seed; keep and shrink what is not answered as promised.
+"""Damage inputs for a given time from a seed; keep and shrink the cases whose answer is not an allowed one.
 
     python bench/fuzz --minutes 10 --seed 3 [--keep FOLDER] [--kinds flight,dem]
 
 `--settings KIND` instead sets every setting of `alight settings --all` to each of a few extreme values, on a healthy
 input of that kind.
 
-A failure is kept as JSON: its kind, its damages and what was said; `--again FILE` does it once more. Exit code 1 when
-anything failed.
+A failure is kept as JSON: its kind, its damages and the output. `--again FILE` repeats it. Exit code 1 if a case
+failed.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from grammar import Damage, drawn
 
 from alight.settings.keys import all_keys
 
-HEALTHY_SECONDS = 600.0  # of the processor, that a healthy input may take
-EXTREMES = ("1e9", "1e5", "100", "1e-9", "0", "-1")  # what one bound or another of a setting should refuse
+HEALTHY_SECONDS = 600.0  # limit of processor time of a healthy input
+EXTREMES = ("1e9", "1e5", "100", "1e-9", "0", "-1")  # values that at least one bound of a setting should refuse
 TAGS = tuple(seeds.dji_tags())
 
 
 class Fuzzer:
-    """Healthy inputs, what they cost, and the failures that were found."""
+    """Healthy inputs, their cost, and the failures that were found."""
 
     def __init__(self, folder: Path, keep: Path, kinds: list[str]) -> None:
         self._folder, self._keep = folder, keep
@@ -54,7 +54,7 @@ class Fuzzer:
                 self._healthy[kind] = Cost(found.seconds, found.megabytes, pixels, idle)
 
     def _tried(self, kind: str, damages: list[Damage], limit: float) -> tuple[trial.Outcome, int]:
-        """Damage a copy of a healthy input and run the command on it; what that gave, and the pixels that it left."""
+        """Damage a copy of a healthy input and run the command on it; return the outcome and the pixels written."""
         with tempfile.TemporaryDirectory(dir=self._folder) as spare:
             copy, out = Path(spare) / "input", Path(spare) / "left" / "out"
             out.parent.mkdir()
@@ -68,13 +68,13 @@ class Fuzzer:
             return found, pixels_left(out.parent)
 
     def judged(self, kind: str, damages: list[Damage]) -> tuple[str | None, str]:
-        """What is wrong with the answer to a damaged input, or None; and what was said."""
+        """Return the fault of the answer to a damaged input (None: no fault), and the output."""
         healthy = self._healthy[kind]
         found, pixels = self._tried(kind, damages, PATIENCE * healthy.limit)
         return healthy.fault(found, pixels), found.said
 
     def shrunk(self, kind: str, damages: list[Damage], fault: str) -> list[Damage]:
-        """The fewest of the damages that still fail."""
+        """Return a smallest part of the damages that still fails."""
         left = list(damages)
         for d in damages:
             fewer = [e for e in left if e is not d]
@@ -83,7 +83,7 @@ class Fuzzer:
         return left
 
     def once(self, kind: str, seed: int) -> str | None:
-        """One trial; its fault."""
+        """Run one trial; return its fault."""
         if kind == "protocol":
             fault = protocol.trial(seed)
             if fault is not None:
@@ -103,7 +103,7 @@ class Fuzzer:
         return fault
 
     def setting(self, kind: str, key: str, value: str) -> None:
-        """One setting at one value on a healthy input."""
+        """Run a healthy input with one setting at one value."""
         damage = Damage("set", key, 0.0, value)
         fault, said = self.judged(kind, [damage])
         if fault is not None:
@@ -122,7 +122,7 @@ class Fuzzer:
 
 
 def _made(kind: str, folder: Path) -> None:
-    """Make a healthy input in a child: this process must not start threads before it forks."""
+    """Make a healthy input in a child process: this process must not start threads before it forks."""
     child = os.fork()
     if child == 0:
         seeds.INPUTS[kind](folder)
@@ -131,7 +131,7 @@ def _made(kind: str, folder: Path) -> None:
 
 
 def main() -> int:
-    """Run for a time; return the exit code."""
+    """Run trials for a given time; return the exit code."""
     parser = argparse.ArgumentParser(description="Damage inputs and see that the answer is one of those promised.")
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--trials", type=int, default=10**9, help="end after so many")

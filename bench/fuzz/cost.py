@@ -1,9 +1,9 @@
-"""What a trial may cost: so much more than the healthy input as it leaves more pixels, and never less than that input.
+"""Limits of the cost of a trial: in proportion to its pixels over those of the healthy input, and never less than it.
 
-Damage can make another healthy input: a scene file that lost its keys asks for 60 pictures where ours has four. Time
-and memory are therefore held against the pixels of the pictures and rasters that the command left, or had left when
-it was ended. A loop without end leaves nothing more, and what grows faster than its output costs more for each pixel:
-both are found. An output that is larger than it ought to be is not.
+Damage can make another healthy input: a scene file without some keys makes 60 pictures, and the healthy one makes
+four. Time and memory are therefore compared with the pixels of the pictures and rasters that the command wrote,
+finished or not. An endless loop writes nothing more, and an algorithm of higher order costs more for each pixel:
+both are found. An output that is too large is not found.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from rasterio.errors import RasterioError
 if TYPE_CHECKING:
     from trial import Outcome
 
-SLOWER, LARGER = 10.0, 2.0  # than the healthy input
+SLOWER, LARGER = 10.0, 2.0  # times the cost of the healthy input
 LEAST_SECONDS, MORE_MEGABYTES = 20.0, 300.0
-LEAST_PIXELS = 100_000  # of the healthy input; many leave no picture at all
-PATIENCE = 4.0  # times the limit of the healthy input, that a trial is waited for
+LEAST_PIXELS = 100_000  # of the healthy input; many inputs make no picture at all
+PATIENCE = 4.0  # times the limit of the healthy input, after which a trial is ended
 TOO_SLOW = "too slow"
 
 
 def pixels_left(folder: Path) -> int:
-    """Pixels of the pictures and cells of the rasters below a folder; a file that is not whole has none."""
+    """Number of pixels of pictures and cells of rasters below a folder; an incomplete file counts as none."""
     return sum(_pixels(path) for path in folder.rglob("*.*") if path.is_file())
 
 
@@ -46,26 +46,26 @@ def _pixels(path: Path) -> int:
 
 @dataclass(frozen=True)
 class Cost:
-    """What the healthy input of a kind costs."""
+    """Cost of the healthy input of a kind."""
 
-    seconds: float  # of the processor
-    megabytes: float  # at the most
-    pixels: int  # that it leaves
-    idle: float  # megabytes of a process that does nothing
+    seconds: float  # of processor time
+    megabytes: float  # peak
+    pixels: int  # that it writes
+    idle: float  # megabytes of an idle process
 
     @property
     def limit(self) -> float:
-        """Seconds of the processor for as many pixels."""
+        """Limit of processor time for as many pixels as the healthy input has, s."""
         return max(LEAST_SECONDS, SLOWER * self.seconds)
 
     def fault(self, found: Outcome, pixels: int) -> str | None:
-        """What is wrong with a trial that left so many pixels: its answer, or what it cost; None: nothing."""
+        """Return the fault of a trial that wrote so many pixels, its answer or its cost; None: no fault."""
         if found.fault not in (None, TOO_SLOW):
             return found.fault
         more = max(1.0, pixels / max(self.pixels, LEAST_PIXELS))
         if found.seconds > more * self.limit:
             return TOO_SLOW
-        own = max(self.megabytes - self.idle, 0.0)  # a process that idles counts its parent's memory when it is young
+        own = max(self.megabytes - self.idle, 0.0)  # at its start a process counts its parent's memory
         if found.megabytes > self.idle + more * LARGER * own + MORE_MEGABYTES:
             return f"too large: {found.megabytes:.0f} MB"
         return None

@@ -1,6 +1,6 @@
-"""The grammar of damage: what happens to logs, photos, recordings, rasters, documents, settings, drawn from a seed.
+"""The grammar of damage to logs, photos, recordings, rasters, documents and settings, drawn from a seed.
 
-A damage is plain data, so that a failure can be kept, shrunk and done again.
+A damage is plain data, so that a failure can be kept, shrunk and repeated.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ VALUES = (*NUMBERS, "[-1e9, 1e9]", "[nan, nan]", "[0, 0]", "[[0,0],[1,0],[0,1]]"
 
 @dataclass(frozen=True)
 class Damage:
-    """One thing that happens to an input."""
+    """One damage of an input."""
 
     kind: str  # name of a function of `DO`
     file: str  # relative to the input; for settings the key
-    where: float  # 0 to 1, of the file
+    where: float  # position in the file, 0 to 1
     what: str
 
     def apply(self, folder: Path) -> None:
-        """Do it, as far as the file still allows it."""
+        """Apply the damage, if the file still allows it."""
         path = folder / self.file
         if self.kind in DO and path.is_file():
             DO[self.kind](path, self.where, self.what)
@@ -76,7 +76,7 @@ def _rows(path: Path) -> list[str]:
 
 
 def _mark(text: str) -> str:
-    """What separates the fields of a table."""
+    """Return the separator of the fields of a table."""
     return "," if "," in text else " "
 
 
@@ -151,7 +151,7 @@ _NUMBER = re.compile(r"[-+]?[0-9.]+(?:e[-+]?[0-9]+)?")
 
 
 def _renumbered(text: str, where: float, what: str) -> str:
-    """The text with another value where one of its numbers was."""
+    """Replace one number of a text."""
     spans = [m.span() for m in _NUMBER.finditer(text)]
     if not spans:
         return text
@@ -160,19 +160,19 @@ def _renumbered(text: str, where: float, what: str) -> str:
 
 
 def _number(path: Path, where: float, what: str) -> None:
-    """Another number in a YAML or JSON file."""
+    """Replace one number in a YAML or JSON file."""
     text = path.read_text(encoding="utf-8", errors="replace")
     path.write_text(_renumbered(text, where, what), encoding="utf-8")
 
 
 def _paths(tree: Any, before: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Where every value of a document stands."""
+    """Return the paths of all values of a document."""
     items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     return [p for k, v in items for p in ((*before, k), *_paths(v, (*before, k)))]
 
 
 def _tree(path: Path, where: float, what: str) -> None:
-    """Another value, or none, at a place of a JSON or YAML document; of one line of many."""
+    """Replace or delete one value of a JSON or YAML document; in a file of lines, of one line."""
     text = path.read_text(encoding="utf-8", errors="replace")
     lines = text.split("\n") if path.suffix == ".jsonl" else [text]
     at = int(where * 7919) % max(1, len([x for x in lines if x]))
@@ -192,7 +192,7 @@ def _tree(path: Path, where: float, what: str) -> None:
 
 
 def _damaged(data: bytes, where: float, what: str) -> bytes:
-    """Another number in a JSON text, or in the head of a picture; or bytes of any kind."""
+    """Replace a number in a JSON text or in the head of a picture, or garble the bytes."""
     if what == "garble" or not data:
         return bytes(b ^ (37 * (k % 11 == int(11 * where))) for k, b in enumerate(data))
     start, size = (0, len(data)) if data[:1] == b"{" else (4, struct.unpack("<I", data[:4].ljust(4, b"\0"))[0])
@@ -202,8 +202,8 @@ def _damaged(data: bytes, where: float, what: str) -> bytes:
 
 
 def _message(path: Path, where: float, what: str) -> None:
-    """Something about one message of a recording, or about its head."""
-    with suppress(Exception):  # whatever the damaged file leads to: it stays as it is
+    """Damage one message of a recording, or its head."""
+    with suppress(Exception):  # an error of the damaged file: it stays as it is
         records = list(StreamReader(path.open("rb")).records)
         about = [k for k, r in enumerate(records) if isinstance(r, Message | Metadata)]
         at = about[int(where * len(about))] if where > 0.2 else about[0]
@@ -237,7 +237,7 @@ _TAGS = (
 
 
 def _exif(path: Path, where: float, what: str) -> None:
-    """A tag of EXIF holds another value, of another kind; or bytes of EXIF are others."""
+    """Give an EXIF tag another value of another type, or change bytes of EXIF."""
     if what == "garble":
         data = bytearray(path.read_bytes())
         if data:  # another damage may have emptied it
@@ -245,7 +245,7 @@ def _exif(path: Path, where: float, what: str) -> None:
             data[(start + int(where * 300)) % len(data)] = int(where * 7919) % 256
         path.write_bytes(bytes(data))
         return
-    with suppress(Exception):  # pillow refuses to write some of it
+    with suppress(Exception):  # pillow refuses to write some values
         image = Image.open(path)
         exif, xmp = image.getexif(), image.info.get("xmp", b"")
         directory, tag = _TAGS[int(where * len(_TAGS))]
@@ -257,8 +257,8 @@ def _exif(path: Path, where: float, what: str) -> None:
 
 
 def _array(path: Path, where: float, what: str) -> None:
-    """One array of a table is of another shape or kind, or holds another number."""
-    with suppress(Exception):  # whatever the damaged file leads to: it stays as it is
+    """Give one array of a table another shape or type, or replace a number in it."""
+    with suppress(Exception):  # an error of the damaged file: it stays as it is
         with np.load(path) as file:
             arrays = dict(file)
         name = sorted(arrays)[int(where * len(arrays))]
@@ -272,30 +272,30 @@ def _array(path: Path, where: float, what: str) -> None:
 
 
 def _cells(path: Path, where: float, what: str) -> None:
-    """A part of a raster holds one value."""
+    """Set a part of a raster to one value."""
     try:
         with rasterio.open(path, "r+") as d:
             z = d.read(1)
             value = float(what or 0)
             z[: max(1, int(where * len(z)))] = value if abs(value) < 3e38 else np.nan
             d.write(z, 1)
-    except Exception:  # whatever the damaged file leads to: it stays as it is
+    except Exception:  # an error of the damaged file: it stays as it is
         pass
 
 
 def _place(path: Path, where: float, what: str) -> None:
-    """Another cell size and corner."""
+    """Change cell size and corner of a raster."""
     try:
         with rasterio.open(path, "r+") as d:
             cell = float(what or 0)
             d.transform = rasterio.Affine(cell, 0, cell * where, 0, -cell, 1e6 * where)
-    except Exception:  # whatever the damaged file leads to: it stays as it is
+    except Exception:  # an error of the damaged file: it stays as it is
         pass
 
 
 def _bands(path: Path, where: float, what: str) -> None:
-    """One band more or less, other numbers, other rows."""
-    with suppress(Exception):  # whatever the damaged file leads to: it stays as it is
+    """Change the number of bands, the type or the rows of a raster."""
+    with suppress(Exception):  # an error of the damaged file: it stays as it is
         with rasterio.open(path) as d:
             bands, profile = d.read(), d.profile
         how = int(where * 5)
@@ -339,7 +339,7 @@ def _what(draw: random.Random, kind: str) -> str:
 
 
 def drawn(draw: random.Random, folder: Path, keys: str, only: str) -> list[Damage]:
-    """One to four damages of an input, and where the command takes them, of `settings` or of a `scene`."""
+    """Draw one to four damages of an input; also of `settings` or of a `scene`, if the command takes them."""
     files = sorted(p.relative_to(folder).as_posix() for p in (folder / only).rglob("*") if p.is_file())
     read = [f for f in files if Path(f).suffix in _BY_SUFFIX] or files
     found = []

@@ -1,4 +1,4 @@
-"""MAVLink: messages with fields of any value, and bytes of any kind, into the protocol machine."""
+"""Fuzzer of the MAVLink protocol machine: messages with arbitrary fields, and arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _value(draw: random.Random, kind: str) -> Any:
 
 
 def message(draw: random.Random) -> Any:
-    """A message of a kind that is listened to, each field of any value of its type."""
+    """Draw a message of a kind that the protocol machine reads, each field with any value of its type."""
     kind = draw.choice(KINDS)
     values = []
     for name, form in zip(kind.fieldnames, kind.fieldtypes, strict=True):
@@ -44,7 +44,7 @@ def message(draw: random.Random) -> Any:
 
 
 def trial(seed: int, count: int = 200) -> str | None:
-    """Feed an autopilot with messages and damaged bytes; what was raised, or None."""
+    """Feed an autopilot with messages and damaged bytes; return the traceback, or None."""
     draw = random.Random(seed)
     pilot, now = Autopilot(events=TelemetryEvents()), 0
     talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)

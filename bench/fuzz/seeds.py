@@ -22,17 +22,17 @@ from alight.learned import table_path
 
 
 def noise(folder: Path) -> None:
-    """A flight log over noise: every reader, no map."""
+    """Make a flight log over noise: it reaches every reader and makes no map."""
     write_flight(folder, 8)
 
 
 def flight(folder: Path) -> None:
-    """A second of simulated flight: every stage."""
+    """Make a flight log of a second of simulated flight: it reaches every stage."""
     alight_sim.write(alight_sim.fly("demo", 0, 1.5), folder, lambda done, total: None, overwrite=True)
 
 
 def dem(folder: Path) -> None:
-    """A raster of heights."""
+    """Make a raster of heights."""
     folder.mkdir(parents=True)
     z = np.random.default_rng(0).normal(100.0, 0.005, (60, 60)).astype(np.float32)
     place = rasterio.Affine(0.1, 0, 550000, 0, -0.1, 4180000)
@@ -42,7 +42,7 @@ def dem(folder: Path) -> None:
 
 
 def photos(folder: Path, damages: tuple[Damage, ...] = ()) -> None:
-    """Photos of noise with tags, some of them damaged: `what` of a damage replaces the tag that its file names."""
+    """Make photos of noise with tags, some of them damaged: `what` of a damage replaces the tag named by its `file`."""
     for k in range(4):
         tags = {d.file: d.what for d in damages if d.kind == "tag" and int(4 * d.where) in (k, 3)}
         known = {name: value for name, value in tags.items() if name in dji_tags()}
@@ -57,7 +57,7 @@ def photos(folder: Path, damages: tuple[Damage, ...] = ()) -> None:
 
 
 def recording(folder: Path) -> None:
-    """The recording of a live run over a second of simulated flight."""
+    """Make the recording of a live run over a second of simulated flight."""
     with tempfile.TemporaryDirectory() as spare:
         log, out = Path(spare) / "log", Path(spare) / "out"
         flight(log)
@@ -67,13 +67,13 @@ def recording(folder: Path) -> None:
 
 
 def evaluated(folder: Path) -> None:
-    """A run and the truth of its flight, without the pictures of both."""
+    """Make a run and the truth of its flight, without the pictures of both."""
     flight(folder / "flight")
     _done(["run", str(folder / "flight"), "--out", str(folder / "run")])
 
 
 def scene(folder: Path) -> None:
-    """A scene file of a short flight."""
+    """Make a scene file of a short flight."""
     folder.mkdir(parents=True)
     text = (Path(alight_sim.__file__).parent / "scenes" / "demo.yaml").read_text(encoding="utf-8")
     more = "rig: {cameras: [{resolution: [160, 120]}]}\nimaging: {rate_hz: 10}\n"
@@ -81,13 +81,13 @@ def scene(folder: Path) -> None:
 
 
 def model(folder: Path) -> None:
-    """The package's own model of what ground looks like."""
+    """Copy the package's own model of appearance."""
     folder.mkdir(parents=True)
     shutil.copy(table_path("appearance"), folder / "model.npz")
 
 
 def campaign(folder: Path) -> None:
-    """Two campaigns of three landings that were given up, and are not flown."""
+    """Make two campaigns of three landings that were given up, so that no landing has to be flown."""
     for name in ("one", "two"):
         write_campaign(folder / name)
 

@@ -1,4 +1,4 @@
-"""One trial: a damaged input through the command in a process of its own, and whether the answer is allowed."""
+"""One trial: run the command on a damaged input in a process of its own, and decide whether the answer is allowed."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ import alight.cli
 import alight.runner.judge
 import alight.runner.replay  # imported once: every trial is a fork of this process
 
-STARVED = 30  # times the limit of processor time, by the clock: other processes want the processor, too
-MEMORY = 6 * 2**30  # bytes of address space, beyond which a trial may not ask for more
+STARVED = 30  # times the limit of processor time, as wall time: other processes use the processor, too
+MEMORY = 6 * 2**30  # bytes of address space, the limit of a trial
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a trial gave."""
+    """Outcome of a trial."""
 
     fault: str | None  # None: allowed
-    seconds: float  # of the processor
-    megabytes: float  # at the most
+    seconds: float  # of processor time
+    megabytes: float  # peak
     said: str
 
 
 @dataclass(frozen=True)
 class Command:
-    """What is tried on an input: the words, with {} for its folder, and which answers are allowed."""
+    """Command of a trial: its words, with {} for the folder of the input, and the allowed answers."""
 
     words: tuple[str, ...]
     out: bool = True  # takes --out
-    keys: str = "settings"  # what `--set` takes; none: ""
-    codes: tuple[int, ...] = (0,)  # beside 2 with one line
-    begins: tuple[str, ...] = ("SITE", "NO SITE")  # the answer on stdout
-    only: str = ""  # of the input's files, that are damaged
+    keys: str = "settings"  # kind of keys of `--set`; none: ""
+    codes: tuple[int, ...] = (0,)  # allowed beside 2 with one line
+    begins: tuple[str, ...] = ("SITE", "NO SITE")  # allowed starts of the answer on stdout
+    only: str = ""  # folder of the input whose files are damaged; empty: all
 
 
 COMMANDS = {
@@ -57,12 +57,12 @@ COMMANDS = {
     "model": Command(("terrain", "test", "--model", "{}/model.npz"), out=False, keys="", begins=("",)),
     "campaign": Command(
         ("campaign", "--out", "{}/one", "--compare", "{}/two"), out=False, keys="", begins=("",), only="two"
-    ),  # a damaged "one" is mended by flying: minutes
+    ),  # a damaged "one" is repaired by flying: minutes
 }
 
 
 def command(kind: str, folder: Path, out: Path, damages: list[Damage]) -> list[str]:
-    """The command for an input."""
+    """Return the command for an input."""
     asked = COMMANDS[kind]
     sets = [part for d in damages if d.kind == "set" for part in ("--set", f"{d.file}={d.what}")]
     where = ["--out", str(out)] if asked.out else []
@@ -84,7 +84,7 @@ def run(kind: str, arguments: list[str], limit: float) -> Outcome:
 
 
 def idle_megabytes() -> float:
-    """Memory of this process, with which every trial begins."""
+    """Memory of this process, which is the memory of a trial at its start."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
@@ -117,7 +117,7 @@ def _wait(child: int, start: float, limit: float) -> tuple[int, resource.struct_
 
 
 def _fault(asked: Command, status: int, out: str, err: str) -> str | None:
-    """What is wrong with an answer; None: it is one of those promised, or one line that says what to mend."""
+    """Return the fault of an answer; None: it is an allowed one, or one line that says what to mend."""
     if os.WIFSIGNALED(status):
         ends = {signal.SIGXCPU: TOO_SLOW, signal.SIGKILL: "does not end, and does nothing"}
         return ends.get(signal.Signals(os.WTERMSIG(status)), f"ended by signal {os.WTERMSIG(status)}")

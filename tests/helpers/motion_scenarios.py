@@ -25,7 +25,7 @@ class Scenario:
     name: str
     begin: float  # s
     end: float
-    how: Callable[[Sample, float], Sample | None]  # the event and its seconds -> what is left of it
+    how: Callable[[Sample, float], Sample | None]  # the event and its seconds -> the event that is left of it
     flight: dict[str, float] = field(default_factory=dict)
     length: float = 14.0
 

@@ -18,12 +18,12 @@ from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError
 from alight_sim.point_mass import FlightLimits, PointMass
 
-WRONG = (3.0, -2.0, 1.0)  # m, what the autopilot's estimate is off by
+WRONG = (3.0, -2.0, 1.0)  # m, error of the autopilot's estimate
 LATE = 0.15  # s from an exposure to its motion
 VERDICT = 0.4  # s from an exposure to its verdict
 HARMLESS = {"HEARTBEAT", "TIMESYNC"}
 SET_MESSAGE_INTERVAL = 511
-LATER = 1_000  # ns from what is heard to the tick that decides by it: no heartbeat is of this very instant
+LATER = 1_000  # ns from the newest message to the tick that uses it: no heartbeat is of this very instant
 
 See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the vehicle
 
@@ -54,7 +54,7 @@ class PilotRig(Rig):
         self.pictures, self.positions = True, True
         self.frame_id, self.motion_state = 0, MotionState.GOOD
         self.freeze = False
-        self.wire: list[Any] = []  # what we sent, with the time
+        self.wire: list[Any] = []  # our messages, with the time
         self.orders: list[str] = []
         self.entries: list[Transition | LookRecord] = []
         self.view: PilotView | None = None

@@ -27,7 +27,7 @@ RIG = Rig(
         RigCamera("right", CAMERA, Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0])),
     )
 )
-NOISE = FilterSettings(pixel_sigma=0.25, pixel_repeat=1.0, smooth=False)  # what the errors are drawn from
+NOISE = FilterSettings(pixel_sigma=0.25, pixel_repeat=1.0, smooth=False)  # noise from which the errors are drawn
 UP = np.array([0.0, 0.0, 9.80665])
 
 
@@ -47,7 +47,7 @@ class PointFlight:
     sigma_position: tuple[float, float, float] = (1.0, 1.0, 1.5)  # m
     sigma_attitude: tuple[float, float, float] = (0.0087, 0.0087, 0.026)  # rad
     sigma_velocity: float = 0.05  # m/s
-    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, rotation from the INS to what the rig says
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, rotation from the INS to the mounting in the rig
     time_offset: float = 0.0  # s that the exposures' stamps are ahead
     moving: float = 0.0  # share of the points that drift over the ground
     _streams: dict[str, np.random.Generator] = field(default_factory=dict, compare=False)

@@ -1,4 +1,4 @@
-"""From one cell size to the next coarser: means of 2 x 2 cells (docs/method/elevation.md, eq. 16b)."""
+"""Kernel that halves the resolution of a map: means of 2 x 2 cells (docs/method/elevation.md, eq. 16b)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ def halve(
     unseen: int, refused: int, whole: int, enough: int,
     height2: F32, sigma2: F32, flags2: U16, views2: U8, rgb2: U8, residual2: F32, sampling2: F32,
 ) -> None:  # fmt: skip
-    """Fill (R / 2, C / 2) arrays, which say `unseen` before, with means over 2 x 2 cells of (R, C) ones.
+    """Fill (R / 2, C / 2) arrays, initialised as `unseen`, with means over 2 x 2 cells of (R, C) arrays.
 
-    Cells whose flags hold `unseen` do not count, and those with a bit of `refused` only where fewer than `enough` have
-    none. Fewer than `whole` seen cells leave the coarse one unseen. Variances are averaged, not divided; the coarsest
-    sampling is kept.
+    Cells with the flag `unseen` do not count. Cells with a bit of `refused` count only if fewer than `enough` of the
+    four have no such bit. Fewer than `whole` seen cells leave the coarse cell unseen. Variances are averaged, not
+    divided; the coarsest sampling is kept.
     """
     for r in range(height2.shape[0]):
         for c in range(height2.shape[1]):

@@ -17,7 +17,7 @@ MIN_TRUSTED = 2  # of four cells that make the coarse cell trusted
 
 
 def halve_fields(fine: Fields) -> Fields:
-    """Means of 2 x 2 cells (eq. 16b); those of the trusted ones where there are two of them or more.
+    """Means of 2 x 2 cells (eq. 16b); of the trusted cells alone, if two or more of the four are trusted.
 
     Sigma is not divided: neighbours share their windows, and so their errors.
     """
@@ -29,7 +29,7 @@ def halve_fields(fine: Fields) -> Fields:
 
 
 def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
-    """Fields at half the cell size (eq. 16c): bilinear between trusted cells, each cell's own value beside others.
+    """Fields at half the cell size (eq. 16c): bilinear between trusted cells; elsewhere the value of the coarse cell.
 
     Sigma grows by a factor.
     """
@@ -47,7 +47,7 @@ def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
 
 
 def on_cells_up_to(elevation: ElevationMap, cell: float) -> ElevationMap:
-    """The map on the largest cells that are its own doubled again and again and not above `cell` metres.
+    """Resample a map to the largest cells that are not above `cell` metres, by doubling its own cells.
 
     The last row and column may reach beyond the map. The finest picture stays as it is.
     """

@@ -1,7 +1,7 @@
-"""One map of the ground with cells of `cell * 2**level` metres, as fine at each place as it was ever seen.
+"""One map of the ground with cells of `cell * 2**level` metres, at each place as fine as the finest heights there.
 
-A coarse layer holds the means of what the finer ones know, where they know anything; a finer one starts from the
-coarser. So each layer is the best that is known at its cell size, but for places that were only seen coarsely.
+A coarse layer holds the means of the finer layers, where these have heights; a finer layer starts from the coarser
+one. So each layer is the best map at its cell size, except at places that were only seen coarsely.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
 
 
 class TiledElevation:
-    """The map, at every cell size that was asked of it.
+    """Elevation map of several levels; a level is opened when it is first used.
 
     Args:
         cell: metres, of level 0.
         side: cells of a tile.
-        far: where tiles go that the vehicle has left behind; a dict where nothing is given.
-        tuning: how heights of different cell sizes are weighed.
+        far: store for the tiles that the vehicle has left behind; None: a dict.
+        tuning: constants for the fusion of heights of different cell sizes.
     """
 
     def __init__(
@@ -47,14 +47,14 @@ class TiledElevation:
     # -- rasters
 
     def cell_at(self, level: int) -> float:
-        """Metres."""
+        """Cell size of a level, metres."""
         return math.ldexp(self.cell, level)
 
     def _layer_of(self, cell: float) -> TileLayer:
         return self._layer(round(math.log2(cell / self.cell)))
 
     def _layer(self, level: int) -> TileLayer:
-        """The layer; it and those between it and the others are opened where they are not."""
+        """Return the layer of a level; open it, and those between it and the existing layers, if they are missing."""
         while level < (finest := min(self._layers)):
             self._open(finest - 1)
         while level > (coarsest := max(self._layers)):
@@ -68,21 +68,21 @@ class TiledElevation:
         self._layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
 
     def tile_grid(self, key: Key, margin: int = 0, level: int = 0) -> Grid:
-        """The grid of one tile, `margin` cells wider on every side."""
+        """Return the grid of one tile, `margin` cells wider on every side."""
         return self._layer(level).tile_grid(key, margin)
 
     def cover(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Iterator[Key]:
-        """The tiles that a rectangle (metres) touches, southern rows first."""
+        """Yield the tiles that a rectangle (metres) touches, southern rows first."""
         return self._layer(level).cover(east, north)
 
     def window(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Grid:
-        """The smallest grid of whole cells over a rectangle (metres)."""
+        """Return the smallest grid of whole cells over a rectangle (metres)."""
         return self._layer(level).window(east, north)
 
-    # -- what is in them
+    # -- content
 
     def add(self, heights: Heights, replace_all: bool = False) -> None:
-        """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new one wherever it was seen)."""
+        """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new height wherever seen)."""
         layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
         take = (
             is_seen(new["flags"])
@@ -98,7 +98,7 @@ class TiledElevation:
                 layer = self._layers[layer.level + 1]
 
     def _pass_on(self, layer: TileLayer, grid: Grid) -> Grid:
-        """Give the next coarser layer the means of a grid; returns the coarse cells that they are of."""
+        """Write the means of a grid into the next coarser layer; return the grid of these coarse cells."""
         south, north, west, east = (n // 2 for n in layer.numbers(grid))
         means = halve_fields(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
         coarser = self._layers[layer.level + 1]
@@ -107,7 +107,7 @@ class TiledElevation:
         return above
 
     def _known(self, layer: TileLayer, grid: Grid, inflation: float = 1.0) -> Fields:
-        """A layer's own cells, and where it has none the next coarser one's, interpolated."""
+        """Return the layer's cells; where it has none, those of the next coarser layer, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
         coarser = self._layers.get(layer.level + 1)
@@ -133,24 +133,24 @@ class TiledElevation:
             layer.add_plane(plane, about)
 
     def read(self, grid: Grid) -> ElevationMap:
-        """The best heights on a grid of whole cells of any level, copied."""
+        """Return a copy of the best heights on a grid of whole cells of any level."""
         return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
-        """`read`, as the start of a step: sigma is inflated where only coarser levels have seen a cell."""
+        """Return the start of a step: as `read`, with sigma inflated where only coarser levels have seen a cell."""
         known = self._known(self._layer_of(grid.cell), grid, self._tuning.less_sure)
         return ElevationMap(grid, **known)  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
-        """Pack the tiles farther than `radius` metres from the vehicle: memory follows the flight, not its length."""
+        """Pack the tiles farther than `radius` metres from the vehicle: memory does not grow with the flight."""
         for layer in self._layers.values():
             layer.roll(centre, radius)
 
     def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
-        """Everything that was ever seen, cropped to it, in whole cells of twice the size; None when nothing was.
+        """Return the map of all seen ground, cropped to whole cells of twice the size; None if nothing was seen.
 
-        On the raster of the finest cells that at least `least_share` of it was seen with, or of coarser ones where it
-        would have more than `most_cells`.
+        The level is the finest one with at least `least_share` of the largest seen area; a coarser one if the map would
+        have more than `most_cells` cells.
         """
         boxes = {level: box for level, layer in self._layers.items() if (box := layer.box())}
         if not boxes:
@@ -163,9 +163,9 @@ class TiledElevation:
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:
-    """The cells of a level about boxes of several, and about the larger cells that these lie in.
+    """Return the cells of a level that hold the boxes of several levels, extended to whole cells of twice the size.
 
-    Land cover is found on those; so it needs no copy of the finest picture with another row.
+    The land cover is estimated on cells of twice the size; so it needs no copy of the finest picture with another row.
     """
     scale = {k: 2.0 ** (k - level) for k in boxes}
     south, west = (min(math.floor(b[i] * scale[k]) for k, b in boxes.items()) for i in (0, 2))

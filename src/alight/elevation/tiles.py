@@ -35,12 +35,12 @@ def _shape(name: str, shape: tuple[int, int]) -> tuple[int, ...]:
 
 
 def nothing(shape: tuple[int, int]) -> Fields:
-    """Cells that were never seen."""
+    """Return fields of cells that were never seen."""
     return {k: np.full(_shape(k, shape), v, t) for k, (t, v) in FIELDS.items()}
 
 
 def pack_tile(tile: Fields) -> bytes:
-    """The tile as bytes."""
+    """Compress a tile to bytes."""
     return bytes(lz4.frame.compress(b"".join(tile[k].tobytes() for k in FIELDS)))
 
 
@@ -61,7 +61,7 @@ def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 
 def _extent(tile: Fields) -> tuple[Part, int]:
-    """The box about the cells that were seen, and their number."""
+    """Bounding box and number of the seen cells."""
     seen = is_seen(tile["flags"])
     return box_of(seen), int(seen.sum())
 
@@ -70,7 +70,7 @@ class NullStore(dict[Name, bytes]):
     """A tile store that keeps nothing: the map ends where the vehicle cannot see."""
 
     def __setitem__(self, name: Name, packed: bytes) -> None:
-        """Keep nothing."""
+        """Discard the tile."""
 
 
 class TileLayer:
@@ -80,18 +80,18 @@ class TileLayer:
         self.level, self.cell, self.side = level, cell, side
         self._near: dict[Key, Fields] = {}
         self._far = far
-        self._left: dict[Key, tuple[Part, int]] = {}  # packed tiles, and where and how many of their cells were seen
+        self._left: dict[Key, tuple[Part, int]] = {}  # extent and number of seen cells of each packed tile
 
     # -- the raster
 
     def tile_grid(self, key: Key, margin: int = 0) -> Grid:
-        """The grid of one tile, `margin` cells wider on every side."""
+        """Return the grid of one tile, `margin` cells wider on every side."""
         south, west = key[0] * self.side, key[1] * self.side
         n = self.side + 2 * margin
         return Grid((west - margin + 0.5) * self.cell, (south + self.side + margin - 0.5) * self.cell, self.cell, n, n)
 
     def cover(self, east: tuple[float, float], north: tuple[float, float]) -> Iterator[Key]:
-        """The tiles that a rectangle (metres) touches, southern rows first."""
+        """Yield the tiles that a rectangle (metres) touches, southern rows first."""
         span = self.side * self.cell
         rows, cols = np.floor(np.array(north) / span).astype(int), np.floor(np.array(east) / span).astype(int)
         for r in range(rows[0], rows[1] + 1):
@@ -99,22 +99,22 @@ class TileLayer:
                 yield r, c
 
     def window(self, east: tuple[float, float], north: tuple[float, float]) -> Grid:
-        """The smallest grid of whole cells over a rectangle (metres)."""
+        """Return the smallest grid of whole cells over a rectangle (metres)."""
         c0, c1 = (int(np.floor(e / self.cell)) for e in east)
         r0, r1 = (int(np.floor(n / self.cell)) for n in north)
         return self.cells(r0, r1, c0, c1)
 
     def cells(self, south: int, north: int, west: int, east: int) -> Grid:
-        """The grid of the cells between these numbers, all included."""
+        """Return the grid of the cells between these numbers, all included."""
         return Grid((west + 0.5) * self.cell, (north + 0.5) * self.cell, self.cell, north - south + 1, east - west + 1)
 
     def numbers(self, grid: Grid) -> tuple[int, int, int, int]:
-        """The way back: the first and last cell south to north, and west to east."""
+        """Return the first and last cell number of a grid, south to north and west to east: the inverse of `cells`."""
         north, west = round(grid.north / self.cell - 0.5), round(grid.east / self.cell - 0.5)
         return north - grid.rows + 1, north, west, west + grid.cols - 1
 
     def _overlaps(self, grid: Grid) -> Iterator[tuple[Key, Part, Part]]:
-        """Tiles under a grid: (key, slices in the tile, slices in the grid)."""
+        """Yield the tiles under a grid: (key, slices in the tile, slices in the grid)."""
         south, north, west, east = self.numbers(grid)
         for r in range(south // self.side, north // self.side + 1):
             for c in range(west // self.side, east // self.side + 1):
@@ -124,10 +124,10 @@ class TileLayer:
                 dr, dc = first - north, west - c * self.side
                 yield (r, c), (slice(a + dr, b + dr), slice(x + dc, y + dc)), (slice(a, b), slice(x, y))
 
-    # -- what is in it
+    # -- content
 
     def write(self, grid: Grid, fields: Fields, take: NDArray[np.bool_]) -> None:
-        """Put the cells `take` (R, C) of a grid in the place of what was there."""
+        """Replace the cells of a grid that `take` (R, C) marks."""
         for key, at, here in self._overlaps(grid):
             if (some := take[here]).any():
                 tile = self._tile(key)
@@ -142,7 +142,7 @@ class TileLayer:
         return self._near[key]
 
     def read(self, grid: Grid) -> Fields:
-        """The cells of a grid, copied."""
+        """Return a copy of the cells of a grid."""
         out = {k: np.empty(_shape(k, grid.shape), t) for k, (t, _) in FIELDS.items()}
         for key, at, here in self._overlaps(grid):  # all cells, each once
             tile = self._near.get(key)
@@ -179,11 +179,11 @@ class TileLayer:
         return self._left | {k: _extent(t) for k, t in self._near.items()}
 
     def count(self) -> int:
-        """Cells that were seen."""
+        """Number of cells that were seen."""
         return sum(n for _, n in self._extents().values())
 
     def box(self) -> tuple[int, int, int, int] | None:
-        """The rectangle about all cells that were seen, as `numbers`; None where none was."""
+        """Bounding rectangle of all seen cells, in the order of `numbers`; None if there are none."""
         found = [
             ((k[0] + 1) * self.side - r.stop, (k[0] + 1) * self.side - 1 - r.start,
              k[1] * self.side + c.start, k[1] * self.side + c.stop - 1)

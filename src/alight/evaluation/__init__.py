@@ -14,10 +14,10 @@ __all__ = ["Evaluation", "evaluate"]
 
 
 def evaluate(out: Path, truth: Path) -> Evaluation:
-    """Compare the run in `out` with what is true.
+    """Compare the run in `out` with the truth.
 
     Args:
-        out: folder that a run left.
+        out: folder with the results of a run.
         truth: a flight with `truth/`, or a folder with `sfm_reference.npz`.
 
     Raises:

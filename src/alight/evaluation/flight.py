@@ -1,4 +1,4 @@
-"""A run against a flight with truth: `truth/dem.tif`, `truth/class.tif`, `state_groundtruth_estimate0`."""
+"""Compare a run with a flight with truth: `truth/dem.tif`, `truth/class.tif`, `state_groundtruth_estimate0`."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from alight_sim.truth import safe_mask
 
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE)
-BAD = 0.5  # metres: a height that wrong must be flagged
+BAD = 0.5  # metres: a height with a larger error must be flagged
 _REGISTRATIONS, _REWEIGHINGS = 6, 8
 _LEAST_TO_REGISTER = 100  # ground cells
-ROOM = 1.0  # metres: truly safe ground with this clearance may be asked for
-NEAR = 0.3  # metres: what is declared safe this near to truly safe ground is an edge drawn elsewhere, not a mistake
+ROOM = 1.0  # metres of clearance: such truly safe ground should not be refused
+NEAR = 0.3  # metres: a claim this near to truly safe ground is an inexact edge, not a mistake
 
 
 @dataclass(frozen=True, eq=False)
 class FlightTruth:
-    """The ground as it is."""
+    """True heights and classes of the ground."""
 
     dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
     label: NDArray[np.uint8]  # (R, C) Terrain codes
     grid: Grid
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
-        """Cells on which a touchdown is truly safe, by brute force."""
+        """Return the cells on which a touchdown is truly safe, by brute force."""
         foot = TrueFootprint(lander.radius, lander.max_slope, lander.max_roughness)
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
@@ -54,7 +54,7 @@ def _raster(path: Path, kinds: str) -> tuple[NDArray[Any], Grid]:
 
 
 def read_flight_truth(folder: Path) -> FlightTruth:
-    """The rasters in `truth/`.
+    """Read the rasters in `truth/`.
 
     Raises:
         InputError: one is missing, unreadable, or the two are not on one grid.
@@ -68,7 +68,7 @@ def read_flight_truth(folder: Path) -> FlightTruth:
 
 
 def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, suffix: str = "") -> None:
-    """Heights, sigma and acceptance by class; the map first moved back by `offset`, (3,) metres."""
+    """Compare heights, sigma and acceptance by class; the map is first moved back by `offset`, (3,) metres."""
     if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
         out.put(f"heights{suffix}", "the run has no dem.tif")
         return
@@ -108,7 +108,7 @@ def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, 
 
 
 def tilted(run: Run, east: F64, north: F64) -> F64:
-    """1-sigma of the height that the common tilt of the map makes at each place, metres; 0 without covariance."""
+    """1-sigma of the height from the common tilt of the map at each place, metres; 0 without covariance."""
     common = run.info.get("common_error")
     if common is None:
         return np.zeros(np.shape(east))
@@ -118,7 +118,7 @@ def tilted(run: Run, east: F64, north: F64) -> F64:
 
 
 def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
-    """The one constant offset of the map, (3,) metres east, north and up, that its own heights show.
+    """Estimate the constant offset of the map from its heights, (3,) metres east, north and up.
 
     Robust least squares of the height error on the slope of the map and a constant (Nuth and Kaab 2011, eqs. 1 to 3,
     solved directly), from the offset of the path on. A map of a flight in progress is not where the smoothed path is.
@@ -139,7 +139,7 @@ def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
 
 
 def robust(A: F64, y: F64) -> F64:
-    """Least squares of A x = y with Cauchy weights at twice the NMAD."""
+    """Solve A x = y by least squares with Cauchy weights at twice the NMAD."""
     x: F64 = np.zeros(A.shape[1])
     weight: F64 = np.ones(len(y))
     for _ in range(_REWEIGHINGS):
@@ -150,16 +150,16 @@ def robust(A: F64, y: F64) -> F64:
 
 
 def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
-    """Cells of `part` in percent of those of `whole`."""
+    """Number of cells of `part` in percent of the number of cells of `whole`."""
     return 100 * float(part.sum() / max(whole.sum(), 1))
 
 
 def decision(
     run: Run, truth: FlightTruth, safe: NDArray[np.uint8], out: Evaluation, offset: F64, suffix: str = ""
 ) -> None:
-    """The listed places and the safe cells against the cells of the truth that are `safe`.
+    """Compare the listed places and the cells that are claimed safe with the truly safe cells `safe`.
 
-    All are first moved back by `offset`, (3,) metres.
+    Places and map are first moved back by `offset`, (3,) metres.
     """
     good = [_truly_safe(places_of(run, kind) - offset[:2], truth, safe) for kind in ("sites", "candidates")]
     places = places_of(run, "sites") - offset[:2]
@@ -191,17 +191,17 @@ def decision(
 
 
 def _truly_safe(places: F64, truth: FlightTruth, safe: NDArray[np.uint8]) -> list[bool]:
-    """Whether each place, (N, 2) metres, lies on a cell of the truth that is `safe`."""
+    """Return whether each place, (N, 2) metres, lies on a cell of the truth that is `safe`."""
     return [bool(v) for v in truth.grid.nearest_at(safe, places[:, 0], places[:, 1])]
 
 
 def with_room(safe: NDArray[np.uint8], cell: float) -> NDArray[np.uint8]:
-    """The safe cells with a clearance of `ROOM` or more."""
+    """Return the safe cells with a clearance of `ROOM` or more."""
     return (clearance_of(safe > 0, cell) >= ROOM).astype(np.uint8)
 
 
 def lander_of(run: Run) -> Lander:
-    """The lander of the run's own settings.
+    """Return the lander of the run's own settings.
 
     Raises:
         InputError: run.json holds no settings, or a value that is not valid.
@@ -219,12 +219,12 @@ def places_of(run: Run, kind: Literal["sites", "candidates"]) -> F64:
 
 
 def dilated(mask: NDArray[np.bool_], cells: float) -> NDArray[np.bool_]:
-    """The mask grown by a radius in cells."""
+    """Grow a mask by a radius in cells."""
     return np.asarray(distance_transform_edt(~mask) <= cells) if mask.any() else mask
 
 
 def position_errors(run: Run, truth: Trajectory) -> tuple[F64, F64]:
-    """Estimated less true body poses at the same times: (N, 3) metres in the world, (N, 3) rotation vectors in rad."""
+    """Estimated minus true body poses at the same times: (N, 3) metres in the world, (N, 3) rotation vectors in rad."""
     path = run.folder / "trajectory.tum"
     if run.local is None or not path.exists():
         return np.empty((0, 3)), np.empty((0, 3))
@@ -236,7 +236,7 @@ def position_errors(run: Run, truth: Trajectory) -> tuple[F64, F64]:
 
 
 def trajectory(d: F64, r: F64, out: Evaluation) -> None:
-    """The errors of the poses in words."""
+    """Report the errors of the poses."""
     out.put("position RMSE, m", rms(np.linalg.norm(d, axis=1)))
     out.put("position mean error (east, north, up), m", " ".join(f"{v:.3f}" for v in d.mean(0)))
     out.put("position RMSE less a constant, m", rms(np.linalg.norm(d - d.mean(0), axis=1)))
@@ -245,12 +245,12 @@ def trajectory(d: F64, r: F64, out: Evaluation) -> None:
 
 
 def against_flight(run: Run, folder: Path) -> Evaluation:
-    """Compare a run with a flight that has truth: as the map claims to lie, and registered.
+    """Compare a run with a flight that has truth: the map as it is, and registered.
 
-    Estimated poses carry the drift of the GPS. A map whose path is off by a metre is off by the same metre, so its
-    heights as they are compare different places. Rows that end in `, registered` have the constant offset of the
-    path (mean position error, three numbers) taken out of map and sites, and nothing else. Rows that end in
-    `, registered by its heights` have the constant offset taken out that the heights themselves show.
+    Estimated poses carry the drift of the GPS. If the path is off by a metre, the map is off by the same metre, and
+    its heights as they are compare different places. In rows that end in `, registered`, the constant offset of the
+    path (mean position error, three numbers) is subtracted from map and sites, and nothing else. In rows that end in
+    `, registered by its heights`, the constant offset is subtracted that is estimated from the heights themselves.
 
     Raises:
         InputError: the flight has no truth, or is not the flight of the run.

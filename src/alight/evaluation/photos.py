@@ -1,4 +1,4 @@
-"""A run over photos against a structure-from-motion reference: `sfm_reference.npz`, and `slab_plane.npz` if there."""
+"""Compare a run over photos with a structure-from-motion reference: `sfm_reference.npz`, perhaps `slab_plane.npz`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from alight.records import Flag, InputError
 from alight.sources import read_tum
 from alight.spread import nmad
 
-LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed
+LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: limits of the reference points that are used
 # names and shapes: -1 is the number of points, -2 that of the photos
 REFERENCE = {
     "origin_llh": (3,),
@@ -39,7 +39,7 @@ LARGEST_REFERENCE = 4_000_000_000  # bytes
 
 
 def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
-    """Heights between cell centres, bilinear; the nearest cell where a neighbour is missing."""
+    """Interpolate heights between cell centres, bilinear; the nearest cell where a neighbour is missing."""
     r, c = (i.astype(np.float32) for i in grid.index(east, north))
     source = height.astype(np.float64)
     linear = cv2.remap(source, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan).ravel()
@@ -48,7 +48,7 @@ def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64)
 
 
 def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
-    """Least-squares plane of the errors over east and north, outliers left out twice: (a, b, c), errors less it."""
+    """Fit a plane (a, b, c) to errors over east and north, outliers left out twice; return it and the residuals."""
     X = np.c_[points[:, :2], np.ones(len(points))]
     use = np.abs(errors - np.median(errors)) < max(5 * nmad(errors), 0.05)
     for _ in range(2):
@@ -59,7 +59,7 @@ def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
 
 
 def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
-    """The cells of a flat slab: what its points fill, closed over 1 m gaps."""
+    """Return the cells of a flat slab: the cells with its points, closed over 1 m gaps."""
     r, c = (np.rint(i).astype(int) for i in grid.index(points[inlier, 0], points[inlier, 1]))
     inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
     mask = np.zeros(grid.shape, np.uint8)
@@ -69,7 +69,7 @@ def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bo
 
 
 def high_pass(height: F64, cell: float) -> F64:
-    """Heights less their mean over 1 m."""
+    """Heights minus their mean over 1 m."""
     known = np.isfinite(height)
     k = (round(1.0 / cell) | 1,) * 2
     weight = cv2.blur(known.astype(np.float64), k)
@@ -100,10 +100,10 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
 
 
 def read_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray[Any]]:
-    """Named arrays of an .npz file.
+    """Read named arrays of an .npz file.
 
     Raises:
-        InputError: it cannot be read, lacks one of them, or one has another shape or holds what is no number.
+        InputError: the file cannot be read or lacks one of the arrays, or an array has another shape or is not numeric.
     """
     try:
         arrays = arrays_of(read_bytes(path, LARGEST_REFERENCE), largest=LARGEST_REFERENCE)

@@ -1,4 +1,4 @@
-"""The numbers of a comparison, in order, with their words."""
+"""The numbers of a comparison, in order, with their names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 
 def rms(errors: ArrayLike) -> float:
-    """Root mean square."""
+    """Root mean square of the errors; NaN without any."""
     e = np.asarray(errors, dtype=np.float64)
     return float(np.sqrt(np.mean(e * e))) if e.size else float("nan")
 
@@ -26,7 +26,7 @@ class Evaluation:
         self.values[name] = value
 
     def lines(self) -> list[str]:
-        """One line a number."""
+        """Return the title and one line for each number."""
         width = max((len(k) for k in self.values), default=0)
         shown = {k: v if isinstance(v, str) else f"{v:.4g}" for k, v in self.values.items()}
         return [self.title, *(f"  {k:<{width}}  {v}" for k, v in shown.items())]

@@ -55,11 +55,11 @@ class Camera:
 
     @property
     def coefficients(self) -> F64:
-        """The distortion as (5,) numbers, zero where the model has none: what the kernels take."""
+        """The distortion as the (5,) numbers of the kernels, zero where the model has none."""
         return np.array([*self.distortion, *([0.0] * (5 - len(self.distortion)))])
 
     def scaled(self, factor: float) -> Camera:
-        """The same lens on an image resized by `factor`, pixel centres at integers on both sides."""
+        """Return the same lens for an image resized by `factor`; pixel centres are at integers in both images."""
         return replace(
             self,
             width=round(self.width * factor),
@@ -71,7 +71,7 @@ class Camera:
         )
 
     def distort(self, normalised: ArrayLike) -> F64:
-        """Take (..., 2) ideal coordinates x/z, y/z to distorted ones."""
+        """Convert (..., 2) ideal coordinates x/z, y/z to distorted ones."""
         xy = np.asarray(normalised, dtype=np.float64)
         if self.model == "none":
             return xy
@@ -92,7 +92,7 @@ class Camera:
         )
 
     def undistort(self, distorted: ArrayLike, iterations: int = 20) -> F64:
-        """Take (..., 2) distorted coordinates back to ideal ones (Newton with the numerical Jacobian)."""
+        """Convert (..., 2) distorted coordinates to ideal ones (Newton with the numerical Jacobian)."""
         target = np.asarray(distorted, dtype=np.float64)
         if self.model == "none":
             return target
@@ -113,7 +113,7 @@ class Camera:
         return xy
 
     def project(self, points_cam: ArrayLike) -> F64:
-        """Take (..., 3) points in the optical frame to (..., 2) pixels; NaN where z <= 0."""
+        """Project (..., 3) points in the optical frame to (..., 2) pixels; NaN where z <= 0."""
         p = np.asarray(points_cam, dtype=np.float64)
         z = p[..., 2:3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -121,6 +121,6 @@ class Camera:
         return xy * [self.fu, self.fv] + [self.cu, self.cv]
 
     def rays(self, pixels: ArrayLike) -> F64:
-        """Take (..., 2) pixels to (..., 3) directions in the optical frame with z = 1."""
+        """Convert (..., 2) pixels to (..., 3) directions in the optical frame with z = 1."""
         xy = self.undistort((np.asarray(pixels, dtype=np.float64) - [self.cu, self.cv]) / [self.fu, self.fv])
         return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)

@@ -56,12 +56,12 @@ class LocalFrame:
         )
 
     def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> F64:
-        """Take geodetic coordinates (degrees, metres) to (..., 3) ENU metres."""
+        """Convert geodetic coordinates (degrees, metres) to (..., 3) ENU metres."""
         d = _ecef(latitude_deg, longitude_deg, height) - _ecef(self.latitude, self.longitude, self.height)
         return np.asarray(d @ self._enu_from_ecef.T)
 
     def to_geodetic(self, enu: ArrayLike) -> tuple[F64, F64, F64]:
-        """Take (..., 3) ENU metres to latitude, longitude (degrees) and ellipsoidal height (metres)."""
+        """Convert (..., 3) ENU metres to latitude, longitude (degrees) and ellipsoidal height (metres)."""
         p = np.asarray(enu, dtype=np.float64) @ self._enu_from_ecef + _ecef(self.latitude, self.longitude, self.height)
         x, y, z = p[..., 0], p[..., 1], p[..., 2]
         r = np.hypot(x, y)

@@ -32,7 +32,7 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
+        """Number of rows and of columns."""
         return self.rows, self.cols
 
     def xy(self) -> tuple[F64, F64]:
@@ -62,22 +62,22 @@ class Grid:
         return out
 
     def nearest_on(self, target: Grid, values: NDArray[Any], outside: float | None = None) -> NDArray[Any]:
-        """As `nearest_at`, for the centres of another grid's cells: (target rows, target columns, ...)."""
+        """Look up values by `nearest_at` at the centres of another grid's cells: (target rows, target columns, ...)."""
         east, north = target.xy()
         return self.nearest_at(values, east[None, :], north[:, None], outside)
 
     def window(self, row: int, col: int, rows: int, cols: int) -> Grid:
-        """The part that starts at (row, col)."""
+        """Return the part of the grid that starts at (row, col)."""
         return Grid(self.east + col * self.cell, self.north - row * self.cell, self.cell, rows, cols)
 
     def coarser(self, factor: int) -> Grid:
-        """The grid of `factor` x `factor` cells taken as one; the last row and column may reach beyond."""
+        """Return the grid whose cells are `factor` x `factor` of these; the last row and column may reach beyond."""
         shift = 0.5 * (factor - 1) * self.cell
         rows, cols = -(-self.rows // factor), -(-self.cols // factor)
         return Grid(self.east + shift, self.north - shift, self.cell * factor, rows, cols)
 
     def finer(self, factor: int) -> Grid:
-        """The grid of `factor` x `factor` pixels in each cell, of the same extent."""
+        """Return the grid of `factor` x `factor` pixels in each cell, of the same extent."""
         pixel = self.cell / factor
         shift = 0.5 * (self.cell - pixel)
         return Grid(self.east - shift, self.north + shift, pixel, self.rows * factor, self.cols * factor)
@@ -98,7 +98,7 @@ def box_of(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
 
 
 def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> NDArray[np.float32]:
-    """Heights (R, C) at columns `xs` and rows `ys` of a plane (3,): up at `about` (2,), and rise east and north."""
+    """Heights (R, C) at columns `xs`, rows `ys` of a plane (3,): height at `about` (2,), slopes east and north."""
     up = plane[0] + plane[1] * (xs - about[0])[None, :] + plane[2] * (ys - about[1])[:, None]
     return np.asarray(up, dtype=np.float32)
 

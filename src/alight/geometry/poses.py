@@ -31,7 +31,7 @@ class Pose:
         object.__setattr__(self, "translation", _readonly(self.translation, (3,)))
 
     def __setstate__(self, state: dict[str, F64]) -> None:
-        """Read-only again after pickling: compiled loops take arrays that may be written for another type."""
+        """Set the arrays read-only again after pickling: loops are compiled for read-only arrays."""
         for name, value in state.items():
             value.flags.writeable = False
             object.__setattr__(self, name, value)
@@ -73,14 +73,14 @@ class Pose:
 
     @property
     def inverse(self) -> Pose:
-        """`src_from_dst`."""
+        """The inverse transform, `src_from_dst`."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation)
 
     def __matmul__(self, other: Pose) -> Pose:
         return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def apply(self, points: ArrayLike) -> F64:
-        """Take (..., 3) points from src to dst."""
+        """Transform (..., 3) points from src to dst."""
         return np.asarray(points) @ self.rotation.T + self.translation
 
     def interpolate(self, other: Pose, t: float) -> Pose:

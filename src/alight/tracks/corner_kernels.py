@@ -7,7 +7,7 @@ import numpy as np
 from alight.arrays import F32, F64, I64, U8
 from alight.compiled import inline, kernel, sum_kernel
 
-_GREY = 4.0 * 255.0  # of a Sobel gradient: what cv2.cornerMinEigenVal divides by
+_GREY = 4.0 * 255.0  # of a Sobel gradient: the divisor of cv2.cornerMinEigenVal
 
 
 @inline
@@ -36,7 +36,7 @@ def _copy_box(image: U8, top: int, left: int, rows: int, cols: int, grey: F32) -
 
 @kernel
 def _mirrored_products(image: U8, top: int, left: int, window: int, xx: F32, xy: F32, yy: F32) -> None:
-    """As `_gradient_products` for a window that leaves the image: gradients are mirrored at the edge."""
+    """Write the products of `_gradient_products` for a window that leaves the image, mirrored at the edge."""
     h, w = image.shape
     for r in range(window):
         y = _mirror(top + r, h)

@@ -67,7 +67,7 @@ def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, 
 def likely_turns(now_from_then: Pose | None, covariance: F64 | None, sigmas: float) -> tuple[float, ...]:
     """Turns about the optical axis, rad, that a predicted motion of camera 0 leaves open; all where none is known.
 
-    The lines of a car park look the same after half a turn: what the gyros exclude is not tried.
+    The lines of a car park look the same after half a turn: turns that the gyros exclude are not tried.
 
     Args:
         now_from_then: the prediction.

@@ -27,7 +27,7 @@ def smooth_image(image: U8) -> U8:
 
 
 def median_depth(depth: F64, otherwise: float) -> float:
-    """Return the (upper) median of the known of (N,) depths, in a tenth of the time of `np.median`; or another one."""
+    """Return the (upper) median of the finite depths (N,), else `otherwise`; ten times as fast as `np.median`."""
     known = depth[np.isfinite(depth)]
     middle = len(known) // 2
     return float(np.partition(known, middle)[middle]) if len(known) else otherwise

@@ -149,7 +149,7 @@ class Tracker:
         return _Found(m.ids[good], pixels[good], depth[good], anchored[good])
 
     def _is_close(self, cam: int) -> bool:
-        """Whether the last predictions were so good that patches are found from them at once."""
+        """Return whether the last predictions were so good that patches are found from them at once."""
         return self._prediction_error[cam] < self._settings.close_px
 
     def _align_in_time(
@@ -174,7 +174,7 @@ class Tracker:
         return pixels.astype(np.float32), good, anchored & good
 
     def _refine_in_time(self, soft: U8, found: _Found, pose: Pose | None) -> F32:
-        """Settle what Lucas-Kanade found by the features' own patches; without a pose their warp is unknown."""
+        """Refine matches of Lucas-Kanade by the features' own patches; without a pose their warp is unknown."""
         if pose is None:
             self._anchors.clear()
             return found.pixels
@@ -214,7 +214,7 @@ class Tracker:
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
     ) -> tuple[F32, Mask]:
-        """Lucas-Kanade from `a` to `b` (of camera `cam`), in time forward and backward.
+        """Match by Lucas-Kanade from `a` to `b` (of camera `cam`), in time forward and backward.
 
         Args:
             a, b: images.
@@ -239,7 +239,7 @@ class Tracker:
         return found, good
 
     def _in_search_region(self, cam: int, found: F32 | F64, predicted: PredictedPixels) -> Mask:
-        """(N,) matches inside the image and near enough to their prediction."""
+        """Return (N,) whether matches are inside the image and near enough to their prediction."""
         s, error = self._settings, found - predicted.pixels
         good: Mask = _inside(found, self._cameras[cam]) & ((error * error).sum(axis=1) < s.search_px**2)
         if predicted.covariance is not None:
