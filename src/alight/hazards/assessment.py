@@ -47,12 +47,13 @@ class _Findings:
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
     measured_roughness: F32  # metres, of all measured heights, doubtful ones as well
     unmeasured: F32  # share of the footprint without any height
+    measured: F32  # metres, all measured heights, of the cells
 
     @property
     def shape(self) -> FootprintShape:
         """Shape of the footprints, for the evidence."""
         smooth, trend = self.roughness_smooth, self.roughness_trend
-        return FootprintShape(self.footprint, smooth, trend, self.measured_roughness, self.unmeasured)
+        return FootprintShape(self.footprint, smooth, trend, self.measured_roughness, self.measured, self.unmeasured)
 
     def margins(self, sigma: F32, elevation: ElevationMap, settings: HazardsSettings) -> TouchdownGeometry:
         """Geometry of the touchdowns, for the margins to the limits; `sigma` (R, C) metres, of the footprint."""
@@ -114,7 +115,7 @@ def _find(
     step = step_of(height, lander.radius, cell)
     return _Findings(
         fp, slope, step, edge, unknown, rise, about.rotor, blocked, vetoed, smooth, trend, every.roughness,
-        every.unknown,
+        every.unknown, measured,
     )  # fmt: skip
 
 

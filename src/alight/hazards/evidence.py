@@ -15,6 +15,7 @@ from scipy.special import logit
 from alight.arrays import F32
 from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import green_spots, picture_spots
+from alight.hazards.ridges import straight_ridges
 from alight.learned.terms import DensityTerm, GroundTerm, NearTerm, ReliefTerm
 from alight.raster import (
     block_max,
@@ -51,6 +52,7 @@ class FootprintShape:
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
     measured_roughness: F32  # metres, of all heights that were measured well, doubtful ones as well
+    measured: F32  # metres, all heights that were measured well, of the cells
     unmeasured: F32  # share of the footprint without any such height
 
 
@@ -167,6 +169,16 @@ def near_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, d
         NearTerm.NARROW: discs.largest(rise - np.nan_to_num(smooth)),
         NearTerm.GREEN: green,
     }
+
+
+def ridges(elevation: ElevationMap, shape: FootprintShape, discs: Discs, by: F32) -> F32:
+    """The highest straight ridge in a footprint, metres of relief, on the cells of `discs`.
+
+    `by`: nearness by the heights; where it is 0 all over, ridges are not looked for.
+    """
+    if not (by > 0).any():
+        return np.zeros_like(by)
+    return discs.worst(discs.largest(straight_ridges(shape.measured, elevation.grid.cell)), beyond=0.0)
 
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:

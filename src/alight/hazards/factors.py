@@ -19,6 +19,7 @@ from alight.hazards.evidence import (
     nearness,
     obstacle_terms,
     pictured,
+    ridges,
     sampled,
     sampled_finely,
 )
@@ -40,6 +41,8 @@ RIDGES = 0.9, 1.0, 1.1  # broad deviations over the limit
 RIDGES_EXPECTED = 0.0, 0.39, 0.78  # expected hazards from these alone: they are as high as measured
 SOFT = 0.0, 1.1, 1.39  # log odds against ground that bears: probabilities of 0.5, 0.25 and 0.2
 SOFT_EXPECTED = 0.0, 0.2, 0.7  # expected hazards from these alone, near by
+RIDGE = 0.032, 0.04  # metres, relief of a straight ridge: natural ground has little more, a kerb of 0.1 m has 0.045
+RIDGE_EXPECTED = 0.0, 0.7  # expected hazards from these alone, near by
 BROAD_TO_NARROW = 0.5, 1.0  # log of the deviation over that of smoothed heights
 PIXELS_A_SAMPLE = 2.0  # pixels that a sample of the match covers: cells are 1.8 pixels wide
 
@@ -57,6 +60,7 @@ class Evidence:
     near: dict[str, F32]  # terms of `near_obstacle_rate` and `near_ground_rate`
     nearness: F32  # 0 to 1: weight of these two
     sampled: F32  # 0 to 1: nearness by the heights alone
+    ridge: F32  # metres of relief, the highest straight ridge
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +87,8 @@ def evidence_of(
     by = nearness(sampling, pixel, lander.tallest_obstacle)
     near = obstacle | ground | near_terms(elevation, shape, lander, discs, by)
     heights = sampled_finely(sampling, lander.tallest_obstacle)
-    return Evidence(tilt, discs, obstacle, hidden, unseen, ground, near, by, heights)
+    ridge = ridges(elevation, shape, discs, heights)
+    return Evidence(tilt, discs, obstacle, hidden, unseen, ground, near, by, heights, ridge)
 
 
 def factors_of(
@@ -131,6 +136,7 @@ def _chances(
     expected = expected + found.nearness * found.unseen * usual
     wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
     wet = np.maximum(wet, found.nearness * soft_ground_hazards(found.ground))
+    wet = np.maximum(wet, found.sampled * ridge_hazards(found.ridge))
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
@@ -164,6 +170,14 @@ def soft_ground_hazards(ground: Mapping[str, F32]) -> F32:
     Near by, the fit relies on heights: where they are even, ground mostly bears. Tops of tall plants are even too.
     """
     return np.asarray(np.interp(ground[GroundTerm.WORST_SMOOTH], SOFT, SOFT_EXPECTED), np.float32)
+
+
+def ridge_hazards(ridge: F32) -> F32:
+    """Expected hazards from the highest straight ridge of a footprint alone, metres of relief (G7i).
+
+    A kerb, a wall or a pipe is a structure, however low it is.
+    """
+    return np.asarray(np.interp(ridge, RIDGE, RIDGE_EXPECTED), np.float32)
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:

@@ -1,1 +1,1 @@
-"""Training of the appearance model from pictures of known ground, and its test on places it has not seen."""
+"""Training of the appearance model from labelled pictures, and its test on sites left out of the training."""

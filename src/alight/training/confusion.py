@@ -1,4 +1,4 @@
-"""A table of what was taken for what, by site, and what it means for landing."""
+"""Confusion of true and predicted classes by site, and its consequence for landing."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from alight.arrays import F64, U8
 from alight.records import LANDABLE, Terrain
 
-MOST = 0.05  # hazards called safe, at most: the share that is asked for
+MOST = 0.05  # requested limit of the share of hazards that are called safe
 
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
-    """Truth against verdict; N patches or blocks, K classes that the model knows."""
+    """True and predicted classes of N patches or blocks; the model has K classes."""
 
     kinds: U8  # (N,) true Terrain codes
     sites: NDArray[np.str_]  # (N,)
@@ -24,42 +24,42 @@ class Confusion:
     log_p: F64  # (N, K)
 
     def where(self, rows: NDArray[np.bool_]) -> Confusion:
-        """Some of the rows."""
+        """Return some of the rows."""
         return Confusion(self.kinds[rows], self.sites[rows], self.classes, self.log_p[rows])
 
     @property
     def said(self) -> U8:
-        """(N,) the likeliest class."""
+        """(N,) the most probable class."""
         return np.asarray(self.classes[self.log_p.argmax(axis=1)])
 
     @property
     def landable(self) -> F64:
-        """(N,) probability of ground that may be landed on."""
+        """(N,) P(landable), the sum over the landable classes."""
         return np.asarray(np.exp(self.log_p)[:, np.isin(self.classes, LANDABLE)].sum(axis=1))
 
     @property
     def safe(self) -> NDArray[np.bool_]:
-        """(N,) truly of a kind that may be landed on."""
+        """(N,) true if the true class may be landed on."""
         return np.isin(self.kinds, LANDABLE)
 
     def accuracy(self) -> float:
-        """Share of the verdicts that are right."""
+        """Share of the predicted classes that are right."""
         return float((self.said == self.kinds).mean())
 
     def macro_recall(self) -> float:
-        """Mean over the true classes of the share that was recognised."""
+        """Mean over the true classes of the share with the right prediction."""
         return float(np.mean([(self.said == k)[self.kinds == k].mean() for k in np.unique(self.kinds)]))
 
     def hazards_called_safe(self, least: float) -> float:
-        """Share of the hazards whose probability of landable ground is at least so."""
+        """Share of the hazards with a P(landable) of at least `least`."""
         return _share(self.landable >= least, ~self.safe)
 
     def safe_refused(self, least: float) -> float:
-        """Share of the landable ground whose probability is below."""
+        """Share of the landable ground with a P(landable) below `least`."""
         return _share(self.landable < least, self.safe)
 
     def least_for(self, share: float) -> float:
-        """The least probability that lets no more than this share of the hazards pass as safe."""
+        """Return the smallest limit of P(landable) at which no more than `share` of the hazards count as safe."""
         hazards = self.landable[~self.safe]
         return float(np.nextafter(np.quantile(hazards, 1 - share, method="higher"), 2.0)) if len(hazards) else 0.5
 
@@ -83,7 +83,7 @@ def _percent(share: float) -> str:
 
 
 def lines_of(c: Confusion) -> Iterator[str]:
-    """The report as lines: the table of each site, then all together."""
+    """Yield the lines of the report: the table of each site, then all together."""
     for site in np.unique(c.sites):
         here = c.where(c.sites == site)
         yield f"site {site}"

@@ -1,4 +1,4 @@
-"""Patches of known ground: read off, as they are and as other cameras might have taken them."""
+"""Labelled patches, and their features as photographed and as other cameras might have photographed them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from alight.arrays import F32, I64, U8
 from alight.terrain.features import PIXEL, STRETCH, against, appearance_features, frame_of, names
 
-VARIANTS = 3  # of each patch: itself and as other cameras might have taken it
-PLACES = 3  # a side of each patch, where its features are read
+VARIANTS = 3  # of each patch: the original and two as by other cameras
+PLACES = 3  # along each side of a patch, at which its features are measured
 
 Tell = Callable[[float], None]
 
 
 def quiet(share: float) -> None:
-    """Tells nobody."""
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class LabelledPatch:
     rgb: U8  # (H, W, 3)
     sampling: float  # metres a pixel
     kind: int  # Terrain code
-    site: str  # place and flight: what is left out together
+    site: str  # place and flight: patches of one site are left out together
     name: str = ""
 
 
@@ -42,12 +42,12 @@ class Samples:
     variant: I64  # (N,) 0: the picture as it is
 
     def of(self, rows: NDArray[np.bool_]) -> Samples:
-        """Some of the rows."""
+        """Return some of the rows."""
         return Samples(self.values[rows], self.patch[rows], self.variant[rows])
 
 
 def another_camera(rgb: U8, rng: np.random.Generator) -> U8:
-    """The patch as another camera might have taken it: light, white balance, tone, saturation, blur, noise, heading."""
+    """Return the patch as by another camera: other light, white balance, tone, saturation, blur, noise and heading."""
     linear = (rgb.astype(np.float32) / 255) ** 2.2
     linear *= np.exp(rng.normal(0, 0.12, 3) + rng.normal(0, 0.4)).astype(np.float32)
     tone = np.clip(linear, 0, 1) ** np.float32(np.exp(rng.normal(0, 0.15)) / 2.2)
@@ -60,7 +60,7 @@ def another_camera(rgb: U8, rng: np.random.Generator) -> U8:
 
 
 def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
-    """Features at a few places of a patch, (P, F); none where it is too coarse or too small for the level."""
+    """Measure features at a few places of a patch, (P, F); none if it is too coarse or too small for the level."""
     pixel = PIXEL * 2**level
     if patch.sampling > STRETCH * pixel:
         return np.empty((0, len(names(level))), np.float32)
@@ -75,7 +75,7 @@ def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
 def measure_patches(
     patches: list[LabelledPatch], level: int, tell: Tell = quiet, variants: int = VARIANTS, seed: int = 0
 ) -> Samples:
-    """Features of all patches and their variants at one level, each against the frame of its site."""
+    """Measure features of all patches and their variants at one level, each relative to the frame of its site."""
     rng = np.random.default_rng(seed)
     parts, which, variant = [], [], []
     for i, patch in enumerate(patches):
@@ -90,7 +90,7 @@ def measure_patches(
 
 
 def _against_sites(samples: Samples, sites: NDArray[np.str_], level: int) -> Samples:
-    """Detail relative to the median of its site, which stands for the frame."""
+    """Express the detail relative to the median of the site, which stands for the frame."""
     out = samples.values.copy()
     for site in np.unique(sites):
         for v in np.unique(samples.variant):

@@ -1,4 +1,4 @@
-"""Train the model of appearance, and test it on places that it has not seen (docs/method/land-cover.md, T4)."""
+"""Train the model of appearance, and test it on sites left out of the training (docs/method/land-cover.md, T4)."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ PENALTY = 1e-4  # of the squared weights
 SHRINKAGE = 0.3  # of the covariance within the classes towards a sphere
 TEMPERATURES = (0.5, 10.0)
 COARSEST = STRETCH * PIXEL * 2 ** (LEVELS - 1)  # metres, pixel
-UNTESTED = 3.0  # temperature of a model of one site: nobody knows how it does elsewhere
-FLOOR = np.float32(-7.0)  # log probability of one place: no single one settles a patch
+UNTESTED = 3.0  # temperature of a model of one site: its accuracy on other sites is unknown
+FLOOR = np.float32(-7.0)  # log probability of one place: no single place decides on a patch
 
 
 def share_progress(tell: Tell, level: int) -> Tell:
-    """Tells the share of all levels of the share of one."""
+    """Return a callback that converts the share done of one level into the share done of all levels."""
     return lambda share: tell((level + share) / LEVELS)
 
 
 def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
-    """Weights by which a class at a site counts as the root of its number."""
+    """Return weights with which a class at a site counts as the square root of its number."""
     key = np.char.add(sites, kinds.astype(str))
     _, at, count = np.unique(key, return_inverse=True, return_counts=True)
     weight = 1 / np.sqrt(count[at])
@@ -39,7 +39,7 @@ def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
 
 
 def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tuple[F32, F32]:
-    """Multinomial logistic regression with a penalty: weights (K, F) and bias (K,)."""
+    """Fit a multinomial logistic regression with a penalty; return weights (K, F) and bias (K,)."""
     features = np.c_[z, np.ones(len(z))].astype(np.float64)
     goal = np.eye(count)[at]
     free = np.r_[np.ones(z.shape[1]), 0.0]  # the bias is not penalised
@@ -57,7 +57,7 @@ def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tu
 
 
 def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PENALTY) -> Head:
-    """The classifier of one level, without a temperature."""
+    """Fit the classifier of one level, without a temperature."""
     mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
     z = np.clip((values - mean) / spread, -CLIP, CLIP)
     weights, bias = fit_logistic(z, at, weight, count, penalty)
@@ -71,7 +71,7 @@ def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PEN
 
 
 def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, I64]:
-    """Scores of the pictures of a site by a model of the others, (n, K), and their patches; unknown classes -inf."""
+    """Scores (n, K) of the pictures of site `out` by a model of the others, and their patches; unknown classes -inf."""
     inside = sites[s.patch] != out
     training, test = s.of(inside), s.of(~inside & (s.variant == 0))
     known, at = np.unique(kinds[training.patch], return_inverse=True)
@@ -83,7 +83,7 @@ def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, ou
 
 
 def _temperature(scored: F32, at: I64) -> float:
-    """By which the scores of left-out sites are divided to be as sure as they are right; unknown classes leave none."""
+    """Fit the divisor that calibrates the scores of sites left out; rows of a class unknown there are ignored."""
     fair = np.isfinite(scored[np.arange(len(at)), at])
     values, truth = np.where(np.isfinite(scored), scored, -1e9)[fair], at[fair]
     if not len(truth):
@@ -96,7 +96,7 @@ def _temperature(scored: F32, at: I64) -> float:
 
 
 def patch_means(log_p: F32, patch: I64, count: int) -> F64:
-    """Mean log probability of the places of each patch, normalised, (count, K); NaN for patches without any."""
+    """Mean log probability over the places of each patch, normalised, (count, K); NaN for patches without places."""
     n = np.bincount(patch, minlength=count)[:, None]
     floor = np.maximum(log_p, FLOOR)
     total = np.stack([np.bincount(patch, weights=floor[:, k], minlength=count) for k in range(log_p.shape[1])], axis=1)
@@ -105,7 +105,7 @@ def patch_means(log_p: F32, patch: I64, count: int) -> F64:
 
 
 def leave_sites_out(samples: Samples, kinds: U8, sites: NDArray[np.str_]) -> tuple[Confusion, float]:
-    """Test every site with a model of the others (one level); the verdicts, and the temperature that makes them fair.
+    """Test every site with a model of the others (one level); return the confusion and the fitted temperature.
 
     Raises:
         ValueError: there are fewer than two sites.
@@ -122,7 +122,7 @@ def leave_sites_out(samples: Samples, kinds: U8, sites: NDArray[np.str_]) -> tup
 
 
 def _confusion(kinds: U8, sites: NDArray[np.str_], classes: U8, log_p: F64) -> Confusion:
-    """The verdicts on what could be tested."""
+    """Confusion of the patches that could be tested."""
     tested = np.isfinite(log_p).all(axis=1)
     return Confusion(kinds[tested], sites[tested], classes, log_p[tested])
 
@@ -132,7 +132,7 @@ def _known(patches: list[LabelledPatch]) -> tuple[U8, NDArray[np.str_]]:
 
 
 def train(patches: list[LabelledPatch], tell: Tell = quiet) -> tuple[Model, Confusion | None]:
-    """Train a model; beside it the verdicts of its finest level on sites left out, None with one site.
+    """Train a model; return it and the confusion of its finest level on sites left out (None with one site).
 
     Raises:
         ValueError: fewer than two classes, or no level can be filled.
