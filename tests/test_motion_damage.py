@@ -110,7 +110,7 @@ def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
 
 
 def test_lost_is_said_while_it_lasts() -> None:
-    """Blind and without GPS, the motion is LOST in the end, with the reason, and the covariance grows."""
+    """Blind and without GPS, the motion is DEGRADED, then LOST, with the reason, and the covariance grows."""
     f = PointFlight(seed=4, seconds=5.0, count=60)
 
     def cut(e: object) -> object:
@@ -119,6 +119,8 @@ def test_lost_is_said_while_it_lasts() -> None:
         return None if isinstance(e, NavSample) else blind(e) if isinstance(e, Tracks) else e
 
     motions = run(damaged(f.events, cut))[1]  # type: ignore[arg-type]
+    states = [m.state for m in motions]
+    assert MotionState.DEGRADED in states[: states.index(LOST)]
     assert motions[-1].state is LOST
     assert "GPS" in motions[-1].why
     assert motions[-1].covariance[0, 0] > motions[9].covariance[0, 0]
@@ -131,6 +133,16 @@ def test_live_needs_no_recording(smooth: bool) -> None:
     estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": smooth}))
     assert bool(estimator.smoothed()) == smooth
     assert motions[-1].state in (MotionState.GOOD, MotionState.INITIALISING)
+
+
+def test_motions_are_the_same_with_and_without_a_recording() -> None:
+    f = PointFlight(seed=5, seconds=1.0, count=60)
+    kept, free = (run(f.events, NOISE.model_copy(update={"smooth": smooth}))[1] for smooth in (True, False))
+    assert len(kept) == len(free) > 5
+    for a, b in zip(kept, free, strict=True):
+        assert a.state is b.state
+        np.testing.assert_array_equal(a.world_from_body.matrix, b.world_from_body.matrix)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
 def test_a_camera_that_is_mounted_otherwise() -> None:
