@@ -26,7 +26,7 @@ from scipy.special import ndtr
 
 from alight.arrays import F64, Mask
 from alight.hazards.assessment import evidence
-from alight.hazards.factors import deviation_hazards
+from alight.hazards.factors import deviation_hazards, soft_ground_hazards
 from alight.learned import Rate, rate_bytes
 from alight.learned.terms import NEAR_TERMS
 from alight.settings import Settings
@@ -104,10 +104,11 @@ def fitted(samples: Sequence[NearSample]) -> dict[str, Rate]:
 
 
 def claimed(rates: dict[str, Rate], s: NearSample) -> F64:
-    """P(safe) of the cells of a sample."""
+    """P(safe) of the cells of a sample, without straight ridges (G7i), which no term holds."""
     values = {t: s.terms[:, k].astype(np.float32) for k, t in enumerate(NEAR_TERMS)}
     obstacle, ground = (np.exp(rates[what].log_rate(values)) for what in WHAT)
-    return np.asarray(s.tilt * np.exp(-np.maximum(obstacle, deviation_hazards(values)) - ground), np.float64)
+    obstacle, ground = np.maximum(obstacle, deviation_hazards(values)), np.maximum(ground, soft_ground_hazards(values))
+    return np.asarray(s.tilt * np.exp(-obstacle - ground), np.float64)
 
 
 def line(name: str, p: F64, safe: Mask) -> str:
