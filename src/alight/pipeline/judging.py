@@ -12,6 +12,7 @@ from alight.landing import sites
 from alight.landing.next_view import Observer
 from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
+from alight.pipeline.cover_memory import NO_COVER_SEEN, CoverMemory
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.mapping.passing import traffic
@@ -75,6 +76,7 @@ class JudgingMemory:
     lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
     warnings: tuple[str, ...] = ()  # on the sites, where the motion began anew
     roofs: Remembered = NOWHERE  # flat roofs, in the map's frame: maps from near by do not show the lower ground
+    cover: CoverMemory = NO_COVER_SEEN  # of the newest map, in its frame
 
     @property
     def reserve(self) -> Reserve:
@@ -89,7 +91,7 @@ class JudgingMemory:
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
         """The memory moved to another map frame, with a warning of the number of sites that are left."""
         roofs, before = self.roofs.moved(tie.shift, tie.sigma_horizontal), len(self.kept.sites)
-        moved = replace(self, roofs=roofs)
+        moved = replace(self, roofs=roofs, cover=self.cover.moved(tie.shift, tie.sigma_horizontal))
         if not before:
             return moved
         moved = moved.with_reserve(self.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)
@@ -147,7 +149,7 @@ class JudgingLane:
         if s.terrain.enabled:
             with self._timings.of("terrain"):
                 cover = land_cover(elevation, s.terrain, self._appearance)
-                cover = self._with_roofs(cover, max((v.t_ns for v in seen.views), default=0))
+                cover = self._with_earlier(cover, max((v.t_ns for v in seen.views), default=0))
             _tidy(elevation)
         with self._timings.of("hazards"):
             passed, came = traffic(seen.passed, elevation.grid, cover), seen.came.on(elevation.grid)
@@ -165,8 +167,10 @@ class JudgingLane:
             seen.missing,
         )
 
-    def _with_roofs(self, cover: TerrainMap, t_ns: int) -> TerrainMap:
-        """Land cover with the roofs that this map or an earlier one has shown (G13c)."""
+    def _with_earlier(self, cover: TerrainMap, t_ns: int) -> TerrainMap:
+        """Land cover with the roofs (G13c) and the doubts (T8) of this map and of earlier ones."""
+        self.memory = replace(self.memory, cover=self.memory.cover.with_seen(cover, t_ns))
+        cover = self.memory.cover.doubted(cover)
         if cover.raised is None:
             return cover
         grid = cover.grid
