@@ -23,9 +23,10 @@ from alight.raster import (
     difference_of_gaussians,
     disc_max,
     disc_mean,
+    filled_surface,
     gaussian_mean,
     log_at_least,
-    nearest_known,
+    whole_blocks,
 )
 from alight.records import ElevationMap, TerrainMap
 from alight.settings import Lander
@@ -64,17 +65,13 @@ class Discs:
         self._inner = radius - min(RIM, radius / 4)
         self.grid = elevation.grid.coarser(COARSER)
 
-    def _padded(self, values: F32) -> F32:
-        rows, cols = self._shape
-        return np.pad(values, ((0, rows % COARSER), (0, cols % COARSER)), mode="edge")
-
     def coarse(self, values: F32) -> F32:
         """Means of the coarse cells."""
-        return block_mean(self._padded(values), COARSER)
+        return block_mean(whole_blocks(values, COARSER), COARSER)
 
     def largest(self, values: F32) -> F32:
         """Maxima of the coarse cells."""
-        return block_max(self._padded(values), COARSER)
+        return block_max(whole_blocks(values, COARSER), COARSER)
 
     def worst(self, coarse: F32, beyond: float | None = None) -> F32:
         """Largest value of the footprint less its rim, or of the footprint and `beyond` metres about it."""
@@ -97,9 +94,7 @@ class Discs:
 
 def relief_power(elevation: ElevationMap, limit: float) -> F32:
     """Mean square relief as wide as an obstacle of height `limit` (metres), over that height, (R, C)."""
-    cell, known = elevation.grid.cell, np.isfinite(elevation.height)
-    middle = np.float32(np.median(elevation.height[known])) if known.any() else np.float32(0)
-    return power_of_bumps(np.nan_to_num(nearest_known(elevation.height - middle, known)), cell, limit)
+    return power_of_bumps(filled_surface(elevation.height), elevation.grid.cell, limit)
 
 
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
@@ -183,14 +178,17 @@ def ridges(elevation: ElevationMap, shape: FootprintShape, discs: Discs, by: F32
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
     """Degree to which a footprint was seen from near by, 0 to 1: by its samples and its pixels, both over the limit."""
-    pictures = np.log(FAR_PIXEL * limit / pixel) / np.log(FAR_PIXEL / NEAR_PIXEL)
-    return np.asarray(np.minimum(sampled_finely(sampling, limit), pictures.clip(0, 1)), np.float32)
+    return np.minimum(sampled_finely(sampling, limit), _fineness(pixel, limit, NEAR_PIXEL, FAR_PIXEL))
 
 
 def sampled_finely(sampling: F32, limit: float) -> F32:
     """Degree to which heights show an obstacle as high as the limit (metres), 0 to 1, whatever the pictures show."""
-    share = np.log(FAR_SAMPLING * limit / sampling) / np.log(FAR_SAMPLING / NEAR_SAMPLING)
-    return np.asarray(share.clip(0, 1), np.float32)
+    return _fineness(sampling, limit, NEAR_SAMPLING, FAR_SAMPLING)
+
+
+def _fineness(width: F32, limit: float, near: float, far: float) -> F32:
+    """From 1 at a width of `near` limits to 0 at `far` limits, by its logarithm."""
+    return np.asarray((np.log(far * limit / width) / np.log(far / near)).clip(0, 1), np.float32)
 
 
 def sampled(elevation: ElevationMap) -> F32:

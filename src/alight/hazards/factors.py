@@ -135,8 +135,8 @@ def _chances(
     expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.sampled * deviation_hazards(found.near))
     expected = expected + found.nearness * found.unseen * usual
     wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
-    wet = np.maximum(wet, found.nearness * soft_ground_hazards(found.ground))
-    wet = np.maximum(wet, found.sampled * ridge_hazards(found.ridge))
+    soft, ridge = soft_ground_hazards(found.ground), ridge_hazards(found.ridge)
+    wet = np.maximum.reduce([wet, found.nearness * soft, found.sampled * ridge])
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))

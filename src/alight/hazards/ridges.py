@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, F64
-from alight.raster import block_mean, difference_of_gaussians, nearest_known, upsample
+from alight.raster import block_mean, difference_of_gaussians, filled_surface, upsample, whole_blocks
 
 NARROW, WIDE = 0.1, 0.45  # metres, 1-sigma of the Gaussians between which the relief of a kerb lies
 CELL = 0.12  # metres, about the cells on which lines are sought: the narrower Gaussian leaves no finer relief
@@ -32,13 +32,8 @@ def straight_ridges(height: F32, cell: float) -> F32:
         height: (R, C) metres; NaN: unknown, which counts as the nearest known height.
         cell: metres.
     """
-    known = np.isfinite(height)
-    if not known.any():
-        return np.zeros(height.shape, np.float32)
-    level = np.nan_to_num(nearest_known(height - np.float32(np.median(height[known])), known))
     n = max(round(CELL / cell), 1)
-    rows, cols = height.shape
-    coarse = block_mean(np.pad(level, ((0, -rows % n), (0, -cols % n)), mode="edge"), n)
+    coarse = block_mean(whole_blocks(filled_surface(height), n), n)
     relief = difference_of_gaussians(coarse, NARROW / cell / n, WIDE / cell / n)
     out = np.zeros_like(relief)
     for parts in _directions(PART / cell / n):

@@ -7,7 +7,6 @@ cost, the residual, neighbours, steps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from alight.geometry import Grid
 from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.gauss_newton import Fit, median_height
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
+from alight.raster import whole_blocks
 from alight.records import Flag
 from alight.settings.tuning.parallax import UncertaintyTuning
 
@@ -43,7 +43,7 @@ class Pooled:
 def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
     """Reduce a fit to half resolution: enough for means over neighbours, at a quarter of the cost."""
     height, mean, noise, precision, per_px = (
-        _padded_even(a) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
+        whole_blocks(a, 2) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
     )
     out = np.empty((8, height.shape[0] // 2, height.shape[1] // 2), np.float32)
     kernels.pool(height, mean, noise, precision, per_px, median_height(height), out)
@@ -68,12 +68,6 @@ def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyT
         out *= cv2.pow(np.maximum(variance / square, np.float32(LEAST_RELIEF)), 2 * power)
     out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * tuning.noise_power)
     return np.asarray(out + np.float32(tuning.relief) * rough, dtype=np.float32)
-
-
-def _padded_even(values: NDArray[Any]) -> NDArray[Any]:
-    """The raster with even numbers of rows and columns, the last ones repeated."""
-    odd = [(0, n % 2) for n in values.shape]
-    return np.pad(values, odd, mode="edge") if any(n for _, n in odd) else values
 
 
 def _box(values: F32, cells: int) -> F32:

@@ -40,7 +40,7 @@ class CoverMemory:
             age = max(t_ns - self.t_ns, 0) * 1e-9
             before = self.grid.nearest_on(cover.grid, self.bears, np.nan)
             unlike = self.grid.nearest_on(cover.grid, self.novelty, np.nan) * np.float32(1 + age / FADES)
-            keeps = ~np.isnan(before) & ~(unlike >= np.where(np.isnan(bears), np.float32(np.inf), novelty))
+            keeps = ~np.isnan(before) & (np.isnan(bears) | ~(unlike >= novelty))
             bears, novelty = np.where(keeps, before, bears), np.where(keeps, unlike, novelty)
         return CoverMemory(cover.grid, bears, novelty, t_ns)
 
@@ -54,8 +54,8 @@ class CoverMemory:
         """The memory in a frame where positions are larger by `shift`, metres; nothing where that is not known well."""
         if self.grid is None or not sigma <= SURE:
             return NO_COVER_SEEN
-        g = self.grid
-        return replace(self, grid=Grid(g.east + float(shift[0]), g.north + float(shift[1]), g.cell, g.rows, g.cols))
+        east, north = self.grid.east + float(shift[0]), self.grid.north + float(shift[1])
+        return replace(self, grid=replace(self.grid, east=east, north=north))
 
 
 NO_COVER_SEEN = CoverMemory()

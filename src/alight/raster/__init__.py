@@ -1,6 +1,6 @@
 """Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
 
-from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
+from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample, whole_blocks
 from alight.raster.brightness import BlockLight, block_green, block_light, log_brightness, log_levels
 from alight.raster.disc import (
     DiscWindow,
@@ -14,7 +14,7 @@ from alight.raster.disc import (
     disc_window,
 )
 from alight.raster.distance import clearance_of, distance_to
-from alight.raster.fill import nearest_known
+from alight.raster.fill import filled_surface, nearest_known
 from alight.raster.gradient import Rise, gradient
 from alight.raster.morphology import close_mask, ellipse, fill_pits, grow, local_max, without_specks
 from alight.raster.scalars import linear_ramp, log_at_least, log_offset
@@ -51,6 +51,7 @@ __all__ = [
     "distance_to",
     "ellipse",
     "fill_pits",
+    "filled_surface",
     "gaussian_mean",
     "gradient",
     "grow",
@@ -64,5 +65,6 @@ __all__ = [
     "nearest_known",
     "upsample",
     "weighted_gaussian",
+    "whole_blocks",
     "without_specks",
 ]

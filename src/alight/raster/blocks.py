@@ -20,6 +20,12 @@ def cells_as_blocks(fine: NDArray[T], factor: int) -> NDArray[T]:
     return fine.reshape(rows, factor, cols, factor)
 
 
+def whole_blocks(values: NDArray[T], factor: int) -> NDArray[T]:
+    """Repeat the last row and column of (R, C) until all blocks of `factor` cells a side are whole."""
+    missing = [(0, -n % factor) for n in values.shape]
+    return np.pad(values, missing, mode="edge") if any(n for _, n in missing) else values
+
+
 def block_mean(fine: F32, factor: int) -> F32:
     """Mean of the pixels of each cell, (R, C) of (R factor, C factor)."""
     size = (fine.shape[1] // factor, fine.shape[0] // factor)
