@@ -231,7 +231,7 @@ def _mark(folder: Path) -> Path:
 
 
 def is_warm() -> bool:
-    """Whether every loop of a run was compiled on this machine, from these sources."""
+    """True if every loop of a run was compiled on this machine, from these sources."""
     return CACHE is not None and _mark(CACHE).exists()
 
 

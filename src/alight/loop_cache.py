@@ -22,7 +22,7 @@ MOST_THREADS = 16  # per processor; a larger number is a typing error, and the p
 
 
 def is_private(folder: Path) -> bool:
-    """Whether the folder is this user's, no link, and nobody else can write to it."""
+    """True if the folder is this user's, no link, and nobody else can write to it."""
     try:
         about = folder.lstat()
     except OSError:
@@ -32,7 +32,7 @@ def is_private(folder: Path) -> bool:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether a file can be made and filled there."""
+    """True if a file can be made and filled there."""
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(4096))

@@ -77,7 +77,7 @@ class PointMass:
 
     @property
     def stands(self) -> bool:
-        """Whether it touches the ground."""
+        """True if it touches the ground."""
         return bool(self.position[2] - self._floor < _STAND)
 
     @property

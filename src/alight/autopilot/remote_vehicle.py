@@ -88,7 +88,7 @@ class RemoteVehicle:
 
     @property
     def alive(self) -> bool:
-        """Whether its heartbeat is heard, and a thread listens for it."""
+        """True if its heartbeat is heard, and a thread listens for it."""
         return self._link.alive
 
     @property
@@ -103,7 +103,7 @@ class RemoteVehicle:
 
     @property
     def holds_part(self) -> bool:
-        """Whether the autopilot may hold a part of a mission, until it has confirmed a whole one or its deletion."""
+        """True if the autopilot may hold a part of a mission, until it has confirmed a whole one or its deletion."""
         return self._transfer.holds_part
 
     def place_at(self, t_ns: int) -> Place | None:
@@ -119,7 +119,7 @@ class RemoteVehicle:
 
     @property
     def doubts_place(self) -> bool:
-        """Whether its newest positions contradict the accepted ones: it has jumped."""
+        """True if its newest positions contradict the accepted ones: it has jumped."""
         return self._state.places.doubted
 
     @property

@@ -71,7 +71,7 @@ class VehicleState:
         return self._heard.get(name)
 
     def is_on_ground(self, now_ns: int) -> bool:
-        """Whether it stands on the ground: disarmed, or landed by its own recent report."""
+        """True if it stands on the ground: disarmed, or landed by its own recent report."""
         said_ns = self._heard.get("EXTENDED_SYS_STATE")
         says_so = self._now.landed is Landed.GROUND and said_ns is not None and now_ns - said_ns < _LANDED_NS
         return says_so or not self._now.armed

@@ -69,7 +69,7 @@ class TurnWindows:
 
     @property
     def enough(self) -> bool:
-        """Whether the aircraft turned enough to compare."""
+        """True if the aircraft turned enough to compare."""
         return len(self.nav) >= 6 and _size(self.nav - np.median(self.nav, axis=0)) > TURNED
 
 
@@ -164,7 +164,7 @@ def mean_up(nav: NavTable, imu: ImuTable, attitudes: F64, body_from_imu: F64) ->
 
 
 def is_up(force: F64 | None) -> bool:
-    """Whether a specific force is about that of gravity and upright."""
+    """True if a specific force is about that of gravity and upright."""
     if force is None:
         return True
     size = float(np.linalg.norm(force))

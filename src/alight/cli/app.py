@@ -93,7 +93,7 @@ def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
 
 
 def _fails(text: str) -> bool:
-    """Whether the text of a file alone is invalid."""
+    """True if the text of a file alone is invalid."""
     try:
         load_settings(text)
     except ValueError:

@@ -109,7 +109,7 @@ def _solves(xy: F64, triples: I64) -> F64:
 
 
 def is_coarse(lander: Lander, cell: float) -> bool:
-    """Whether cells of this size (metres) are too coarse to separate the contacts of the gear (G5a)."""
+    """True if cells of this size (metres) are too coarse to separate the contacts of the gear (G5a)."""
     if lander.skids is not None:
         return min(lander.skids) < COARSE * cell
     return lander.feet is not None and feet_of(lander, cell).coarse

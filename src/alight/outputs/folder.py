@@ -156,7 +156,7 @@ def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether the folder holds a finished run of ours."""
+    """True if the folder holds a finished run of ours."""
     try:
         tree = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
     except (OSError, DocumentError):
@@ -165,12 +165,12 @@ def is_run(folder: Path) -> bool:
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether the folder holds a finished run, and no saved work of a later, unfinished one."""
+    """True if the folder holds a finished run, and no saved work of a later, unfinished one."""
     return is_run(folder) and not is_work(folder / WORK)
 
 
 def _is_ours(folder: Path) -> bool:
-    """Whether the folder is empty, or holds a finished run, or only the files of an interrupted one."""
+    """True if the folder is empty, or holds a finished run, or only the files of an interrupted one."""
     known = {LOCK, RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
     there = list(folder.iterdir())

@@ -100,7 +100,7 @@ def _differing(there: Any, wanted: Any, name: str = "") -> str:
 
 
 def is_work(path: Path) -> bool:
-    """Whether a path is a folder of unfinished work."""
+    """True if a path is a folder of unfinished work."""
     return path.name == WORK and path.is_dir() and not path.is_symlink()
 
 

@@ -102,7 +102,7 @@ class TouchdownLine(_Line):
 
     @property
     def bad_ground(self) -> bool:
-        """Whether a reason lies in the ground, and not in the speed alone."""
+        """True if a reason lies in the ground, and not in the speed alone."""
         return any(r in GROUND for r in self.reasons)
 
 
@@ -153,14 +153,14 @@ class LandingRecord(_Line):
 
     @property
     def bad_place(self) -> bool:
-        """Whether the place was unsafe, and not the flying: its ground, or a strike after the landing was begun."""
+        """True if the place was unsafe, and not the flying: its ground, or a strike after the landing was begun."""
         begun = self.commit_t
         struck = self.strike is not None and begun is not None and self.strike.t >= begun
         return struck or (self.touchdown is not None and self.touchdown.bad_ground)
 
     @property
     def was_lost(self) -> bool:
-        """Whether its process died, so that nothing is known of the landing."""
+        """True if its process died, so that nothing is known of the landing."""
         return self.error is not None and self.error.startswith(LOST)
 
     @property

@@ -104,6 +104,6 @@ class Prediction:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all its numbers are finite."""
+        """True if all its numbers are finite."""
         known = [p.matrix for p in (*self.world_from_cams, *(self.earlier or ()))]
         return all(np.isfinite(a).all() for a in (*known, *(() if self.covariance is None else (self.covariance,))))

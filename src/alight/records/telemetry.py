@@ -113,7 +113,7 @@ class Battery:
 
 
 def is_absolute(estimator_flags: int) -> bool:
-    """Whether the estimator's flags report a position on Earth that is not in doubt."""
+    """True if the estimator's flags report a position on Earth that is not in doubt."""
     return bool(estimator_flags & _ABSOLUTE) and not estimator_flags & (_CONSTANT | _DOUBTFUL)
 
 
@@ -147,17 +147,17 @@ class Telemetry:
 
     @property
     def has_position(self) -> bool:
-        """Whether the estimator reports an absolute position that is not in doubt."""
+        """True if the estimator reports an absolute position that is not in doubt."""
         return self.estimator_flags is not None and is_absolute(self.estimator_flags)
 
     @property
     def ready(self) -> bool:
-        """Whether it may be armed: pre-arm checks passed (or switched off), and an absolute position."""
+        """True if it may be armed: pre-arm checks passed (or switched off), and an absolute position."""
         return self.has_position and (self.checks_off or bool((self.sensors_healthy or 0) & PRE_ARM))
 
     @property
     def is_down(self) -> bool:
-        """Whether a landing is over: disarmed, and on the ground."""
+        """True if a landing is over: disarmed, and on the ground."""
         return not self.armed and self.landed is Landed.GROUND
 
 

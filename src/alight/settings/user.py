@@ -139,7 +139,7 @@ class TerrainKeys(FrozenModel):
 
 
 def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
-    """Whether any three of the points span a triangle."""
+    """True if any three of the points span a triangle."""
     return any(
         abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) > 1e-6 for a, b, c in combinations(feet, 3)
     )
@@ -184,7 +184,7 @@ class Lander(FrozenModel):
 
     @property
     def has_gear(self) -> bool:
-        """Whether feet or skids are given; else the lander stands on its whole footprint."""
+        """True if feet or skids are given; else the lander stands on its whole footprint."""
         return self.feet is not None or self.skids is not None
 
     @property

@@ -83,7 +83,7 @@ _END = 0xD9
 
 
 def has_end(jpeg: bytes) -> bool:
-    """Whether a JPEG has its end marker: no decoder notices a file system that fills a cut with zeros."""
+    """True if a JPEG has its end marker: no decoder notices a file system that fills a cut with zeros."""
     at = 2
     while marker := _MARKER.search(jpeg, at):
         at = marker.end()

@@ -143,7 +143,7 @@ def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
 
 
 def is_labelled(folder: Path) -> bool:
-    """Whether a folder holds pictures with a label a pixel instead of a folder a class."""
+    """True if a folder holds pictures with a label a pixel instead of a folder a class."""
     return (folder / "images").is_dir() and (folder / "labels").is_dir()
 
 

@@ -157,7 +157,7 @@ class PhotoTags:
 
     @property
     def half_said(self) -> bool:
-        """Whether EXIF has a place without its hemisphere: north and east are assumed then."""
+        """True if EXIF has a place without its hemisphere: north and east are assumed then."""
         references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
         return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
 

@@ -347,7 +347,7 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
 
 
 def has_focal_length(tags: PhotoTags) -> bool:
-    """Whether the focal length follows from a photo's tags."""
+    """True if the focal length follows from a photo's tags."""
     return facts_of(tags).focal_px is not None
 
 

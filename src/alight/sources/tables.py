@@ -92,7 +92,7 @@ def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, st
 
 
 def named(row: Row, group: str, findings: Findings) -> bool:
-    """Whether a row names a file of the folder."""
+    """True if a row names a file of the folder."""
     name = row[2][0]
     fits = len(name) <= LONGEST_NAME and "\0" not in name
     if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():

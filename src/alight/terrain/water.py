@@ -114,7 +114,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
 
 def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
-    """Whether half of a patch lies above much connected dry ground: a car park on a slope, shade on a plain."""
+    """True if half of a patch lies above much connected dry ground: a car park on a slope, shade on a plain."""
     level = np.median(bed[pond])
     dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < DRY) & (bed < level - LOWER)
     return bool(dry.sum() > CONTRADICTED * pond.sum())

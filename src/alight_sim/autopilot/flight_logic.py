@@ -72,7 +72,7 @@ class FlightLogic:
 
     @property
     def _is_blind(self) -> bool:
-        """Whether it is guided by positions and, in its dialect, does not detect the ground below it."""
+        """True if it is guided by positions and, in its dialect, does not detect the ground below it."""
         guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
         return guided and not self.dialect.lands_in_guided
 
@@ -181,7 +181,7 @@ class FlightLogic:
         return Wanted(wanted.position, wanted.velocity, heading, *limits)
 
     def _runs(self, t: float) -> bool:
-        """Whether the motors lift: ArduPilot waits for the command to take off, a helicopter for its rotor."""
+        """True if the motors lift: ArduPilot waits for the command to take off, a helicopter for its rotor."""
         waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
         if waits and not self.dialect.needs_setpoints:
             return False

@@ -28,7 +28,7 @@ class MissionStore:
 
     @property
     def receiving(self) -> bool:
-        """Whether a transfer is under way."""
+        """True if a transfer is under way."""
         return self._count > 0
 
     def announce(self, m: Any, sender: tuple[int, int], t: float) -> None:

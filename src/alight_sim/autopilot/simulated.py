@@ -124,7 +124,7 @@ class SimulatedAutopilot:
 
     @property
     def ready(self) -> bool:
-        """Whether it may be armed."""
+        """True if it may be armed."""
         return self.healthy and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
 
     @property

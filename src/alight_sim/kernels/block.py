@@ -75,7 +75,7 @@ def _coordinates(buf: F32, a: np.float32, b: np.float32, u0: np.float32, v0: np.
 
 @kernel
 def _one_cell(buf: F32) -> bool:
-    """Whether all coordinates lie in one cell of the lattice."""
+    """True if all coordinates lie in one cell of the lattice."""
     i, j = floor32(buf[U]), floor32(buf[V])
     if floor32(buf[U + B - 1]) != i or floor32(buf[V + B - 1]) != j:
         return False

@@ -36,7 +36,7 @@ def running_sums(height: F32, barred: B, base: float, sums: F64, count: I64) -> 
 
 @kernel
 def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[float, float, float], limit: float) -> bool:
-    """Whether all cells of the disc lie within `limit` of a plane: mean, rise a column, rise a row."""
+    """True if all cells of the disc lie within `limit` of a plane: mean, rise a column, rise a row."""
     mean, rise_x, rise_y = plane
     k = half.size // 2
     for i in range(-k, k + 1):

@@ -30,7 +30,7 @@ class CameraFault:
     amount: float = 0.0  # share of the light kept out; seconds late
 
     def holds(self, seconds: float, camera: int | None = None) -> bool:
-        """Whether the fault holds at a time, seconds, for a camera."""
+        """True if the fault holds at a time, seconds, for a camera."""
         return self.start <= seconds < self.end and (self.camera is None or camera == self.camera)
 
 

@@ -228,7 +228,7 @@ class SteeredFlight:
 
     @property
     def landed(self) -> bool:
-        """Whether it stands on something."""
+        """True if it stands on something."""
         return self._vehicle.stands
 
     @property

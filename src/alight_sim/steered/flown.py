@@ -52,7 +52,7 @@ class FlownVehicle:
 
     @property
     def stands(self) -> bool:
-        """Whether it touches the ground."""
+        """True if it touches the ground."""
         return self._body.stands
 
     @property

@@ -20,7 +20,7 @@ class Contact:
         self._still_ns = None
 
     def felt(self, height: float | None, sink: float, heard: Telemetry, now_ns: int) -> bool:
-        """Whether the vehicle stands. Call it at every tick while it is ordered down.
+        """True if the vehicle stands. Call it at every tick while it is ordered down.
 
         Args:
             height: metres above the place, as estimated; None: unknown, but low.

@@ -38,7 +38,7 @@ class FlightLoop:
 
     @property
     def taken(self) -> bool:
-        """Whether we are not in control: not yet, or not any more."""
+        """True if we are not in control: not yet, or not any more."""
         return not self._hand.in_control
 
     def listen(self) -> list[Notice]:

@@ -21,7 +21,7 @@ class OrderTaker(Protocol):
 
     @property
     def in_control(self) -> bool:
-        """Whether we fly: from our first order to a takeover."""
+        """True if we fly: from our first order to a takeover."""
 
     def set_mode(self, mode: FlightMode) -> int:
         """Fly in this mode from now on; takes control."""

@@ -238,7 +238,7 @@ class OrderSender:
 
     @property
     def _is_high(self) -> bool:
-        """Whether the autopilot's LAND comes down fast here, as its heights are relative to its home.
+        """True if the autopilot's LAND comes down fast here, as its heights are relative to its home.
 
         From 0.7 m above such a site it would reach 1.1 m/s (ArduPilot, 1 m/s^2; PX4 more).
         """

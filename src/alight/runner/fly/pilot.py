@@ -107,7 +107,7 @@ class LandingPilot:
 
     @property
     def over(self) -> bool:
-        """Whether the vehicle has landed or was handed over."""
+        """True if the vehicle has landed or was handed over."""
         return self.state in ENDS
 
     # -- inputs, from any thread
@@ -204,7 +204,7 @@ class LandingPilot:
         )
 
     def _lags(self, motion: Motion) -> bool:
-        """Whether pictures come without their motions; missing pictures are reported by `pictures.age` instead."""
+        """True if pictures come without their motions; missing pictures are reported by `pictures.age` instead."""
         newest = self.pictures.newest_ns
         return newest is not None and (newest - motion.t_ns) * 1e-9 > self._stale
 

@@ -42,7 +42,7 @@ class TakeOff:
 
     @property
     def _lifted(self) -> bool:
-        """Whether it has lifted off, by its report; by its height only without one, which may be wrong by a metre."""
+        """True if it has lifted off, by its report; by its height only without one, which may be wrong by a metre."""
         landed = self._vehicle.telemetry.landed
         return self._above > LIFTED if landed is Landed.UNKNOWN else landed is not Landed.GROUND
 

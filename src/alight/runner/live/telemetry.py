@@ -68,7 +68,7 @@ class TelemetryFeed:
 
     @property
     def located(self) -> bool:
-        """Whether the autopilot has a position."""
+        """True if the autopilot has a position."""
         return self._located and self.events_of.local is not None
 
     def flush(self) -> None:

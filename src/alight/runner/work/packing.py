@@ -47,7 +47,7 @@ def pack_result(value: Any, about: str) -> bytes:
 
 
 def is_whole(data: bytes, about: str) -> bool:
-    """Whether bytes are undamaged and were packed with the same `about`."""
+    """True if bytes are undamaged and were packed with the same `about`."""
     return len(data) > _HEAD.size and _HEAD.unpack_from(data)[0] == _digest(about.encode(), data[_HEAD.size :])
 
 
