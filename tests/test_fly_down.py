@@ -169,3 +169,62 @@ def test_contact_begins_anew_when_it_sinks_again() -> None:
     assert contact.felt(2.0, 0.5, still, 4 * SECOND)
     contact.forget()
     assert not contact.felt(2.0, 0.5, still, 5 * SECOND)
+
+
+# -- the motors after a landing
+
+
+def orders_to_stop(r: PilotRig, t: float) -> list[float]:
+    """Times of the orders to disarm since `t`."""
+    longs = sent_since(r, t, "COMMAND_LONG")
+    assert all(m.param1 == 0.0 and m.param2 == 0.0 for m in longs if m.command == 400)  # never to arm, never by force
+    return [then for then, m in r.wire if then > t and m.get_type() == "COMMAND_LONG" and m.command == 400]
+
+
+@BOTH
+def test_motors_that_turn_on_after_a_landing_are_ordered_to_stop(dialect: str) -> None:
+    """PX4 with COM_DISARM_LAND below 0 never disarms by itself: the landing would never be over."""
+    r = rig(dialect)
+    r.sim.logic.disarms = False
+    assert r.fly(S.COMMIT)
+    t = r.t
+    assert r.run(60.0, lambda: r.vehicle.telemetry.landed is Landed.GROUND)
+    stood = r.t
+    assert r.fly(S.LANDED, 10.0)
+    orders = orders_to_stop(r, t)
+    assert len(orders) == 1
+    assert 4.5 < orders[0] - stood < 6.0
+    assert not r.vehicle.telemetry.armed
+
+
+@BOTH
+def test_a_person_is_told_when_the_motors_do_not_stop(dialect: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    r = rig(dialect)
+    r.sim.logic.disarms = False
+    monkeypatch.setattr(r.sim.logic, "arm", lambda wanted: False)
+    assert r.fly(S.COMMIT)
+    t = r.t
+    assert r.run(90.0, lambda: any("stop them by hand" in x for x in r.orders))
+    r.run(8.0)
+    assert pilot_of(r).state is S.COMMIT
+    assert len({round(x) for x in orders_to_stop(r, t)}) == 3
+    said = [x for x in r.orders if "stop them by hand" in x]
+    assert len(said) == 1
+
+
+@BOTH
+def test_no_motor_is_stopped_where_the_autopilot_does_it_or_somebody_else_flies(dialect: str) -> None:
+    r = rig(dialect)
+    assert r.fly(S.COMMIT)
+    t = r.t
+    assert r.fly(S.LANDED, 60.0)
+    assert not orders_to_stop(r, t)
+    r = rig(dialect)
+    r.sim.logic.disarms = False
+    assert r.fly(S.COMMIT)
+    t = r.t
+    assert r.run(60.0, lambda: r.vehicle.telemetry.landed is Landed.GROUND)
+    r.sim.logic.enter(Doing.PILOT, r.t)
+    r.run(20.0)
+    assert pilot_of(r).state is S.HANDED_OVER
+    assert not orders_to_stop(r, t)

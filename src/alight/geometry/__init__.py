@@ -3,6 +3,7 @@
 from alight.geometry.cameras import EQUIDISTANT, NONE, RADTAN, Camera
 from alight.geometry.geodesy import LocalFrame
 from alight.geometry.grid import Grid, box_of, ground_projection, plane_on
+from alight.geometry.heights import ellipsoid_fall, world_up
 from alight.geometry.poses import Pose
 from alight.geometry.rotations import (
     enu_from_flu,
@@ -23,6 +24,7 @@ __all__ = [
     "LocalFrame",
     "Pose",
     "box_of",
+    "ellipsoid_fall",
     "enu_from_flu",
     "ground_projection",
     "matrix_from_quaternion",
@@ -32,4 +34,5 @@ __all__ = [
     "slerp",
     "so3_exp",
     "so3_log",
+    "world_up",
 ]

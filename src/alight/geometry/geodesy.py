@@ -45,6 +45,10 @@ class LocalFrame:
             raise ValueError(f"no place on Earth: {self.latitude}, {self.longitude}, {self.height}")
 
     @cached_property
+    def _origin(self) -> F64:
+        return _ecef(self.latitude, self.longitude, self.height)
+
+    @cached_property
     def _enu_from_ecef(self) -> F64:
         la, lo = np.radians([self.latitude, self.longitude])
         return np.array(
@@ -57,12 +61,12 @@ class LocalFrame:
 
     def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> F64:
         """Convert geodetic coordinates (degrees, metres) to (..., 3) ENU metres."""
-        d = _ecef(latitude_deg, longitude_deg, height) - _ecef(self.latitude, self.longitude, self.height)
+        d = _ecef(latitude_deg, longitude_deg, height) - self._origin
         return np.asarray(d @ self._enu_from_ecef.T)
 
     def to_geodetic(self, enu: ArrayLike) -> tuple[F64, F64, F64]:
         """Convert (..., 3) ENU metres to latitude, longitude (degrees) and ellipsoidal height (metres)."""
-        p = np.asarray(enu, dtype=np.float64) @ self._enu_from_ecef + _ecef(self.latitude, self.longitude, self.height)
+        p = np.asarray(enu, dtype=np.float64) @ self._enu_from_ecef + self._origin
         x, y, z = p[..., 0], p[..., 1], p[..., 2]
         r = np.hypot(x, y)
         lat = np.arctan2(z, r * (1 - _E2))

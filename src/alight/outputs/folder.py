@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
 from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
-from alight.outputs.folder_lock import LOCK, lock_folder, release_folder
+from alight.outputs.folder_lock import LOCK, holds_folder, lock_folder, release_folder
 from alight.outputs.work_folder import WORK, is_work, remove_work
 from alight.records import ElevationMap, OutputError, RunResult
 
@@ -37,6 +38,8 @@ FILES = (
     "report.html",
 )
 JUDGEMENT_FILES = ("hazards.tif", "heights.tif")  # besides, of `alight hazards`
+KNOWN = (RUN_JSON, *FILES, *JUDGEMENT_FILES)
+BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
 NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
 
 # a file's name -> the function that makes it, or the reason why it cannot be made
@@ -53,7 +56,7 @@ def _rasters(r: RunResult) -> Contents:
     files |= dict.fromkeys(("safe.tif", "reasons.tif"), "the ground was not judged")
     files |= {"terrain.tif": "the kind of ground was not judged"}
     if (e := r.elevation) is not None:
-        files["dem.tif"] = lambda: tif(rasters.dem_raster(e, r.local), e.grid)
+        files["dem.tif"] = lambda: tif(rasters.dem_raster(e, r.local, r.georeferenced), e.grid)
         files["flags.tif"] = lambda: tif(rasters.flags_raster(e), e.grid)
         files["ortho.tif"] = lambda: tif(rasters.ortho_raster(e), e.grid)
     if (t := r.terrain_as_mapped) is not None:
@@ -171,36 +174,77 @@ def is_finished(folder: Path) -> bool:
 
 def _is_ours(folder: Path) -> bool:
     """True if the folder is empty, or holds a finished run, or only the files of an interrupted one."""
-    known = {LOCK, RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
+    known = {LOCK, *KNOWN, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
-    there = list(folder.iterdir())
+    there = [p for p in folder.iterdir() if not _is_by_others(p)]
     began = not there or any(p.name == LOCK or p.name.endswith(".tmp") for p in there)
     return is_run(folder) or (began and all(is_work(p) or (p.name in known and p.is_file()) for p in there))
 
 
-def prepare_folder(out: Path, overwrite: bool = False) -> None:
+def _is_by_others(path: Path) -> bool:
+    """True if a file is one that a system or another program puts into any folder unasked."""
+    return path.is_file() and any(fnmatchcase(path.name, pattern) for pattern in BY_OTHERS)
+
+
+def _check_folder(out: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds other things, or a folder of its own where a file is to be written."""
+    if not overwrite and not _is_ours(out):
+        raise OutputError(f"{out}: holds files that are not a run's; choose another folder with --out or add --force")
+    for path in (out / name for name in KNOWN):
+        if path.is_dir() and not path.is_symlink():
+            raise OutputError(
+                f"{path}: is a folder, and a file of this name is to be written; remove it or choose another folder "
+                "with --out"
+            )
+
+
+def _check_inputs(out: Path, inputs: Sequence[Path]) -> None:
+    """Refuse an input that lies in the folder: files of an earlier run are removed there."""
+    for path in inputs:
+        if out.resolve() in path.resolve().parents:
+            raise OutputError(
+                f"{path}: lies in {out}, whose files are replaced; choose another folder with --out, or copy the input "
+                "elsewhere"
+            )
+
+
+def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = ()) -> None:
     """Make the folder, test that it can be written, and lock it, before any work is done for it.
 
-    An earlier run is replaced; a folder with other files is refused.
+    An earlier run is replaced; a folder with other files is refused. Once this process holds the folder, other files
+    that appear there do not matter.
+
+    Args:
+        out: the folder.
+        overwrite: even where it holds other files.
+        inputs: files that the work reads, and which may not lie in the folder.
 
     Raises:
-        OutputError: the folder is a file, holds other things (and not `overwrite`), may not be written, or another
-            process writes there.
+        OutputError: the folder is a file, holds other things (and not `overwrite`), a folder in the place of a file,
+            or an input, may not be written, or another process writes there.
     """
     probe = out / ".alight.tmp"
     try:
         if out.exists() and not out.is_dir():
             raise OutputError(f"{out}: is a file, not a folder; choose another folder with --out")
+        _check_inputs(out, inputs)
         out.mkdir(parents=True, exist_ok=True)
-        if not overwrite and not _is_ours(out):
-            raise OutputError(
-                f"{out}: holds files that are not a run's; choose another folder with --out or add --force"
-            )
+        if not holds_folder(out):
+            _check_folder(out, overwrite)
         probe.write_bytes(b"")
         probe.unlink()
         lock_folder(out)
     except OSError as e:
         raise output_error(out, e) from e
+
+
+def _is_of_gdal(path: Path) -> bool:
+    """True if a file holds what GDAL or QGIS noted about a raster: statistics, colours, names."""
+    try:
+        with path.open("rb") as file:
+            return b"<PAMDataset" in file.read(200)
+    except OSError:
+        return False
 
 
 def _remove(path: Path) -> None:
@@ -221,6 +265,7 @@ class _Writer:
 
     def write(self, name: str, make: Callable[[], bytes]) -> str | None:
         """Make and write one file; return the reason if that failed, and then no old file of the name is left."""
+        self._remove_notes(name)
         try:
             write_whole(self._out / name, make())
         except OutputError as e:
@@ -231,8 +276,24 @@ class _Writer:
         else:
             self.written.append(self._out / name)
             return None
-        _remove(self._out / name)
+        self.remove(name)
         return str(self.failed.get(name, "it could not be made: a defect of Alight"))
+
+    def remove(self, name: str) -> str | None:
+        """Remove an old file, and what GDAL noted about it; return the reason if that failed."""
+        self._remove_notes(name)
+        try:
+            _remove(self._out / name)
+        except OutputError as e:
+            self.failed.setdefault(name, e)
+            return str(e)
+        return None
+
+    def _remove_notes(self, name: str) -> None:
+        """Remove what GDAL or QGIS noted about an old raster: it says nothing about the new one."""
+        notes = f"{name}.aux.xml"
+        if name.endswith(".tif") and _is_of_gdal(self._out / notes):
+            self.remove(notes)
 
     def complain(self) -> None:
         """Raise the first failure, with the names of all failed files and the number of written ones."""
@@ -245,19 +306,22 @@ class _Writer:
 
 
 def write_folder(
-    files: Contents, info: Callable[[Mapping[str, str]], dict[str, Any]], out: Path, overwrite: bool = False
-) -> list[Path]:
+    files: Contents, info: Callable[[Mapping[str, str]], dict[str, Any]], out: Path, overwrite: bool = False,
+    keep: Collection[str] = (),
+) -> list[Path]:  # fmt: skip
     """Write a folder, each file whole or not at all, run.json last; return the files written.
 
-    An earlier run's run.json is removed first, and each other file in its turn. So a folder with a run.json is always
-    of one run, and no old file survives beside a new answer. If a file cannot be written, the rest is still written,
-    run.json lists the missing files, and then the error is raised.
+    An earlier run's run.json is removed first, then the files that this run does not write, and each other file in its
+    turn. So a folder with a run.json is always of one run, and no old file survives beside a new answer. If a file
+    cannot be written or removed, the rest is still written, run.json lists the missing files, and then the error is
+    raised.
 
     Args:
         files: every file but run.json, in the order of writing, or the reason why it is not written.
         info: makes run.json from the missing files and their reasons.
         out: the folder.
         overwrite: even where it holds other files.
+        keep: names of files that this run does not write, and which stay.
 
     Raises:
         OutputError: see `prepare_folder`; or the disk is full, with the names of the files that are missing.
@@ -265,10 +329,12 @@ def write_folder(
     prepare_folder(out, overwrite)
     _remove(out / RUN_JSON)
     writer, missing = _Writer(out), dict[str, str]()
+    for name in (*FILES, *JUDGEMENT_FILES):
+        if name not in files and name not in keep:
+            writer.remove(name)
     for name, made in files.items():
         if isinstance(made, str):
-            _remove(out / name)
-            missing[name] = made
+            missing[name] = writer.remove(name) or made
             log.info("%s is not written: %s", name, made)
         elif (why := writer.write(name, made)) is not None:
             missing[name] = why

@@ -43,6 +43,12 @@ def lock_folder(out: Path) -> None:
     _held[folder] = file
 
 
+def holds_folder(out: Path) -> bool:
+    """True if this process holds the lock of the folder."""
+    folder = out.resolve()
+    return folder in _held and (folder / LOCK).exists()
+
+
 def release_folder(out: Path) -> None:
     """Release the folder and remove its lock's file."""
     folder = out.resolve()

@@ -14,13 +14,12 @@ from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
 
 from alight.arrays import F32
-from alight.geometry import Grid, LocalFrame
+from alight.geometry import Grid, LocalFrame, ellipsoid_fall, world_up
 from alight.records import REFUSED, Datum, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
 from alight.report.words import FLAGS, HAZARDS
 
 SAFE_BANDS = ("p_safe", "p_relief", "p_obstacle", "p_ground", "resolved")
-EARTH_RADIUS = 6371008.8  # metres, mean
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
 
@@ -47,27 +46,22 @@ def raster_crs(local: LocalFrame, georeferenced: bool) -> CRS:
 def ellipsoidal_height(elevation: ElevationMap, local: LocalFrame) -> F32:
     """Heights above the WGS84 ellipsoid, (R, C) metres, NaN where a flag refuses them.
 
-    World up is measured from the tangent plane; the ellipsoid falls away from it by d^2 / 2R (7 mm at 300 m).
+    World up is measured from the tangent plane, from which the ellipsoid falls away. The inverse is `world_up`.
     """
-    east, north = elevation.grid.xy()
-    fall = (east[None, :] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)
+    fall = ellipsoid_fall(elevation.grid)
     height = np.where(elevation.trusted, local.height + elevation.height + fall, np.nan)
     return height.astype(np.float32)
 
 
-def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -> F32:
-    """Inverse of `ellipsoidal_height`: (R, C) metres above the origin's tangent plane."""
-    east, north = grid.xy()
-    fall = (east[None, :] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)
-    return (height.astype(np.float64) - local.height - fall).astype(np.float32)
+def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool = True) -> RasterFile:
+    """Height and sigma, NaN where no height may be given out.
 
-
-def dem_raster(elevation: ElevationMap, local: LocalFrame) -> RasterFile:
-    """Height and sigma, NaN where no height may be given out."""
+    Not `georeferenced`: the world has no place on Earth, and heights count from its origin.
+    """
     height = ellipsoidal_height(elevation, local)
     sigma = np.where(elevation.trusted, elevation.relative_sigma, np.nan).astype(np.float32)
     tags = {
-        "height_reference": "WGS84 ellipsoid",
+        "height_reference": "WGS84 ellipsoid" if georeferenced else "the recording's origin",
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
     }
     common = common_tags(elevation.gauge)

@@ -19,6 +19,8 @@ from alight.records import ElevationMap, Hazard, HazardMap, RunResult, Sites
 
 log = logging.getLogger(__name__)
 
+INPUTS = ("dem.tif", "ortho.tif")  # rasters of a run in the same folder: the heights and the image may be these
+
 
 def _findings(h: HazardMap) -> rasters.RasterFile:
     names = ("slope", "roughness", "step", "clearance", "quality")
@@ -99,6 +101,5 @@ def write_judgement(result: RunResult, crs: CRS | None, sharpened: bool, out: Pa
     Raises:
         OutputError: see `folder.write_folder`.
     """
-    return write_folder(
-        _contents(result, crs, sharpened), lambda missing: _summary(result, crs, missing), out, overwrite
-    )
+    contents = _contents(result, crs, sharpened)
+    return write_folder(contents, lambda missing: _summary(result, crs, missing), out, overwrite, keep=INPUTS)

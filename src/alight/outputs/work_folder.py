@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_bytes, read_text
-from alight.outputs.atomic_write import write_whole
+from alight.outputs.atomic_write import output_error, write_whole
 from alight.records import InputError
 
 log = logging.getLogger(__name__)
@@ -44,9 +44,15 @@ class WorkFolder(MutableMapping[str, bytes]):
             )
         if there is None:
             remove_work(out)
-            self._folder.mkdir(parents=True)
+            self._make()
             write_whole(self._folder / KEY, json.dumps(key, indent=1).encode())
         self.found = len(self)  # number of pieces that were saved before
+
+    def _make(self) -> None:
+        try:
+            self._folder.mkdir(parents=True)
+        except OSError as e:
+            raise output_error(self._folder, e) from e
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}{SUFFIX}"

@@ -18,7 +18,7 @@ from alight.documents import parse_json
 from alight.geometry import Camera, LocalFrame, Pose
 from alight.records.errors import InputError
 from alight.records.events import Event, Frame, ImuSample, NavSample, Rig, RigCamera
-from alight.settings import ImuNoise, Settings
+from alight.settings import ImuNoise, Settings, settings_of_run
 
 CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of the input
 SCHEDULE, NOTES, MOTION, SITES = "/schedule", "/notes", "/motion", "/sites"  # topics of the run
@@ -59,7 +59,7 @@ class FlightHead:
 
     @classmethod
     def from_json(cls, text: str) -> FlightHead:
-        """Decode the head from JSON.
+        """Decode the head from JSON; settings of another version are read as those of a run.json.
 
         Raises:
             InputError: it is damaged, or of another version.
@@ -76,7 +76,7 @@ class FlightHead:
             )
             return cls(
                 str(tree["name"]), Rig(cameras), LocalFrame(**tree["origin"]), bool(tree["georeferenced"]),
-                ImuNoise(**tree["imu_noise"]), Settings.model_validate(tree["settings"]),
+                ImuNoise(**tree["imu_noise"]), settings_of_run(tree["settings"]),
             )  # fmt: skip
         except _DAMAGED as e:
             raise InputError(f"the recording's head is damaged or of another version ({e}); record again") from e

@@ -23,7 +23,7 @@ class RunResult:
     """
 
     source_name: str  # the folder or file, as a person would call it
-    source_kind: str  # photos | flight log | ...
+    source_kind: str  # "flight", "photos"; of `alight hazards` "heights"
     local: LocalFrame
     georeferenced: bool  # False: `local` is a stand-in and the world has no place on Earth
     settings: Settings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import re
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -105,7 +106,8 @@ class CalibratedFolder(RecordedSource):
         return pose
 
     def _read_rig(self, settings: Settings, body_from_imu: Pose) -> Rig:
-        folders = sorted((p for p in self._root.glob("cam[0-9]*") if p.is_dir()), key=lambda p: (len(p.name), p.name))
+        numbered = (p for p in self._root.glob("cam*") if re.fullmatch("cam[0-9]+", p.name))
+        folders = sorted((p for p in numbered if p.is_dir()), key=lambda p: (len(p.name), p.name))
         if not folders or folders[0].name != "cam0":
             raise InputError(
                 f"{self._root}: there is no cam0; a flight log needs cam0/sensor.yaml, cam0/data.csv and cam0/data/"

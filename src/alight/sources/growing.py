@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -19,6 +20,11 @@ from alight.sources.tables import Row, named, numbers_of, rows_of
 POLL = 0.01  # s between two reads of the folder
 PARTNER = 0.15  # s that an image waits for that of another camera
 WRITTEN = 1.0  # s that an image may take from its row until it is whole
+USUAL_PERIOD = 33_333_333  # ns, of exposures, until two are known
+STAMPS = 32  # newest ones of the first camera, for its period
+LATE_NAV = (
+    "nav0 came after the start and is not used: put nav0/sensor.yaml there before the start, and start again with it"
+)
 
 
 class GrowingTable:
@@ -26,6 +32,10 @@ class GrowingTable:
 
     def __init__(self, path: Path) -> None:
         self._path, self._at, self._line, self._rest = path, 0, 0, b""
+
+    def exists(self) -> bool:
+        """True if the file is there."""
+        return self._path.is_file()
 
     def new_lines(self) -> list[tuple[int, str]]:
         """The lines since the last call, with their numbers."""
@@ -60,6 +70,7 @@ class GrowingLog(CalibratedFolder):
         self._cams = [GrowingTable(self._root / c.name / "data.csv") for c in self.rig.cameras]
         self._waiting: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
         self._since: dict[int, float] = {}
+        self._stamps: deque[int] = deque(maxlen=STAMPS)  # of the first camera, ns
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
@@ -77,7 +88,9 @@ class GrowingLog(CalibratedFolder):
 
     def _new_rows(self) -> list[Event]:
         out: list[Event] = []
-        if (read := self._read("nav0", NAV_COLUMNS)) is not None:
+        if not self.georeferenced and self._tables["nav0"].exists():
+            self._findings.say(LATE_NAV)
+        elif (read := self._read("nav0", NAV_COLUMNS)) is not None:
             nav = usable_nav(*read, self._findings)
             out += [] if nav is None else list(nav_samples(nav, self.local))
         if (read := self._read("imu0", IMU_COLUMNS)) is not None:
@@ -103,8 +116,7 @@ class GrowingLog(CalibratedFolder):
             group = f"{self.rig.cameras[k].name} images"
             for row in rows_of(table.new_lines(), (2,), group, self._findings):
                 if named(row, group, self._findings):
-                    self._waiting.setdefault(row[1], [None] * len(self._cams))[k] = row[2][0]
-                    self._since.setdefault(row[1], now)
+                    self._join(k, row[1], row[2][0], now)
         for t_ns in sorted(self._waiting):
             names = self._waiting[t_ns]
             if None in names and now - self._since[t_ns] < PARTNER:
@@ -116,6 +128,19 @@ class GrowingLog(CalibratedFolder):
             if any(i is not None for i in images):
                 self.length += 1
                 yield Frame(t_ns, images, next(n for n in names if n))
+
+    def _join(self, camera: int, t_ns: int, name: str, now: float) -> None:
+        """Put an image to the waiting exposure of its time, else to the nearest one within half a period."""
+        if camera == 0:
+            self._stamps.append(t_ns)
+        steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
+        half = max(int(np.median(steps) if len(steps) else USUAL_PERIOD) // 2, 1)
+        near = [t for t, names in self._waiting.items() if names[camera] is None and abs(t - t_ns) < half]
+        found = t_ns if t_ns in self._waiting else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
+        names = self._waiting.pop(found, [None] * len(self._cams))
+        names[camera] = name
+        at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
+        self._waiting[at], self._since[at] = names, self._since.pop(found, now)
 
     def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
         """The images; None while one of them is still being written."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from alight.sources.source import Source
 
 IDLE = 10.0  # s without new rows or pictures, after which a folder counts as complete
 PATIENCE = 30.0  # s that a folder may take to get its calibration
+BETWEEN = re.compile(rf",\s*(?={'|'.join(PREFIXES)})")  # two cameras; a pipeline or an address may hold commas itself
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def open_live(
     if name.startswith(PREFIXES):
         if rig is None:
             raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
-        cameras = Cameras(name.split(","), rig, settings)
+        cameras = Cameras(BETWEEN.split(name), rig, settings)
         return LiveSource(cameras, cameras.events(stopped), True)
     if follow:
         wait_for_calibration(Path(name), PATIENCE)

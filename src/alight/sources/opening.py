@@ -7,7 +7,8 @@ from pathlib import Path
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources.flight_log import FlightLog
-from alight.sources.photos import Photos, find_photos
+from alight.sources.photo_finding import find_photos
+from alight.sources.photos import Photos
 from alight.sources.recording import Recording
 from alight.sources.source import Source
 from alight.sources.video import SUFFIXES as VIDEOS
@@ -41,12 +42,13 @@ def _open(path: Path, settings: Settings) -> Source:
     root = path.resolve()
     if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
         return FlightLog(root, settings)
-    if files := find_photos(root):
-        return Photos(root, files, settings)
+    if (found := find_photos(root)).files:
+        return Photos(root, found.files, settings, found.closed)
     if not any(root.iterdir()):
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
     if inside := sorted(p.parent.name for p in root.glob("*/mav0")):
         raise InputError(f"{path}: holds {len(inside)} flight log(s); name one of them, such as {path / inside[0]}")
+    closed = f" (no permission to read {', '.join(p.name for p in found.closed)})" if found.closed else ""
     raise InputError(
-        f"{path}: nothing usable in it; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
+        f"{path}: nothing usable in it{closed}; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
     )

@@ -16,12 +16,17 @@ SKEW = 0.01  # largest relative skew of a fisheye's affine matrix that is neglec
 def perspective_camera(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     """The perspective model: focal length, principal point, and k1, k2, k3, p1, p2; None without it."""
     focal = _factory_focal(tags)
-    if focal is None or tags.xmp.get("camera:ModelType", "perspective") != "perspective":
+    if focal is None or _model_type(tags) not in ("", "perspective"):
         return None
     lens = comma_numbers(tags.xmp.get("camera:PerspectiveDistortion", ""))
     distortion = (lens[0], lens[1], lens[3], lens[4], lens[2]) if len(lens) == 5 else ()
     notes: Notes = {"focal_from": "factory calibration (Camera tags)"}
     return camera_of(tags, focal, _factory_offset(tags), distortion), notes
+
+
+def _model_type(tags: PhotoTags) -> str:
+    """Kind of lens: perspective or fisheye; empty where the tags do not give it."""
+    return tags.xmp.get("camera:ModelType", "").lower()
 
 
 def _factory_focal(tags: PhotoTags) -> float | None:
@@ -46,7 +51,7 @@ def _factory_offset(tags: PhotoTags) -> tuple[float, float]:
 def fisheye_camera(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     """The fisheye model (as of the bands of a Parrot Sequoia), fitted by the equidistant model; None without it."""
     affine, polynomial = (comma_numbers(tags.xmp.get(f"camera:Fisheye{k}", "")) for k in ("AffineMatrix", "Polynomial"))
-    if tags.xmp.get("camera:ModelType", "").lower() != "fisheye" or len(affine) != 4 or len(polynomial) < 3:
+    if _model_type(tags) != "fisheye" or len(affine) != 4 or len(polynomial) < 3:
         return None
     across, skew_x, skew_y, down = affine
     scale = (across + down) / 2

@@ -113,10 +113,13 @@ def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
     lowest photo. It only keeps the numbers small: no measurement depends on it.
     """
     places = np.array([p for t in photos if (p := t.position) is not None])
+    if np.ptp(places[:, 1]) > 180:  # photos on both sides of longitude 180: counted eastwards from 0 to 360
+        places[:, 1] %= 360
     latitude, longitude = np.round(np.median(places[:, :2], axis=0), 7)
     first = next(t for t in photos if t.position is not None)
     relative = first.relative_altitude
     height = places[:, 2].min() - 50 if relative is None else places[0, 2] - relative
+    longitude -= 360 * (longitude > 180)
     return LocalFrame(float(latitude), float(longitude), round(float(height), 2))
 
 

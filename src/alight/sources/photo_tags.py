@@ -17,6 +17,7 @@ from alight.sources.photo_xmp import parse_xmp, salvage_xmp
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
 MOST_ZOOM = 100.0  # of a digital zoom
+EXIF_3 = "0300"  # ExifVersion
 COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
 
 
@@ -88,20 +89,24 @@ class PhotoTags:
     def altitude_kind(self) -> str:
         """Vertical datum of the altitude, as far as the photo gives it.
 
-        EXIF 3 has values of its own for the ellipsoid; DJI names a fused or an RTK altitude; Parrot documents its
-        own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
+        EXIF 3.0 counts the values 0 and 1 of `GPSAltitudeRef` from the ellipsoid, 2 and 3 from the sea level; before,
+        0 and 1 were about the sea level, and in practice about either. DJI names a fused or an RTK altitude. Parrot
+        documents its own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
         """
         if self._told_altitude() is None:
             return "not said"
-        reference = self.gps.get(Gps.GPSAltitudeRef)
-        code = reference[0] if isinstance(reference, bytes) and reference else reference
+        code = self._altitude_code if self._told_altitude() == self._exif_altitude else None
         model = self.text(Base.Model).lower().replace(" ", "")
         datum = (self.xmp.get("camera:VertCS") or self.xmp.get("skydio:VertCS") or "").lower()
         rtk = self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt"
-        if code in (2, 3) or rtk or "anafiai" in model or datum == "ellipsoidal":
+        if code in (2, 3):
+            return "sea level"
+        if rtk or "anafiai" in model or datum == "ellipsoidal":
             return "ellipsoid"
         if self.xmp_number("dji:RtkFlag") == 50:
             return "ellipsoid (RTK fixed)"
+        if code in (0, 1) and self.text(Base.ExifVersion) >= EXIF_3:
+            return "ellipsoid"
         if self.text(Base.Make).lower() == "parrot":
             return "sea level (EGM96)"
         return "sea level or ellipsoid: not said"
@@ -161,10 +166,19 @@ class PhotoTags:
         references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
         return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
 
+    @property
+    def _altitude_code(self) -> Any:
+        """`GPSAltitudeRef`: 0 to 3, odd below the surface that the altitude is counted from; None without it."""
+        reference = self.gps.get(Gps.GPSAltitudeRef)
+        return reference[0] if isinstance(reference, bytes) and reference else reference
+
+    @property
+    def _exif_altitude(self) -> float | None:
+        exif = finite(self.gps.get(Gps.GPSAltitude))
+        return -exif if exif is not None and self._altitude_code in (1, 3) else exif
+
     def _told_altitude(self) -> float | None:
-        exif, absolute = finite(self.gps.get(Gps.GPSAltitude)), self.xmp_number("dji:AbsoluteAltitude")
-        if exif is not None and self.gps.get(Gps.GPSAltitudeRef) in (b"\x01", 1, b"\x03", 3):
-            exif = -exif
+        exif, absolute = self._exif_altitude, self.xmp_number("dji:AbsoluteAltitude")
         if absolute is not None and (exif is None or abs(exif - absolute) > 1):
             return absolute  # some firmware leaves the EXIF altitude at zero
         return exif

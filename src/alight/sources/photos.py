@@ -36,37 +36,20 @@ from alight.sources.photo_selection import band_to_use, thermal_photos
 from alight.sources.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names without information; the parent's is used instead
-DEEPEST = 3  # levels of sub-folders in which photos are looked for
 SECOND = 1_000_000_000
 HELD = 0.5  # of the memory for images, by pictures that were read
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
 BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
 
 
-def find_photos(folder: Path, depth: int = DEEPEST) -> list[Path]:
-    """Pictures of a folder and of its sub-folders (as `DCIM/100MEDIA` of a card), sorted.
-
-    Hidden files are left out, as are thumbnails and the output of programs, Alight's included.
-    """
-    found, inside = list[Path](), sorted(folder.iterdir())
-    for path in inside:
-        if path.is_dir():
-            found += find_photos(path, depth - 1) if depth > 0 and _may_hold_photos(path) else []
-        elif path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
-            found.append(path)
-    return sorted(found)
-
-
-def _may_hold_photos(folder: Path) -> bool:
-    name = folder.name.lower()
-    output = name == "mav0" or name.startswith((".", "odm_", "thumb")) or "thumbnails" in name
-    return not output and not (folder / "run.json").exists()
-
-
 class Photos(RecordedSource):
     """The photos in one folder.
+
+    Args:
+        root: the folder.
+        files: its photos.
+        closed: sub-folders that may not be read.
 
     Raises:
         InputError: no readable photo, or none with GPS.
@@ -77,10 +60,14 @@ class Photos(RecordedSource):
     georeferenced = True
     imu_noise = ImuNoise()
 
-    def __init__(self, root: Path, files: Sequence[Path], settings: Settings) -> None:
+    def __init__(self, root: Path, files: Sequence[Path], settings: Settings, closed: Sequence[Path] = ()) -> None:
+        self._root = root
         self._memory = PictureMemory(HELD * 1e6 * settings.parallax.store_mb)
         self._findings = Findings()
         self._findings.expect("photos", len(files))
+        if closed:
+            names = ", ".join(self._name_of(p) for p in closed)
+            self._findings.say(f"no permission to read {names}: photos in there are left out")
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
         self._facts: dict[Path, PhotoFacts] = {}
         photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
@@ -107,7 +94,7 @@ class Photos(RecordedSource):
             try:
                 self._memory.get(tags.path, tags.size)
             except ValueError as e:
-                self._lose(tags.path, str(e), name)
+                self._lose(tags.path, str(e))
                 continue
             yield nav_sample(tags, t_ns, self.local)
             pixels, own = PhotoPixels(tags.path, tags.size, self._memory), self._cameras.index(tags.camera)
@@ -128,13 +115,17 @@ class Photos(RecordedSource):
 
     # -- opening
 
-    def _lose(self, path: Path, why: str, name: str = "") -> None:
+    def _name_of(self, path: Path) -> str:
+        """Name of a file or folder within the set."""
+        return path.relative_to(self._root).as_posix()
+
+    def _lose(self, path: Path, why: str) -> None:
         """Leave a photo out, with a warning."""
-        self._findings.lose("photos", name or path.name, why)
+        self._findings.lose("photos", self._name_of(path), why)
         self._leave_out(path, why)
 
     def _leave_out(self, path: Path, why: str) -> None:
-        facts = self._facts.get(path) or PhotoFacts(path.name, (0, 0), "")
+        facts = self._facts.get(path) or PhotoFacts(self._name_of(path), (0, 0), "")
         self._facts[path] = replace(facts, left_out=why, t_ns=None)
 
     def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
@@ -358,11 +349,10 @@ def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
 
 
 def _spread(times: Sequence[int]) -> list[int]:
+    """Times in order, those that are equal spread over the time to the next one, a second at most."""
     out: list[int] = []
-    i = 0
-    while i < len(times):
-        n = times.count(times[i])
-        gap = min(SECOND, times[i + n] - times[i]) if i + n < len(times) else SECOND
-        out += [times[i] + k * gap // n for k in range(n)]
-        i += n
+    for t, n in Counter(times).items():
+        after = len(out) + n
+        gap = min(SECOND, times[after] - t) if after < len(times) else SECOND
+        out += [t + k * gap // n for k in range(n)]
     return out

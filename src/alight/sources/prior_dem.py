@@ -11,14 +11,13 @@ from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform_bounds
 
-from alight.geometry import Grid, LocalFrame
+from alight.geometry import Grid, LocalFrame, world_up
 from alight.records import InputError, PriorHeights
 from alight.sources.raster import open_raster
 from alight.sources.raster_heights import doubt_of_heights
 
 REACH = 2000.0  # metres about the origin that are read
 MOST_ACROSS = 2000  # cells: finer ones are averaged
-EARTH = 6.371e6  # metres, radius
 
 
 def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
@@ -58,6 +57,4 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
     grid = Grid(west + 0.5 * cell, north - 0.5 * cell, cell, rows, cols)
     if not np.isfinite(height).any():
         raise InputError(f"--prior-dem {path}: knows no height within {REACH:g} m of the photos; give another DEM")
-    x, y = grid.xy()
-    drop = (x[None, :] ** 2 + y[:, None] ** 2) / (2 * EARTH)  # of the ellipsoid below the world's plane
-    return PriorHeights(path.name, grid, (height - local.height - drop).astype(np.float32))
+    return PriorHeights(path.name, grid, world_up(height, grid, local))

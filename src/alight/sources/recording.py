@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -57,8 +58,12 @@ def why_unusable(event: Event, rig: Rig) -> str:
     return "world_from_body is no rotation" if R is not None and np.abs(R @ R.T - np.eye(3)).max() > 1e-3 else ""
 
 
-def _check_head(head: FlightHead, path: Path) -> None:
-    """Refuse impossible cameras, an impossible origin, or noise of the IMU that is out of range."""
+def _read_head(text: str, path: Path) -> FlightHead:
+    """Read the head; refuse impossible cameras, an impossible origin, or noise of the IMU that is out of range."""
+    try:
+        head = FlightHead.from_json(text)
+    except InputError as e:
+        raise InputError(f"{path}: {e}") from e
     place, noise = head.local, head.imu_noise.stated().values()
     try:
         wrong = [why for c in head.rig.cameras if (why := why_no_lens(c.camera))]
@@ -71,6 +76,7 @@ def _check_head(head: FlightHead, path: Path) -> None:
         wrong = [str(e)]
     if wrong or not head.rig.cameras:
         raise InputError(f"{path}: its head is damaged ({(wrong or ['no camera'])[0]}); record again")
+    return head
 
 
 def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
@@ -105,8 +111,10 @@ class Recording(RecordedSource):
     def __init__(self, path: Path, settings: Settings) -> None:
         self._findings, self._path, self._whole = Findings(), path, True
         self._skip, self._every = settings.sources.skip, settings.sources.every
-        head, entries, frames, notes = self._scan()
-        self.length = frames
+        self._found: Counter[str] = Counter()  # messages of each topic
+        head, entries, notes = self._scan()
+        frames = self._found[CAMERAS]
+        self.length = len(range(self._skip, frames, self._every))
         self.name, self.rig, self.local, self.georeferenced = head.name, head.rig, head.local, head.georeferenced
         self.imu_noise, self.flown_with = head.imu_noise, head.settings
         self.schedule: Schedule | None = Schedule(**{k: tuple(v) for k, v in entries.items()})
@@ -116,35 +124,43 @@ class Recording(RecordedSource):
         }  # fmt: skip
         if not frames:
             raise InputError(f"{path}: holds no exposure; there is nothing to replay")
+        if not self.length:
+            raise InputError(f"{path}: no exposure is left; lower sources.skip ({self._skip})")
 
     def events(self) -> Iterator[Event]:
         """Yield the events in the order of their arrival."""
-        exposure = -1
+        seen: Counter[str] = Counter()
         for topic, data in self._messages():
             if topic not in (CAMERAS, NAV, IMU):
+                continue
+            seen[topic] += 1
+            if topic == CAMERAS and not self._is_chosen(seen[topic] - 1):
                 continue
             try:
                 event = unpack(topic, data)
                 if why := why_unusable(event, self.rig):
                     raise ValueError(why)
             except ValueError as e:
-                self._findings.lose(f"{topic[1:]} messages", f"in {self._path.name}", str(e))
+                self._lose(topic, seen[topic], str(e))
                 continue
-            if isinstance(event, Frame):
-                exposure += 1
-                if exposure < self._skip or (exposure - self._skip) % self._every:
-                    continue
             yield event
 
-    def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], int, list[str]]:
-        head, frames, notes = None, 0, list[str]()
+    def _is_chosen(self, exposure: int) -> bool:
+        """True if an exposure, counted from 0, is one that `sources.skip` and `sources.every` leave."""
+        return exposure >= self._skip and (exposure - self._skip) % self._every == 0
+
+    def _lose(self, topic: str, number: int, why: str) -> None:
+        """Note that a message, counted from 1, cannot be used."""
+        self._findings.lose(f"{topic[1:]} messages", f"number {number} of {self._found[topic]}", why)
+
+    def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], list[str]]:
+        """Read the head, the schedule and the notes, and count the messages."""
+        head, notes, damaged = None, list[str](), list[tuple[str, int, str]]()
         entries: dict[str, list[Any]] = {k: [] for k in Schedule.__dataclass_fields__}
         for topic, data in self._messages():
+            self._found[topic] += 1
             if topic == HEAD:
-                head = FlightHead.from_json(data.decode())
-                _check_head(head, self._path)
-            elif topic == CAMERAS:
-                frames += 1
+                head = _read_head(data.decode(), self._path)
             elif topic in (SCHEDULE, NOTES):
                 try:
                     entry = parse_json(data)
@@ -153,10 +169,13 @@ class Recording(RecordedSource):
                     elif (kind := str(entry["kind"])) in entries:
                         _schedule(entries, kind, entry)
                 except (ValueError, KeyError, TypeError, OverflowError, IndexError) as e:
-                    self._findings.lose(f"{topic[1:]} messages", f"in {self._path.name}", f"damaged ({e})")
+                    damaged.append((topic, self._found[topic], f"damaged ({e})"))
+        for message in damaged:
+            self._lose(*message)
+        self._findings.counts |= {f"{t[1:]} messages": self._found[t] for t in (CAMERAS, NAV, IMU) if self._found[t]}
         if head is None:
             raise InputError(f"{self._path}: no recording of Alight; give one that 'alight live' made")
-        return head, entries, frames, notes
+        return head, entries, notes
 
     def _messages(self) -> Iterator[tuple[str, bytes]]:
         """Topic and bytes of every message; a file that ends early gives the messages before, and this is noted."""

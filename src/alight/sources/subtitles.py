@@ -27,12 +27,17 @@ class Subtitle:
 
     @property
     def place(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude, altitude; None without a fix."""
+        """Latitude, longitude (degrees), and the altitude, else the height above take-off (m); None without a fix."""
         latitude, longitude = self.said.get("latitude"), self.said.get("longitude")
-        altitude = next((self.said[k] for k in ("abs_alt", "altitude", "rel_alt") if k in self.said), None)
-        if latitude is None or longitude is None or altitude is None or (latitude, longitude) == (0, 0):
+        up = self.said.get("rel_alt") if self.altitude is None else self.altitude
+        if latitude is None or longitude is None or up is None or (latitude, longitude) == (0, 0):
             return None
-        return latitude, longitude, altitude
+        return latitude, longitude, up
+
+    @property
+    def altitude(self) -> float | None:
+        """Metres above the maker's datum; None where at most the height above take-off is given."""
+        return next((self.said[k] for k in ("abs_alt", "altitude") if k in self.said), None)
 
 
 def read_srt(text: str) -> list[Subtitle]:

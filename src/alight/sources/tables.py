@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from alight.arrays import I64
 from alight.sources.source import Findings
 
-LONGEST_NAME = 255  # of a file below the folder; file systems take no longer one
+LONGEST_NAME = 255  # bytes, of a file below the folder; file systems take no longer one
 LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
 Row = tuple[int, int, list[str]]  # line number, time, the fields after the time
 
@@ -29,7 +29,7 @@ def rows_of(lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: s
         if len(fields) + 1 not in columns:
             findings.lose(group, f"line {number}", f"{len(fields) + 1} columns instead of {columns[0]}")
         elif not stamp.isascii() or not stamp.isdigit() or len(stamp) > 19 or int(stamp) >= 2**63:
-            findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds")
+            findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds, 0 or more")
         else:
             rows.append((number, int(stamp), fields))
     return rows
@@ -94,7 +94,7 @@ def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, st
 def named(row: Row, group: str, findings: Findings) -> bool:
     """True if a row names a file of the folder."""
     name = row[2][0]
-    fits = len(name) <= LONGEST_NAME and "\0" not in name
+    fits = len(name.encode(errors="replace")) <= LONGEST_NAME and "\0" not in name
     if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():
         return True
     findings.lose(group, f"line {row[0]}", f"{name[:40]!r} names no file of the folder")

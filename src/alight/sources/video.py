@@ -133,9 +133,9 @@ def _dms(degrees: float) -> tuple[float, float, float]:
 
 
 def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
-    """Write a JPEG with the tags that a photo of the same drone would have."""
+    """Write a JPEG with the tags that a photo of the same drone would have, and no altitude where it is not known."""
     assert row.place is not None
-    latitude, longitude, altitude = row.place
+    (latitude, longitude, _), altitude = row.place, row.altitude
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
     exif = Image.Exif()
     exif[0x010F], exif[0x0110], exif[0x0112] = "video", "with telemetry", 1
@@ -143,7 +143,7 @@ def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
     exif.get_ifd(0x8825).update(
         {
             1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude)),
-            5: b"\x01" if altitude < 0 else b"\x00", 6: abs(altitude),
+            **({} if altitude is None else {5: b"\x01" if altitude < 0 else b"\x00", 6: abs(altitude)}),
         }
     )  # fmt: skip
     tags = {

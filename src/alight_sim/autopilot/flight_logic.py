@@ -37,6 +37,7 @@ class FlightLogic:
 
     dialect: Dialect
     armed: bool = False
+    disarms: bool = True  # after a landing; False: as PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
     items: list[FlightItem] = field(default_factory=list)
@@ -303,7 +304,8 @@ class FlightLogic:
         landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
         landing |= self.doing is Doing.MISSION and self._item_command == LAND
         rises = self.doing is Doing.TAKE_OFF or (self._controller == "take-off" and self.interlock is not False)
-        if not (self.armed and self._stands) or (rises and not landing) or self._is_blind:
+        kept = self._is_blind or (landing and not self.disarms)
+        if not (self.armed and self._stands) or (rises and not landing) or kept:
             self._stood_since = None
         elif self._stood_since is None:
             self._stood_since = t

@@ -44,6 +44,9 @@ class OrderTaker(Protocol):
     def arm(self) -> int:
         """Start the motors."""
 
+    def disarm(self) -> int:
+        """Stop the motors; refused in the air."""
+
     def take_off(self, height: float) -> int:
         """Climb to a height in metres above the home; takes control."""
 
@@ -103,6 +106,10 @@ class SpokenVehicle:
     def arm(self) -> int:
         """Say the order to arm."""
         return self._spoken("arm")
+
+    def disarm(self) -> int:
+        """Say the order to stop the motors."""
+        return self._spoken("disarm")
 
     def take_off(self, height: float) -> int:
         """Say the height."""

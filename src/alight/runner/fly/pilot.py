@@ -17,6 +17,7 @@ from alight.landing.executive import Executive
 from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
+from alight.runner.fly.motor_stop import MotorStop
 from alight.runner.fly.near import own_way
 from alight.runner.fly.order_taker import OrderTaker
 from alight.runner.fly.orders import OrderSender
@@ -80,6 +81,7 @@ class LandingPilot:
         self._stale = k.stale
         farthest = FAR * k.search_side, k.search_height + FAR_UP
         self._sender = OrderSender(vehicle, hand, local, farthest, k.stale, lambda words: log.note("autopilot", words))
+        self._motor_stop = MotorStop(hand, lambda words: log.note("autopilot", words))
         self.pictures = PictureWatch()
         self.motion: Motion | None = None
         self._known: Motion | None = None  # that the newest situation's position is of; None: it has none
@@ -228,6 +230,7 @@ class LandingPilot:
             self._judge(self.executive.about)
         order = self.executive.tick(now)
         self._order = self._sender.obey(order, self.state, self._known, now_ns)
+        self._motor_stop.tick(self._vehicle.telemetry, now_ns)
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
         self._write_diary(now_ns)
