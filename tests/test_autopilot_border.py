@@ -386,7 +386,8 @@ def test_imu_samples_by_hand() -> None:
         mavlink.MAVLink_scaled_imu_message(1000, 0, 0, -1000, 100, 200, 300, 0, 0, 0),
         mavlink.MAVLink_raw_imu_message(1_000_000, 0, 0, -1000, 100, 200, 300, 0, 0, 0),
     ]
-    for s in fed(TelemetryEvents(LOCAL), *messages):
+    for message in messages:
+        (s,) = fed(TelemetryEvents(LOCAL), message)
         assert isinstance(s, ImuSample)
         assert s.t_ns == 1500 * MS
         assert_allclose(s.specific_force_body, [0, 0, 9.80665], atol=1e-6)

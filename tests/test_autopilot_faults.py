@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
+from length import first
 from pilot_rig import PilotRig
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from test_autopilot_protocol import long_mission, met, place, sent, stored
@@ -380,7 +381,7 @@ def lie(r: Rig, numbers: tuple[int, int, int, int]) -> Callable[[], None]:
 
 
 @BOTH
-@pytest.mark.parametrize("wild", WILD.values(), ids=WILD)
+@pytest.mark.parametrize("wild", first(2, reversed(WILD.values())), ids=reversed(WILD))
 def test_no_setpoint_is_made_of_a_place_that_cannot_be(dialect: str, wild: tuple[int, int, int, int]) -> None:
     r = flying(dialect)
     assert r.fly(FlightState.APPROACH)

@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.autopilot import Autopilot, TelemetryEvents
+from alight.autopilot import Autopilot, MissionItem, TelemetryEvents
 from alight.autopilot.framing import Framing
-from alight.records import NoticeKind
+from alight.records import NoticeKind, Place
 
 SECOND = 1_000_000_000
 
@@ -186,12 +186,32 @@ def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
         rig.ours.receive(bytes(message.pack(talker)), rig.now_ns)
 
     foreign(mavlink.MAVLink_command_ack_message(400, 4, 0, 0, 255, 190))
-    foreign(mavlink.MAVLink_mission_ack_message(255, 190, 4))
     before = rig.vehicle.clock.ours_ns(0)
     foreign(mavlink.MAVLink_timesync_message(123_456_789, rig.now_ns - 5_000_000))
     assert rig.vehicle.clock.ours_ns(0) == before
-    assert not rig.of(NoticeKind.UPLOAD)
     assert not [n for n in rig.ours.notices() if n.kind is NoticeKind.COMMAND and n.ticket == ticket and not n.ok]
+
+
+def test_mission_messages_for_another_ground_station_change_no_upload() -> None:
+    rig, items = Rig(), [MissionItem(16, (0.0,) * 4, Place(47.6, 13.4, 520.0, 20.0 + k), 6) for k in range(8)]
+    assert rig.run(5, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
+    talker, reader = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None)
+    ticket = rig.vehicle.upload(tuple(items))
+    rig.run(0.3)
+    assert rig.vehicle._transfer.active
+    for m in (
+        mavlink.MAVLink_mission_ack_message(255, 190, 4),
+        mavlink.MAVLink_mission_ack_message(255, 190, 0),
+        mavlink.MAVLink_mission_request_int_message(255, 190, 7),
+    ):
+        rig.ours.receive(bytes(m.pack(talker)), rig.now_ns)
+    rig.ours.tick(rig.now_ns)
+    sent = [m for data in rig.ours.pending() for m in reader.parse_buffer(data) or ()]
+    assert not [m for m in sent if m.get_type() in ("MISSION_ITEM_INT", "MISSION_ITEM")]
+    assert rig.vehicle._transfer.active
+    assert rig.answered(ticket, 30, NoticeKind.UPLOAD).ok
+    assert [m.seq for m in rig.sim.missions.items][-8:] == list(range(len(rig.sim.missions.items)))[-8:]
+    assert len(rig.of(NoticeKind.UPLOAD)) == 1
 
 
 HANDLED = (  # messages that are used

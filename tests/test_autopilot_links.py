@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import os
 import pty
+import select
 import socket
 import subprocess
 import threading
@@ -68,7 +69,8 @@ def test_udp_out_speaks_to_one_address_and_listens_to_no_other() -> None:
     other.sendto(b"intruder", sender)
     server.sendto(b"answer", sender)
     got: list[bytes] = []
-    while not got:
+    end = time.monotonic() + 20.0
+    while not got and time.monotonic() < end:
         got = link.read(1.0)
     assert got == [b"answer"]
     for s in (server, other):
@@ -153,6 +155,7 @@ def test_a_serial_port_that_nobody_reads_makes_nobody_wait() -> None:
     link._lock.release()
     got = b""
     while len(got) < 280 * sent:
+        assert select.select([ours], [], [], 20.0)[0]
         got += os.read(ours, 65_536)
         link.write(b"")
     assert got == (b"<" + b"x" * 278 + b">") * sent

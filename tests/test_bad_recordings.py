@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +13,9 @@ import pytest
 
 from alight.cli import call
 from alight.outputs.recorder import Recorder
-from alight.records import Event, Frame, ImuSample, NavSample
+from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.records.codec import FlightHead
-from alight.settings import ImuNoise, Settings
+from alight.settings import ImuNoise, Settings, load_settings
 from alight.sources import open_source
 
 Change = Callable[[Event], Event]
@@ -133,3 +134,45 @@ def test_a_damaged_schedule_is_said(record: Callable[..., Path], capsys: pytest.
     code, _, err = ran(path, capsys)
     assert code == 0
     assert "schedule messages: 1 left out" in err
+
+
+def test_each_message_that_is_left_out_counts(record: Callable[..., Path]) -> None:
+    source = open_source(record(of_kind(NavSample, velocity_world=np.full(3, np.nan))))
+    for _ in range(2):  # a second reading finds the same ones
+        assert sum(isinstance(e, NavSample) for e in source.events()) == 0
+    assert source.warnings == ["nav messages: 12 left out (first: number 1 of 12: velocity_world is out of range)"]
+    assert source.counts == {
+        "cameras messages": 6, "nav messages": 12, "imu messages": 60, "nav messages left out": 12, "exposures": 6,
+    }  # fmt: skip
+
+
+def test_skip_and_every_of_a_recording(record: Callable[..., Path]) -> None:
+    path = record()
+    whole = [e.t_ns for e in open_source(path).events() if isinstance(e, Frame)]
+    source = open_source(path, load_settings("", ["sources.skip=1", "sources.every=2"]))
+    assert [e.t_ns for e in source.events() if isinstance(e, Frame)] == whole[1::2]
+    assert source.length == source.counts["exposures"] == 3
+    with pytest.raises(InputError, match=r"no exposure is left; lower sources\.skip \(6\)"):
+        open_source(path, load_settings("", ["sources.skip=6"]))
+
+
+def test_the_settings_of_an_earlier_version_are_read(
+    record: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Keys that were moved are renamed, unknown ones left out; of a head that cannot be read the file is named."""
+    written = FlightHead.to_json
+
+    def earlier(head: FlightHead) -> str:
+        tree = json.loads(written(head))
+        del tree["settings"]["tuning"]
+        tree["settings"]["tracks"] = {"count": 99}
+        tree["settings"]["lander"] |= {"radius": 2.0, "wings": 2}
+        return json.dumps(tree)
+
+    monkeypatch.setattr(FlightHead, "to_json", earlier)
+    found = open_source(record()).flown_with
+    assert found is not None
+    assert (found.lander.radius, found.tuning.tracks.count) == (2.0, 99)
+    monkeypatch.setattr(FlightHead, "to_json", lambda head: "{}")
+    with pytest.raises(InputError, match=r"recording\.mcap: the recording's head is damaged"):
+        open_source(record())

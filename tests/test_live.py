@@ -16,6 +16,7 @@ import pytest
 from faulty_lanes import Fault, FaultyJudging, FaultyMapping, FaultyNavigation, IdleOrBusy
 from length import first
 from numpy.testing import assert_allclose
+from waiting import wait_until
 
 from alight.geometry import Camera
 from alight.pipeline import Decision, Pipeline, Verdict
@@ -278,8 +279,7 @@ def test_verdicts_about_a_place_fly_again_bit_for_bit(nursery: Nursery) -> None:
     places = {8: np.array([-3.7, 2.1]), 16: np.array([4.3, 1.9]), 24: None}
     for e in flight()[1]:
         if isinstance(e, Frame) and (k := stamps().index(e.t_ns)) in places:
-            while len(heard.motions) < k:
-                time.sleep(0.01)
+            wait_until(lambda: len(heard.motions) >= k)
             run.judge_now(places[k])
         run.feed(e)
     decision, schedule = run.finish(), run.schedule
@@ -304,8 +304,7 @@ def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
     )  # fmt: skip
     for e in flight()[1]:
         if e.t_ns == stamp(12) and isinstance(e, Frame):
-            while len(heard.motions) < 12:
-                time.sleep(0.01)
+            wait_until(lambda: len(heard.motions) >= 12)
             struck = time.time()
         run.feed(e)
     decision = run.finish()

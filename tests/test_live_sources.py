@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
 import pytest
+from damage import STEP, T0, change_field, write_camera, write_flight
 
 import alight_sim
 from alight.geometry import Camera
@@ -172,6 +174,39 @@ def test_a_folder_that_fills_gives_what_the_whole_log_gives(log: Path, tmp_path:
     assert any(never in w for w in source.warnings)
 
 
+def test_images_of_a_folder_that_fills_are_paired_within_half_a_period(tmp_path: Path) -> None:
+    """The right camera exposes 20 ms later, and its last image is 60 ms late, at 10 Hz."""
+    root = write_flight(tmp_path / "flight", cameras=1)
+    write_camera(root / "mav0/cam1", 6, grey=True, shift=20_000_000)
+    change_field(root / "mav0/cam1/data.csv", 7, 0, str(T0 + 5 * STEP + 60_000_000))
+    frames = [e for e in GrowingLog(root, Settings(), idle=0.01).events() if isinstance(e, Frame)]
+    assert [f.t_ns for f in frames] == [*(T0 + k * STEP for k in range(6)), T0 + 5 * STEP + 60_000_000]
+    assert [[i is not None for i in f.images] for f in frames] == [[True, True]] * 5 + [[True, False], [False, True]]
+
+
+def test_an_exposure_has_the_time_of_its_first_camera_though_that_comes_later(tmp_path: Path) -> None:
+    """At 100 Hz, the row of the left camera comes after that of the right one, which is 2 ms ahead."""
+    log = GrowingLog(write_flight(tmp_path / "flight"), Settings(), idle=0.01)
+    for k in range(4):
+        log._join(1, T0 + k * 10_000_000 - 2_000_000, f"right {k}", 0.0)
+        log._join(0, T0 + k * 10_000_000, f"left {k}", 0.0)
+    assert log._waiting == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
+
+
+def test_gps_that_comes_after_the_start_of_a_folder_is_not_used(tmp_path: Path) -> None:
+    """Its rows would be read about a place that is none."""
+    root = write_flight(tmp_path / "flight")
+    (root / "mav0/nav0").rename(tmp_path / "nav0")
+    log = GrowingLog(root, Settings(), idle=0.01)
+    (tmp_path / "nav0").rename(root / "mav0/nav0")
+    kinds = [type(e) for e in log.events()]
+    assert (kinds.count(NavSample), kinds.count(Frame)) == (0, 6)
+    assert sum("nav0 came after the start" in w for w in log.warnings) == 1
+    log = GrowingLog(root, Settings(), idle=0.01)
+    assert sum(isinstance(e, NavSample) for e in log.events()) == 12
+    assert log.warnings == []
+
+
 def test_a_folder_without_calibration_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("alight.sources.live.PATIENCE", 0.05)
     with pytest.raises(InputError, match=r"cam0/sensor\.yaml does not appear"):
@@ -232,6 +267,27 @@ def test_opencv_gives_the_frames_of_a_film(log: Path, tmp_path_factory: pytest.T
     assert len(frames) == 12
     means = [float(f.images[0].mean()) for f in frames if f.images[0] is not None]
     assert all(a < b for a, b in pairwise(means))
+
+
+@pytest.mark.parametrize(
+    ("name", "cameras"),
+    [
+        ("camera:0,camera:/dev/video2", ["camera:0", "camera:/dev/video2"]),
+        ("camera:0, video:a,b.avi", ["camera:0", "video:a,b.avi"]),
+        ("rtsp://h/s?a=1,2,rtsp://h/t", ["rtsp://h/s?a=1,2", "rtsp://h/t"]),
+        (
+            "gst:v4l2src ! video/x-raw,width=640,height=480 ! appsink,gst:v4l2src ! appsink",
+            ["gst:v4l2src ! video/x-raw,width=640,height=480 ! appsink", "gst:v4l2src ! appsink"],
+        ),
+    ],
+)
+def test_names_of_cameras_may_hold_commas(
+    name: str, cameras: list[str], log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = list[str]()
+    monkeypatch.setattr("alight.sources.live.Cameras", lambda names, rig, settings: given.extend(names) or mock.Mock())
+    open_live(name, Settings(), rig=log)
+    assert given == cameras
 
 
 @pytest.mark.parametrize(

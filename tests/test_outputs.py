@@ -17,8 +17,9 @@ import rasterio
 from some_run import CELL, GRID, LOCAL, ROWS, candidate, elevation, hazards, site, some_run
 
 from alight import outputs
-from alight.outputs import FILES, prepare_folder, read_run, world_up, write_run
+from alight.outputs import FILES, WorkFolder, prepare_folder, read_run, world_up, write_run
 from alight.outputs import atomic_write as whole
+from alight.outputs.verdict import write_judgement
 from alight.records import Datum, Flag, Hazard, HazardMap, Home, InputError, OutputError, Sites, Terrain
 from alight.settings import Settings
 
@@ -390,6 +391,19 @@ def test_without_a_place_on_earth_nothing_claims_one(tmp_path: Path) -> None:
     assert read_run(tmp_path).local is None
 
 
+def test_the_heights_name_their_zero(tmp_path: Path, out: Path) -> None:
+    write_run(some_run(georeferenced=False), tmp_path)
+    for folder, zero in ((out, "WGS84 ellipsoid"), (tmp_path, "the recording's origin")):
+        with rasterio.open(folder / "dem.tif") as d:
+            assert d.tags(1)["height_reference"] == zero
+
+
+def test_work_that_cannot_be_begun_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "unfinished-work").write_text("a file")
+    with pytest.raises(OutputError, match=r"unfinished-work: cannot be written .*choose another folder"):
+        WorkFolder(tmp_path, {}, resume=False)
+
+
 def test_a_run_is_read_back(out: Path) -> None:
     run = read_run(out)
     assert run.grid == GRID
@@ -421,6 +435,35 @@ def test_a_second_run_leaves_nothing_of_the_first(tmp_path: Path) -> None:
     assert (tmp_path / "dem.tif.aux.xml").exists()
 
 
+def test_an_old_raster_leaves_no_notes_of_gdal(tmp_path: Path) -> None:
+    """GDAL and QGIS keep statistics beside a raster; those of an earlier one say nothing of the new one."""
+    write_run(some_run(), tmp_path)
+    for name in ("dem.tif", "terrain.tif"):
+        (tmp_path / f"{name}.aux.xml").write_text("<PAMDataset>\n</PAMDataset>\n")
+    write_run(some_run(terrain=None), tmp_path)
+    assert not list(tmp_path.glob("*.aux.xml"))
+
+
+def test_a_judgement_and_a_run_leave_nothing_of_each_other(tmp_path: Path) -> None:
+    judged = some_run(source_kind="heights", georeferenced=False)
+    own = {"safe.tif", "reasons.tif", "hazards.tif", "report.html", "run.json"}
+    write_run(some_run(), tmp_path)
+    write_judgement(judged, None, False, tmp_path, False)
+    assert {p.name for p in tmp_path.iterdir()} == own
+    write_judgement(judged, None, True, tmp_path, False)
+    assert (tmp_path / "heights.tif").exists()
+    write_run(some_run(), tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {*FILES, "run.json"}
+
+
+def test_an_input_in_the_folder_of_the_results_is_refused(out: Path, tmp_path: Path) -> None:
+    before = {p.name for p in out.iterdir()}
+    with pytest.raises(OutputError, match=r"dem\.tif: lies in .*choose another folder"):
+        prepare_folder(out, inputs=[out / ".." / out.name / "dem.tif"])
+    assert {p.name for p in out.iterdir()} == before
+    prepare_folder(tmp_path / "other", inputs=[out / "dem.tif"])
+
+
 def test_somebody_elses_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(OutputError, match="--force"):
@@ -441,6 +484,53 @@ def test_an_interrupted_run_can_be_repeated(tmp_path: Path) -> None:
     (tmp_path / "dem.tif").write_text("old")
     (tmp_path / ".flags.tif.tmp").write_text("ha")
     prepare_folder(tmp_path)
+
+
+def test_files_that_appear_during_the_run_cost_nothing(tmp_path: Path) -> None:
+    prepare_folder(tmp_path)
+    (tmp_path / "note.txt").write_text("precious")
+    write_run(some_run(), tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {*FILES, "run.json", "note.txt"}
+
+
+def test_files_of_systems_make_no_folder_somebody_elses(tmp_path: Path) -> None:
+    for name in (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs000000000001", "dem.tif.aux.xml"):
+        (tmp_path / name).write_text("")
+    prepare_folder(tmp_path)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / ".DS_Store").mkdir()
+    with pytest.raises(OutputError, match="not a run's"):
+        prepare_folder(tmp_path / "other")
+
+
+def test_recordings_that_were_kept_make_no_folder_somebody_elses(tmp_path: Path) -> None:
+    for name in (".alight.lock", "recording.mcap", "recording-1.mcap"):
+        (tmp_path / name).write_text("")
+    prepare_folder(tmp_path)
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused_at_the_start(tmp_path: Path) -> None:
+    write_run(some_run(), tmp_path)
+    (tmp_path / "heights.tif").mkdir()
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match=r"heights\.tif: is a folder, .* remove it"):
+            prepare_folder(tmp_path, overwrite)
+
+
+def test_files_that_are_obstructed_cost_no_other(tmp_path: Path) -> None:
+    """Folders took the places of a file that is written, of one that is not, and of one of another command."""
+    prepare_folder(tmp_path)
+    names = {"dem.tif", "route.plan", "hazards.tif"}
+    for name in names:
+        (tmp_path / name).mkdir()
+    with pytest.raises(OutputError) as e:
+        write_run(some_run(route=None), tmp_path)
+    assert all(name in str(e.value) for name in names)
+    written = {p.name for p in tmp_path.iterdir() if p.is_file()}
+    assert written == {*FILES, "run.json"} - {*names, "route.geojson"}
+    missing = loaded(tmp_path / "run.json")["not_written"]
+    assert set(missing) == {"dem.tif", "route.plan", "route.geojson"}
+    assert "cannot be written" in missing["dem.tif"]
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:

@@ -47,3 +47,10 @@ def test_every_option_of_a_command_is_in_its_section(name: str) -> None:
 def test_a_section_names_no_option_that_no_command_has(name: str) -> None:
     known = set.union(*(options(c) for c in commands().values())) | EVERYWHERE
     assert not set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", section(name))) - known
+
+
+def test_the_readme_names_every_command_and_no_other() -> None:
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    table = readme.split("## Commands")[1].split("\n\nWhat a run writes")[0]
+    assert {name.split()[0] for name in commands()} - set(re.findall(r"`alight ([a-z]+)", table)) == set()
+    assert set(re.findall(r"`alight ([a-z]+)", readme)) <= {name.split()[0] for name in commands()}

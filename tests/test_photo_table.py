@@ -122,6 +122,28 @@ def test_what_an_altitude_is_counted_from(tmp_path: Path, main: dict[int, str], 
     assert facts(tmp_path)[0].altitude_kind == kind
 
 
+@pytest.mark.parametrize(
+    ("code", "version", "xmp", "altitude", "kind"),
+    [
+        (b"\x00", b"0300", {}, 350.0, "ellipsoid"),
+        (b"\x01", b"0300", {}, -350.0, "ellipsoid"),
+        (b"\x02", b"0300", {}, 350.0, "sea level"),
+        (b"\x03", b"0300", {}, -350.0, "sea level"),
+        (b"\x02", b"0232", {}, 350.0, "sea level"),
+        (b"\x00", b"0232", {}, 350.0, "sea level or ellipsoid: not said"),
+        (b"\x00", b"0300", {"AbsoluteAltitude": "+402.00"}, 402.0, "sea level or ellipsoid: not said"),
+    ],
+)
+def test_exif_3_says_what_an_altitude_is_counted_from(
+    tmp_path: Path, code: bytes, version: bytes, xmp: dict[str, str], altitude: float, kind: str
+) -> None:
+    """It says nothing about an altitude that is not that of EXIF."""
+    packet = d.xmp_packet(xmp) if xmp else b""
+    d.write_photo(tmp_path / "a.jpg", xmp=packet, photo=LENS | {36864: version}, gps={5: code})
+    (row,) = facts(tmp_path)
+    assert (row.altitude, row.altitude_kind) == (altitude, kind)
+
+
 def test_png_and_tiff_with_the_same_tags(tmp_path: Path) -> None:
     jpeg = d.write_photo(tmp_path / "a" / "a.jpg")
     with Image.open(jpeg) as picture:

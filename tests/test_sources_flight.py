@@ -322,6 +322,23 @@ def test_file_names_stay_in_their_folder(flight: Path) -> None:
     assert "names no file of the folder" in opened(flight).warnings[0]
 
 
+@pytest.mark.parametrize(("name", "why"), [("\u00e9" * 128, "names no file"), ("\u00e9" * 127, "the file is missing")])
+def test_the_length_of_a_file_name_is_that_of_its_bytes(flight: Path, name: str, why: str) -> None:
+    d.change_field(flight / "mav0/cam0/data.csv", 3, 1, name)
+    assert why in opened(flight).warnings[0]
+
+
+def test_a_negative_time_is_left_out(flight: Path) -> None:
+    d.change_field(flight / "mav0/nav0/data.csv", 2, 0, "-5")
+    assert "line 2: '-5' is no time in integer nanoseconds, 0 or more" in opened(flight).warnings[0]
+
+
+def test_folders_beside_the_cameras_are_none(flight: Path) -> None:
+    for name in ("cam0_old", "cam1.bak", "camera"):
+        shutil.copytree(flight / "mav0/cam0", flight / "mav0" / name)
+    assert [c.name for c in opened(flight).rig.cameras] == ["cam0", "cam1"]
+
+
 def test_imu_is_turned_into_the_body(flight: Path) -> None:
     turned = [0.0, -1, 0, 0.5, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
     d.write_yaml(flight / "mav0/imu0/sensor.yaml", {"T_BS": {"data": turned}})

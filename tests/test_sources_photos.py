@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from alight.sources.images import has_end, image_size, read_image
 from alight.sources.photo_pose import BODY_FROM_CAM
 from alight.sources.photo_tags import finite
 from alight.sources.photo_xmp import parse_xmp, salvage_xmp
+from alight.sources.photos import SECOND, _spread
 
 
 def opened(path: Path, *assignments: str) -> Source:
@@ -213,6 +214,28 @@ def test_exif_altitude_left_at_zero_by_the_maker(tmp_path: Path) -> None:
     assert of_kind(opened(tmp_path), NavSample)[0].position_world[2] == pytest.approx(45)
 
 
+def test_a_set_on_both_sides_of_longitude_180(tmp_path: Path) -> None:
+    for k, longitude in enumerate((179.9999, -179.9999, -179.9998)):
+        d.write_photo(tmp_path / f"{k}.jpg", second=f"1{k}", place=(-17.0, longitude, 350.0))
+    source = opened(tmp_path)
+    assert source.local.longitude == pytest.approx(-179.9999)
+    for nav in of_kind(source, NavSample):
+        assert np.abs(nav.position_world[:2]).max() < 25
+
+
+@pytest.mark.parametrize(
+    ("times", "spread"),
+    [
+        ([7], [7]),
+        ([0, 0, 10], [0, 5, 10]),
+        ([0, 4, 4], [0, 4, 4 + SECOND // 2]),
+        ([0, 0, 5 * SECOND, 5 * SECOND], [0, SECOND // 2, 5 * SECOND, 5 * SECOND + SECOND // 2]),
+    ],
+)
+def test_equal_times_are_spread(times: list[int], spread: list[int]) -> None:
+    assert _spread(times) == spread
+
+
 # -- order and choice
 
 
@@ -255,6 +278,49 @@ def test_the_root_of_a_memory_card(tmp_path: Path) -> None:
         d.write_photo(tmp_path / folder / "no.JPG")
     (tmp_path / "out" / "run.json").write_text("{}")
     assert names(opened(tmp_path)) == ["a.JPG", "b.JPG", "c.JPG"]
+
+
+def test_a_photo_that_links_reach_counts_once(tmp_path: Path) -> None:
+    """A link to a folder, one to a photo, and one that leads back to the set."""
+    d.write_photo(tmp_path / "b/x.JPG", second="10")
+    d.write_photo(tmp_path / "b/y.JPG", second="12")
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "x.JPG").symlink_to(tmp_path / "b/x.JPG")
+    (tmp_path / "b/c").symlink_to(tmp_path)
+    (tmp_path / "z.JPG").symlink_to(tmp_path / "z.JPG")  # a link to itself is no photo
+    source = opened(tmp_path)
+    assert names(source) == ["x.JPG", "y.JPG"]
+    assert source.counts["photos"] == 3
+
+
+def test_a_folder_without_permission_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`lost+found` of a card is one."""
+    (tmp_path / "card/lost+found").mkdir(parents=True)
+    inside = Path.iterdir
+
+    def iterdir(path: Path) -> Iterator[Path]:
+        if path.name == "lost+found":
+            raise PermissionError(13, "Permission denied", str(path))
+        return inside(path)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    with pytest.raises(InputError, match=r"nothing usable in it \(no permission to read lost\+found\); looked for"):
+        opened(tmp_path / "card")
+    d.write_photos(tmp_path / "card", 2)
+    source = opened(tmp_path / "card")
+    assert source.length == 2
+    assert source.warnings == ["no permission to read lost+found: photos in there are left out"]
+
+
+def test_unreadable_photos_of_equal_names_are_as_many(tmp_path: Path) -> None:
+    d.write_photos(tmp_path, 2)
+    for folder in ("101", "102"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "x.JPG").write_bytes(b"no picture")
+    source = opened(tmp_path)
+    assert source.warnings == ["photos: 2 of 4 left out (first: 101/x.JPG: it is no image)"]
+    assert source.counts["photos left out"] == 2
+    assert [p.name for p in source.photos if p.left_out] == ["101/x.JPG", "102/x.JPG"]
 
 
 def test_skip_and_every(photos: Path) -> None:
@@ -630,6 +696,13 @@ def test_the_unit_of_the_factory_focal_length(
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(FACTORY | changes, d.PIX4D), photo=photo)
     lens = opened(tmp_path).rig.cameras[0].camera
     assert (lens.fu, lens.cu, lens.cv) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("kind", ["Perspective", "PERSPECTIVE", "perspective"])
+def test_the_kind_of_lens_is_read_without_case(tmp_path: Path, kind: str) -> None:
+    sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4}
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(FACTORY | {"ModelType": kind}, d.PIX4D), photo=sensor)
+    assert opened(tmp_path).notes["focal_from"] == "factory calibration (Camera tags)"
 
 
 def fisheye(scale: float, polynomial: Sequence[float], angle: F64) -> F64:

@@ -141,6 +141,22 @@ def test_frames_are_taken_by_distance_and_know_their_place(tmp_path: Path) -> No
     assert source.digest() == open_source(tmp_path / "DJI_0001.mp4").digest()
 
 
+def test_a_video_with_heights_above_take_off_alone_says_so(tmp_path: Path) -> None:
+    path = write_video(tmp_path)
+    telemetry = path.with_suffix(".SRT")
+    telemetry.write_text(re.sub(r" abs_alt: [-\d.]+", "", telemetry.read_text()))
+    source = open_source(path)
+    assert source.warnings == [
+        "no photo says its altitude: the height above take-off is used, heights above the sea are not known"
+    ]
+    assert {p.altitude_kind for p in source.photos} == {"not said"}
+    nav, frames = events(source)
+    assert len(frames) == len(nav) == source.length
+    for sample in nav:
+        assert sample.position_world is not None
+        assert sample.position_world[2] == pytest.approx(UP, abs=0.01)
+
+
 def test_a_video_that_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(b"no film")

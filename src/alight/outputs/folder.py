@@ -178,7 +178,12 @@ def _is_ours(folder: Path) -> bool:
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
     there = [p for p in folder.iterdir() if not _is_by_others(p)]
     began = not there or any(p.name == LOCK or p.name.endswith(".tmp") for p in there)
-    return is_run(folder) or (began and all(is_work(p) or (p.name in known and p.is_file()) for p in there))
+    return is_run(folder) or (began and all(is_work(p) or (_is_named(p, known) and p.is_file()) for p in there))
+
+
+def _is_named(path: Path, known: Collection[str]) -> bool:
+    """True if a file has a known name, or is a recording that a later run has kept (`recorder.make_room`)."""
+    return path.name in known or fnmatchcase(path.name, "recording-*.mcap")
 
 
 def _is_by_others(path: Path) -> bool:
@@ -241,8 +246,7 @@ def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = 
 def _is_of_gdal(path: Path) -> bool:
     """True if a file holds what GDAL or QGIS noted about a raster: statistics, colours, names."""
     try:
-        with path.open("rb") as file:
-            return b"<PAMDataset" in file.read(200)
+        return path.is_file() and b"<PAMDataset" in path.read_bytes()[:200]
     except OSError:
         return False
 
@@ -307,7 +311,7 @@ class _Writer:
 
 def write_folder(
     files: Contents, info: Callable[[Mapping[str, str]], dict[str, Any]], out: Path, overwrite: bool = False,
-    keep: Collection[str] = (),
+    inputs: Sequence[Path] = (),
 ) -> list[Path]:  # fmt: skip
     """Write a folder, each file whole or not at all, run.json last; return the files written.
 
@@ -321,16 +325,16 @@ def write_folder(
         info: makes run.json from the missing files and their reasons.
         out: the folder.
         overwrite: even where it holds other files.
-        keep: names of files that this run does not write, and which stay.
+        inputs: files that were read, and which may not lie in the folder.
 
     Raises:
         OutputError: see `prepare_folder`; or the disk is full, with the names of the files that are missing.
     """
-    prepare_folder(out, overwrite)
+    prepare_folder(out, overwrite, inputs)
     _remove(out / RUN_JSON)
     writer, missing = _Writer(out), dict[str, str]()
     for name in (*FILES, *JUDGEMENT_FILES):
-        if name not in files and name not in keep:
+        if name not in files:
             writer.remove(name)
     for name, made in files.items():
         if isinstance(made, str):

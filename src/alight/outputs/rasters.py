@@ -14,7 +14,7 @@ from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
 
 from alight.arrays import F32
-from alight.geometry import Grid, LocalFrame, ellipsoid_fall, world_up
+from alight.geometry import Grid, LocalFrame, ellipsoid_fall
 from alight.records import REFUSED, Datum, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
 from alight.report.words import FLAGS, HAZARDS

@@ -130,7 +130,7 @@ class GrowingLog(CalibratedFolder):
                 yield Frame(t_ns, images, next(n for n in names if n))
 
     def _join(self, camera: int, t_ns: int, name: str, now: float) -> None:
-        """Put an image to the waiting exposure of its time, else to the nearest one within half a period."""
+        """Add an image to the waiting exposure of its time, else to the nearest one within half a period."""
         if camera == 0:
             self._stamps.append(t_ns)
         steps = np.abs(np.diff(np.array(self._stamps, np.int64)))

@@ -34,6 +34,7 @@ class GroundRaster:
     crs: CRS | None  # None: the raster has none, metres are assumed
     image: U8 | None  # (f R, f C) or (f R, f C, 3), f = 1, 2, 4, ... pixels a cell
     warnings: tuple[str, ...]
+    files: tuple[Path, ...]  # that were read
 
 
 def open_raster(path: Path) -> Any:
@@ -100,6 +101,14 @@ def _band(path: Path, dataset: Any, band: int) -> F32:
     return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
+def _metres_of(given: str) -> float | None:
+    """The number of `--sigma`, metres; None: it names a raster."""
+    try:
+        return float(given)
+    except ValueError:
+        return None
+
+
 def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None]:
     """Sigma of every cell: a number, a raster, the heights' own second band, or the usual one, with a warning."""
     if given is None and own is not None:
@@ -107,9 +116,8 @@ def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tupl
     if given is None:
         say = f"no sigma given: {usual:g} m is taken for every height; P(safe) is no better than that (--sigma)"
         return np.full(grid.shape, usual, np.float32), say
-    try:
-        value = float(given)
-    except ValueError:
+    value = _metres_of(given)
+    if value is None:
         return _sigma_raster(Path(given), grid), None
     if not 0 <= value < LARGEST_SIGMA:
         raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")
@@ -181,7 +189,9 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
     doubts += [say for say in (doubt, suspect) if say]
     pixels = None if image is None else _image(image, grid)
-    return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts))
+    files = [path, *([Path(sigma)] if sigma is not None and _metres_of(sigma) is None else [])]
+    files += [] if image is None else [image]
+    return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts), tuple(files))
 
 
 def _as_map(grid: Grid, height: F32, sigma: F32, known: NDArray[np.bool_], image: U8 | None) -> ElevationMap:
