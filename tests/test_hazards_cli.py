@@ -10,8 +10,10 @@ import pytest
 import rasterio
 from numpy.testing import assert_allclose
 
+import alight
 from alight.cli import call
-from alight.records import Hazard
+from alight.records import Hazard, OutputError
+from alight.sources.raster import read_ground
 
 UTM = "EPSG:32610"
 
@@ -152,6 +154,26 @@ def test_what_does_not_fit_the_heights_is_refused(
     assert says in capsys.readouterr().err
 
 
+def test_an_input_among_the_results_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dem, out = write(tmp_path / "dem.tif", rock()), tmp_path / "out"
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--out", str(out)]) == 0
+    dem = write(out / "heights.tif", rock())
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--out", str(out)]) == 2
+    assert "heights.tif: lies in" in capsys.readouterr().err
+    with pytest.raises(OutputError, match="lies in"):
+        alight.judge(dem, sigma=0.01).save(out)
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+
+
+def test_the_files_that_were_read_are_known(tmp_path: Path) -> None:
+    """A folder of results must not hold them."""
+    dem, image = write(tmp_path / "dem.tif", rock()), write(tmp_path / "image.tif", np.zeros((81, 81), np.uint8))
+    sigma = write(tmp_path / "sigma.tif", np.full((81, 81), 0.02, np.float32))
+    assert read_ground(dem, "0.03", None, 0.05).files == (dem,)
+    assert read_ground(dem, str(sigma), image, 0.05).files == (dem, sigma, image)
+
+
 def test_gear_on_cells_too_coarse_for_it_is_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     steep = np.add.outer(np.zeros(41), 0.577 * np.arange(41)).astype(np.float32)
     dem, out = write(tmp_path / "dem.tif", steep, 1.0), str(tmp_path / "out")
@@ -160,3 +182,11 @@ def test_gear_on_cells_too_coarse_for_it_is_judged(tmp_path: Path, capsys: pytes
         assert "too steep" in capsys.readouterr().out
     assert call(["hazards", str(dem), "--set", "lander.radius=0.9", "--out", out]) == 0
     assert "unknown ground within the footprint" in capsys.readouterr().out  # a single cell has no slope
+
+
+def test_a_settings_file_may_change_how_surveyed_heights_are_judged(tmp_path: Path) -> None:
+    dem, out, file = write(tmp_path / "dem.tif", rock()), tmp_path / "out", tmp_path / "settings.yaml"
+    file.write_text("tuning: {hazards: {smoothed: true, tilt_sigma: 0.01}}\n")
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--settings", str(file), "--out", str(out)]) == 0
+    stored = json.loads((out / "run.json").read_text())["settings"]["tuning"]["hazards"]
+    assert (stored["smoothed"], stored["tilt_sigma"], stored["noise_length"]) == (True, 0.01, 0.4)

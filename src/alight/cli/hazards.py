@@ -77,9 +77,9 @@ def judge_raster(
     from alight.runner import judge
     from alight.sources.raster import read_ground
 
-    chosen = read_settings(settings, [*judge.SURVEYED, *_lander(lander), *(assign or ())])
+    chosen = judge.for_surveyed_heights(read_settings(settings, [*_lander(lander), *(assign or ())]))
     ground = read_ground(dem, sigma, image, chosen.hazards.usual_sigma)
-    prepare_folder(out, force)
+    prepare_folder(out, force, ground.files)
     with progress_bar() as tell:
         tell("judging", 0.0)
         judgement = judge.judge_ground(ground, chosen, dem.name)

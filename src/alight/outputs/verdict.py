@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,6 @@ from alight.outputs.folder import NO_PLACE, Contents, write_folder
 from alight.records import ElevationMap, Hazard, HazardMap, RunResult, Sites
 
 log = logging.getLogger(__name__)
-
-INPUTS = ("dem.tif", "ortho.tif")  # rasters of a run in the same folder: the heights and the image may be these
 
 
 def _findings(h: HazardMap) -> rasters.RasterFile:
@@ -93,7 +91,9 @@ def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
     }
 
 
-def write_judgement(result: RunResult, crs: CRS | None, sharpened: bool, out: Path, overwrite: bool) -> list[Path]:
+def write_judgement(
+    result: RunResult, crs: CRS | None, sharpened: bool, out: Path, overwrite: bool, inputs: Sequence[Path] = ()
+) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json, each whole or not at all.
 
     `heights.tif` is added where an image made the heights finer.
@@ -102,4 +102,4 @@ def write_judgement(result: RunResult, crs: CRS | None, sharpened: bool, out: Pa
         OutputError: see `folder.write_folder`.
     """
     contents = _contents(result, crs, sharpened)
-    return write_folder(contents, lambda missing: _summary(result, crs, missing), out, overwrite, keep=INPUTS)
+    return write_folder(contents, lambda missing: _summary(result, crs, missing), out, overwrite, inputs)

@@ -38,10 +38,11 @@ class Judgement:
     result: RunResult
     crs: CRS | None  # of the raster; None: metres east and north
     sharpened: bool  # an image made the heights finer
+    inputs: tuple[Path, ...]  # files that were read
 
     def save(self, out: Path, overwrite: bool = False) -> list[Path]:
         """Write the folder of files; see `outputs.verdict.write_judgement`."""
-        return write_judgement(self.result, self.crs, self.sharpened, out, overwrite)
+        return write_judgement(self.result, self.crs, self.sharpened, out, overwrite, self.inputs)
 
 
 def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
@@ -73,4 +74,4 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgeme
         warnings=warnings,
         timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
     )
-    return Judgement(result, ground.crs, elevation is not ground.elevation)
+    return Judgement(result, ground.crs, elevation is not ground.elevation, ground.files)
