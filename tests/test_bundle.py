@@ -518,6 +518,21 @@ def test_a_readout_that_the_maker_tells_is_held(small: Scene, readout: float) ->
     assert (misfit(out) < 0.45) == (readout > 0)
 
 
+def test_a_readout_that_the_maker_tells_counts_with_a_held_lens_too(small: Scene) -> None:
+    """The calibration is held, and its readout with it: rows are exposed one after the other."""
+    seconds = BETWEEN * np.arange(len(small.centres))
+    seen = rolled(small, velocity_of(small, seconds) * READOUT, np.zeros((len(seconds), 2, 3)))
+    out = solve_bundle(
+        seen.observations, seen.pairs, told(seen, sigma=0.1, readout=READOUT, lens="held"),
+        BundleSettings.model_validate({"lens": "held"}), seconds=seconds,
+    )  # fmt: skip
+    assert out is not None
+    lenses = out.priors.lenses.moved(out.state.lens)
+    assert lenses.readouts == (READOUT,)
+    assert lenses.cameras == (CAMERA,)
+    assert misfit(out) < 0.45
+
+
 def test_rows_that_are_exposed_at_once_stay_so(small: Scene) -> None:
     """A readout that fits only noise is rejected, and no turns are estimated."""
     seconds = BETWEEN * np.arange(len(small.centres))

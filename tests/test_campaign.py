@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from length import long
+from length import first, long
 
 import alight
 from alight.cli import call
+from alight.cli import campaign as campaign_command
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
@@ -87,12 +88,19 @@ def raises(vehicle: SteeredFlight, *_: object) -> Landing:
     raise ArithmeticError("the world\nended")
 
 
+def tell_to_die(path: Path, seed: int, times: int) -> None:
+    """Write the file of `dies_once` as a whole: another process may be reading it."""
+    fresh = path.with_name(f"{path.name}.{os.getpid()}")
+    fresh.write_text(f"{seed} {times}")
+    os.replace(fresh, path)
+
+
 def dies_once(vehicle: SteeredFlight, *others: object) -> Landing:
     """Kill the process that flies the landing of one seed, as often as a file states; fly the other landings."""
     told = Path(os.environ["ALIGHT_TEST_DIES"])
     seed, times = (int(v) for v in told.read_text().split())
     if vehicle.seed == seed and times:
-        told.write_text(f"{seed} {times - 1}")
+        tell_to_die(told, seed, times - 1)
         os.kill(os.getpid(), signal.SIGKILL)
     return lands(vehicle, *others)  # type: ignore[arg-type]
 
@@ -228,6 +236,42 @@ def test_what_is_done_is_not_flown_again(tmp_path: Path) -> None:
     assert wanted_landings(tmp_path / "out", None) == 5  # named scenes again: no campaign shrinks by that
     assert wanted_landings(tmp_path / "out", 7) == 7
     assert wanted_landings(tmp_path / "other", None) == 20
+
+
+def test_a_campaign_does_not_shrink(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, out = scene(tmp_path), tmp_path / "out"
+    fly_campaign(small([name], 3), out, fly=lands)
+    for more in ([name], []):
+        assert call(["campaign", *more, "--landings", "2", "--out", str(out)]) == 2
+        assert "its campaign has 3 landings" in capsys.readouterr().err
+    planned = list[Campaign]()
+    monkeypatch.setattr(runner, "fly_campaign", lambda campaign, *_: planned.append(campaign))
+    for folder in (out, tmp_path / "new"):
+        alight.campaign([name], folder)
+    assert [c.landings for c in planned] == [3, 20]
+
+
+def test_a_campaign_needs_a_scene(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="without scenes"):
+        alight.campaign([], tmp_path / "out")
+
+
+def test_a_campaign_that_cannot_be_written_on_reports_what_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, append = tmp_path / "out", CampaignFolder.append
+
+    def full(self: CampaignFolder, record: LandingRecord, picture: bytes | None = None) -> None:
+        if record.number == 2:
+            raise OutputError("the disk is full")
+        append(self, record, picture)
+
+    monkeypatch.setattr(CampaignFolder, "append", full)
+    with pytest.raises(OutputError, match="the disk is full"):
+        fly_campaign(small([scene(tmp_path)]), out, fly=lands)
+    assert "Two landings" in (out / "campaign.html").read_text()
 
 
 def test_an_interrupted_campaign_reports_what_there_is(tmp_path: Path) -> None:
@@ -547,10 +591,10 @@ def test_a_real_landing_on_concrete() -> None:
 def deadly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], object]:
     """Return a function that lets the process that flies a seed die so many times."""
     monkeypatch.setenv("ALIGHT_TEST_DIES", str(tmp_path / "dies"))
-    return lambda seed, times: (tmp_path / "dies").write_text(f"{seed} {times}")
+    return lambda seed, times: tell_to_die(tmp_path / "dies", seed, times)
 
 
-@pytest.mark.parametrize("times", [1, 9])
+@pytest.mark.parametrize("times", first(1, [1, 9]))
 def test_a_killed_process_loses_nothing(deadly: Callable[[int, int], object], tmp_path: Path, times: int) -> None:
     campaign = small([scene(tmp_path)], 3)
     second = conditions_of(campaign.scenes, campaign.seed, 1).flight_seed
@@ -712,6 +756,13 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
     assert capsys.readouterr().err.endswith(f"landing 0 is not as in {out}: verdicts\n")
     assert call(["campaign", "--out", str(out), "--only", "5"]) == 3
     assert "was not compared" in capsys.readouterr().err
+    assert call(["campaign", name, "--out", str(tmp_path / "typo"), "--only", "0"]) == 3
+    assert capsys.readouterr().err.endswith(f"was not compared: {tmp_path / 'typo'}: holds no campaign\n")
+
+
+def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]) -> None:
+    campaign_command._tell(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
+    assert "P(safe) > 0.999" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

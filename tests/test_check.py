@@ -433,6 +433,8 @@ def test_the_command_prints_a_line_each_and_returns_3(flight: Path, capsys: pyte
     assert {frozenset(r) for r in records} == {frozenset(("name", "verdict", "evidence", "mend"))}
     assert {r["verdict"] for r in records} <= {"good", "bad", "cannot tell"}
     assert call(["check", str(flight / "nowhere")]) == 2
+    with pytest.raises(InputError, match=r"none\.yaml"):
+        alight.check(flight, settings={"sources.calibration": "none.yaml"})
 
 
 # -- recordings of others

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import builtins
+import errno
+import io
 import logging
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -43,6 +47,14 @@ def alight(*arguments: str | Path, **more: object) -> subprocess.CompletedProces
         (["demo", "--seed", "-1"], "--seed"),
         (["evaluate", "nowhere"], "Missing option '--truth'"),
         (["evaluate", "nowhere", "--truth", "nowhere"], "nowhere: no finished run here"),
+        (["terrain"], "Missing command; see 'alight terrain --help'"),
+        (["terrain", "test", "--leave-out"], "--leave-out needs FOLDER"),
+        (["terrain", "test", "f", "--leave-out", "--model", "m.npz"], "--leave-out trains models of its own"),
+        (["live", "camera:0", "--rig", "rig", "--speed", "2", "--out", "out"], "--speed: is of a flight log"),
+        (["live", "folder", "--follow", "--speed", "2", "--out", "out"], "--speed: is of a flight log"),
+        (["live", "camera:0", "--rig", "rig", "--follow", "--out", "out"], "--follow: is for a folder"),
+        (["live", "folder", "--rig", "rig", "--out", "out"], "--rig: is for cameras"),
+        (["fly", "--link", "udp::1", "--camera", "folder", "--rig", "rig", "--out", "out"], "--rig: is for cameras"),
         (["settings", "--set", "lander"], "--set takes key=value"),
         (["settings", "--set", "lander.wings=2"], "lander.wings: unknown key"),
         (["settings", "--set", "lander.radius=-2"], "lander.radius: "),
@@ -199,6 +211,62 @@ def test_the_folder_for_the_results_is_looked_at_before_the_work(flight: Path, t
         m.setattr(replay, "replay", lambda *_: pytest.fail("the work was begun"))
         assert cli.call(["run", str(flight), "--out", str(tmp_path / "out")]) == 2
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["thesis.tex"]
+
+
+def test_an_input_in_the_folder_for_the_results_is_refused_before_the_work(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    write_run(some_run(), out)
+    path = (out / "trajectory.tum").read_bytes()
+    assert cli.call(["run", str(flight), "--poses", str(out / "trajectory.tum"), "--out", str(out)]) == 2
+    assert f"{out / 'trajectory.tum'}: lies in {out}" in capsys.readouterr().err
+    assert (out / "trajectory.tum").read_bytes() == path
+
+
+class _Broken(io.StringIO):
+    """A stream that cannot be written."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self._number = number
+
+    def flush(self) -> None:
+        raise OSError(self._number, os.strerror(self._number))  # a BrokenPipeError for EPIPE
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EPIPE])
+def test_lines_that_stderr_does_not_take_cost_no_results(
+    number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    found(monkeypatch, warnings=["one photo cannot be read"])
+    monkeypatch.setattr(sys, "stderr", _Broken(number))
+    assert cli.call(["run", "any", "--out", str(tmp_path / "out")]) == 0
+    first, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("SITE  ")
+    assert last == f"report: {tmp_path / 'out' / 'report.html'}"
+    assert (tmp_path / "out" / "run.json").exists()
+
+
+def test_a_site_is_never_certain(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    found(monkeypatch, sites=Sites((replace(site(), p_safe=0.99999),)))
+    assert cli.call(["run", "any", "--out", str(tmp_path / "out")]) == 0
+    assert "P(safe) > 0.999  (1 site)" in capsys.readouterr().out
+
+
+def test_ctrl_c_while_the_program_is_imported_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(name: str, *more: object) -> object:
+        if name.startswith("alight.cli"):
+            raise KeyboardInterrupt
+        return imported(name, *more)
+
+    imported = builtins.__import__
+    monkeypatch.setattr(builtins, "__import__", interrupted)
+    with pytest.raises((SystemExit, KeyboardInterrupt)) as ended:
+        runpy.run_path(str(cli.__file__))
+    assert ended.value.args == (130,)
 
 
 def test_a_defect_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:

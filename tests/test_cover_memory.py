@@ -86,3 +86,13 @@ def test_land_cover_without_probabilities_passes() -> None:
     memory = CoverMemory().with_seen(look(0.4, 0.2), 0)
     assert memory.with_seen(plain, 1) is memory
     assert memory.doubted(plain) is plain
+
+
+def test_an_earlier_look_fades_alike_however_often_a_map_is_made() -> None:
+    novelty = []
+    for count in (1, 4, 60):
+        memory = CoverMemory().with_seen(look(0.4, 0.2), 0)
+        for k in range(1, count + 1):
+            memory = memory.with_seen(look(np.nan, np.nan), round(k * FADES / count * SECOND))
+        novelty.append(float(memory.novelty[0, 0]))
+    assert novelty == pytest.approx([0.4, 0.4, 0.4])  # twice in 60 s

@@ -65,3 +65,8 @@ def test_the_pixel_that_settles_is_the_largest_with_which_quiet_ground_is_sure_e
 
     assert expected(pixel) <= -SETTLED * math.log(settings.p_safe) < expected(1.3 * pixel)
     assert 0.05 < pixel / limit < 1.0
+
+
+def test_without_a_least_probability_any_pixel_settles() -> None:
+    settings = HazardsSettings(p_safe=0.0)
+    assert pixel_that_settles(read_detection(), Lander(), settings) == pytest.approx(2.0 * Lander().max_roughness)

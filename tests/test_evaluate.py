@@ -346,6 +346,22 @@ def test_photos_against_their_reference(tmp_path: Path) -> None:
     assert found.values["camera centres compared"] == "6 of 6"
 
 
+def test_photos_of_an_unknown_height_are_compared_all_the_same(tmp_path: Path) -> None:
+    run = a_run()
+    assert run.elevation is not None
+    grid, rng = run.elevation.grid, np.random.default_rng(4)
+    write_run(replace(run, height_above_ground=None), tmp_path / "out")
+    xy = rng.uniform([grid.east + 1, grid.north - 28.9], [grid.east + 28.9, grid.north - 1], (500, 2))
+    np.savez(
+        tmp_path / "sfm_reference.npz", origin_llh=[LATITUDE, LONGITUDE, HEIGHT], points_enu=np.c_[xy, 0.05 * xy[:, 0]],
+        points_track=np.full(500, 4), points_err=np.full(500, 0.5), centers_enu=rng.uniform(0, 30, (50, 3)),
+    )  # fmt: skip
+    found = evaluate(tmp_path / "out", tmp_path)
+    assert np.isnan(number(found, "height above ground, m"))
+    assert np.isnan(number(found, "off by more than 1 % of height and given out, % of all points"))
+    assert number(found, "NMAD less a plane, m") >= 0.0
+
+
 def test_a_reference_that_is_none_or_of_another_place(tmp_path: Path) -> None:
     write_run(a_run(), tmp_path / "out")
     path = tmp_path / "sfm_reference.npz"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,11 +15,14 @@ from alight.autopilot import Setpoint
 from alight.cli import call
 from alight.geometry import Pose, so3_exp
 from alight.records import FlightMode
+from alight.runner.fly import follow
 from alight.runner.fly.follow import VehicleFollower
 from alight.settings import Settings
 from alight.sources.flight_log import CalibratedFolder
+from alight_sim import rehearsal, steered
 from alight_sim.followed import FollowedCameras, ReportedPlace, ReportedTrack
 from alight_sim.rehearsal import CameraFolder
+from alight_sim.steered import touchdown
 
 SIZE, RATE = (80, 60), 4.0
 
@@ -40,6 +45,23 @@ def test_a_track_goes_through_its_reports_and_bends_between_them() -> None:
         R, place = track.at(t * 1e9)
         np.testing.assert_allclose(place, reported(t).position, atol=1e-5)
         np.testing.assert_allclose(R, so3_exp([0.0, 0.3 * t, 0.0]), atol=1e-9)
+
+
+def test_the_printed_commands_can_be_pasted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, said = tmp_path / "my pictures", list[str]()
+    monkeypatch.setattr(follow, "open_link", lambda *_, **__: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(follow, "_follow", lambda *_: None)
+    cameras = FollowedCameras("concrete", 3, size=SIZE, rate_hz=RATE, start=(-20.0, -12.0))
+    follow.follow_vehicle("link", cameras, folder, 1.0, said.append)
+    assert said == [f"ready: alight fly --link LINK --camera '{folder}' --out OUT --take-off 30"]
+    quick = SimpleNamespace(wait=lambda *_: None, server=SimpleNamespace(behind=0.0))
+    monkeypatch.setattr(rehearsal, "Rehearsal", lambda *_: nullcontext(quick))
+    monkeypatch.setattr(steered, "SteeredFlight", lambda *_, **__: None)
+    monkeypatch.setattr(touchdown, "judge_flight", lambda *_: None)
+    assert call(["rehearse", "concrete", "--folder", str(folder)]) == 0
+    assert f"--camera '{folder}' --out OUT\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("dialect", ["ardupilot", "px4"])

@@ -13,7 +13,8 @@ from scipy.special import ndtr
 
 from alight.hazards import assess
 from alight.hazards.footprint import feet_of, is_coarse
-from alight.records import Hazard, HazardMap, Terrain
+from alight.hazards.usable_heights import measured_height, usable_height
+from alight.records import Flag, Hazard, HazardMap, Terrain
 from alight.settings import HazardsSettings, Lander
 
 EXACT, MATCHED = HazardsSettings(tilt_sigma=0.0, smoothed=False), HazardsSettings()
@@ -98,3 +99,56 @@ def test_the_margin_of_the_belly_is_in_the_probability_of_matched_heights() -> N
     assert matched.reasons[30, 30] == Hazard.DOUBT
     high = assess(e, cover, lander.model_copy(update={"belly_clearance": 0.6}), MATCHED)
     assert high.p_relief[30, 30] > ndtr(3.0)
+
+
+def over_a_bump(top: float, width: float, lander: Lander) -> HazardMap:
+    """Judge a round bump of this height under the belly, matched from near by; `width`: metres, 1-sigma."""
+    shape, cell = (121, 121), 0.03
+    r, c = np.mgrid[:121, :121] - 60
+    away = np.hypot(r - 12, c - 5) * cell
+    z = np.random.default_rng(0).normal(0, 0.003, shape) + top * np.exp(-0.5 * (away / width) ** 2)
+    e = ground(z, cell=cell, sigma=0.005, rgb=textured((150, 140, 120), shape, 0.03, 1))
+    e = replace(e, sampling=np.full(shape, 0.03, np.float32), fine_sampling=np.full(shape, 0.015, np.float32))
+    return assess(e, covered(e, 0.999, Terrain.PAVED), lander, MATCHED)
+
+
+@pytest.mark.parametrize(("clearance", "top", "width", "safe"), [(0.1, 0.09, 0.06, False), (0.3, 0.16, 0.2, True)])
+def test_evidence_of_obstacles_is_over_the_clearance_of_the_belly(
+    clearance: float, top: float, width: float, safe: bool
+) -> None:
+    lander = Lander(radius=0.9, feet=square(0.6), foot_radius=0.05, belly_clearance=clearance)
+    h = over_a_bump(top, width, lander)
+    assert (h.p_obstacle[60, 60] > 0.95) == safe
+    same = over_a_bump(top, width, lander.model_copy(update={"max_roughness": clearance}))
+    assert_allclose(h.p_safe, same.p_safe)
+
+
+def test_doubtful_heights_agree_by_the_clearance_of_the_belly() -> None:
+    e = ground(np.zeros((41, 41)), sigma=0.1)
+    e.flags[20, 10:30] = Flag.AMBIGUOUS
+    e.height[20, 10:30] = 0.04
+    low, high = (Lander(feet=square(0.6), belly_clearance=k) for k in (0.06, 0.2))
+    assert np.isnan(usable_height(e, low, EXACT)[20, 10:30]).all()
+    assert np.isfinite(usable_height(e, high, EXACT)[20, 10:30]).all()
+    assert np.isnan(measured_height(e, low, MATCHED)[5, 5])  # vague: a sigma above 1.5 times the clearance
+    assert measured_height(e, high, MATCHED)[5, 5] == 0.0
+
+
+@pytest.mark.parametrize("headings", [1, 2, 4, 8])
+@pytest.mark.parametrize("skids", [(0.5, 0.5), (0.9, 0.7), (0.3, 0.5)])
+def test_skids_that_cells_round_do_not_level_a_plane(skids: tuple[float, float], headings: int) -> None:
+    for azimuth in np.radians([0.0, 35.0, 90.0, 150.0]):
+        z = math.tan(math.radians(12)) * plane(41, 41, math.sin(azimuth), math.cos(azimuth))
+        h = assess(ground(z), None, Lander(radius=0.6, skids=skids, headings=headings), EXACT)
+        assert h.slope[20, 20] > 0.97 * math.radians(12)
+        assert Hazard.SLOPE in Hazard(int(h.reasons[20, 20]))
+
+
+def test_a_belly_on_skids_narrower_than_a_cell_is_kept_clear() -> None:
+    z = np.zeros((41, 41))
+    z[20, 22] = 0.3
+    lander = Lander(radius=0.9, skids=(0.14, 0.12), belly_clearance=0.2)
+    h = assess(ground(z, cell=0.2), None, lander, EXACT)
+    assert is_coarse(lander, 0.2)
+    assert Hazard.CLEARANCE in Hazard(int(h.reasons[20, 20]))
+    assert Hazard.CLEARANCE not in Hazard(int(h.reasons[20, 30]))

@@ -176,7 +176,7 @@ def resting_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> float:
     rows = []
     for side, sign in ((0, 1), (1, -1)):
         for i, (dr, dc) in enumerate(s.offsets[0, side]):
-            xy = s.along[i] * s.axes[0] + sign * s.gauge / 2 * left
+            xy = s.along[0, i] * s.axes[0] + sign * s.gauge[0] / 2 * left
             rows.append([*xy, h[r + dr, c + dc] / CELL])
     A = np.array(rows)
     got = linprog(
@@ -212,14 +212,14 @@ def brute_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> tuple[float, f
         if (under < 0).any() or (under >= SHAPE).any() or np.isnan(h[under[..., 0], under[..., 1]]).any():
             return math.nan, math.nan
         rails = h[under[..., 0], under[..., 1]].astype(np.float64) / CELL
-        sums, places = (rails[0][:, None] + rails[1]).ravel(), (s.along[:, None] + s.along).ravel()
+        sums, places = (rails[0][:, None] + rails[1]).ravel(), (s.along[k][:, None] + s.along[k]).ravel()
         A = -np.column_stack([np.ones(len(sums)), places])  # height over the middle + pitch * place >= sum
         rest = linprog([1, 0], A_ub=A, b_ub=-sums, bounds=[(None, None)] * 2).fun
         ends = [linprog([0, w], A_ub=A, b_ub=-sums, bounds=[(None, rest + 1e-7), (None, None)]).x[1] for w in (1, -1)]
         steep = []
         for pitch in ends:
-            over = (rails - pitch * s.along).max(axis=1)
-            roll = (over[0] - over[1]) / s.gauge
+            over = (rails - pitch * s.along[k]).max(axis=1)
+            roll = (over[0] - over[1]) / s.gauge[k]
             steep.append((abs(pitch), abs(roll)))
             plane = over.mean() + (pitch * ax + roll * ay) * (cc - c) + (pitch * ay - roll * ax) * (rr - r)
             rises.append(np.nanmax(h[rr, cc] - plane * CELL))

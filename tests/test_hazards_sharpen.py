@@ -8,10 +8,12 @@ import pytest
 from ground import ground
 from numpy.testing import assert_allclose
 
+from alight.hazards import assess
 from alight.hazards.footprint_kernels import cast_shadows
 from alight.hazards.sharpen import _spread, coarsen, sharpen
 from alight.hazards.sunlight import find_light, gradients, in_shadow, shadow_level
 from alight.records import Flag
+from alight.settings import HazardsSettings, Lander
 from alight.settings.tuning.hazards import SharpenTuning
 
 TUNING = SharpenTuning()
@@ -137,3 +139,11 @@ def test_an_image_of_another_size_is_refused() -> None:
     for shape in ((40, 41), (20, 20), (60, 60)):
         with pytest.raises(ValueError, match="same extent"):
             sharpen(e, np.zeros(shape, np.uint8), TUNING)
+
+
+def test_finer_heights_that_count_as_smoothed_are_judged() -> None:
+    z = domes(1)
+    finer = sharpen(ground(coarsen(z, 2), 0.2, sigma=0.002), photograph(z), TUNING)
+    assert finer is not None
+    assert_allclose(finer.sampling, np.full(z.shape, 0.2))
+    assert np.isfinite(assess(finer, None, Lander(radius=1.0), HazardsSettings()).p_safe[40:-40, 40:-40]).all()

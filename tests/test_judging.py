@@ -39,6 +39,7 @@ def test_the_observer_is_the_vehicle_with_the_cameras_of_the_newest_instant(
     who = observer(seen)
     assert (who.focal, who.stereo, who.height_above_ground) == (500.0, stereo, 8.0)
     np.testing.assert_array_equal(who.position, [1.0, 2.0, 9.0])
+    assert observer(replace(seen, views=())) is None  # at the end of a flight no camera may look down
 
 
 def test_the_next_look_is_that_of_the_first_candidate_that_has_one_while_there_is_no_site() -> None:

@@ -274,7 +274,7 @@ def test_preintegration_is_that_of_numpy() -> None:
     pieces = segments(ImuBuffer(some), 1_000_000, 104_000_000)
     m = preintegrate(pieces, bias[:3], bias[3:], noise)
     R, v, p, J, C = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 6)), np.zeros((9, 9))
-    for t, since, rates in zip(pieces.dt, pieces.interval, pieces.rates, strict=True):
+    for t, interval, since, rates in zip(pieces.dt, pieces.interval, pieces.since, pieces.rates, strict=True):
         w, a = rates[:3] - bias[:3], rates[3:] - bias[3:]
         half = so3_exp(w * t / 2)
         middle = R @ half
@@ -283,11 +283,12 @@ def test_preintegration_is_that_of_numpy() -> None:
         A[3:6, :3], A[6:, :3], A[6:, 3:6] = force @ half.T, force @ half.T * t / 2, np.eye(3) * t
         B[:3, :3] = (np.eye(3) - W / 2 + W @ W / 6) * t
         B[3:6, :3], B[6:, :3], B[3:6, 3:], B[6:, 3:] = force * t / 2, force * t * t / 4, middle * t, middle * t * t / 2
-        gap = since > 0.05
+        gap = interval > 0.05
         wandered = noise.angular_acceleration_sigma**2 * (since**3 - (since - t) ** 3) / (3.0 * t**2)
         gyro = noise.gyro_noise**2 / t + gap * min(wandered, 2.0 * 0.5**2 * 0.25 / t)
         accelerometer = noise.accelerometer_noise**2 / t + gap * noise.acceleration_sigma**2 / t
         J, C = A @ J - B, A @ C @ A.T + B @ np.diag(np.repeat([gyro, accelerometer], 3)) @ B.T
+        C[6:, 6:] += np.eye(3) * accelerometer * t**4 / 12
         dv = middle @ a * t
         R, p, v = middle @ half, p + (v + dv / 2) * t, v + dv
     assert m.dt == pytest.approx(0.103)

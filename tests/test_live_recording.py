@@ -11,13 +11,19 @@ import sys
 import time
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from some_run import some_run
+from waiting import wait_until
 
 import alight_sim
+from alight.cli import call
 from alight.geometry import Camera
-from alight.outputs.recorder import Recorder
+from alight.outputs import write_run
+from alight.outputs.folder_lock import release_folder
+from alight.outputs.recorder import Recorder, make_room
 from alight.records import (
     Event,
     Frame,
@@ -31,7 +37,8 @@ from alight.records import (
     Schedule,
 )
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
-from alight.runner.live import Capacity, Listener, Live
+from alight.runner import replay
+from alight.runner.live import Capacity, Listener, Live, run
 from alight.runner.live.stream_clock import Clocks, StreamClock
 from alight.settings import load_settings
 from alight.sources import open_source
@@ -189,6 +196,61 @@ def test_a_folder_that_cannot_be_written_says_so(tmp_path: Path) -> None:
         Recorder(tmp_path / "none" / "recording.mcap", head())
 
 
+# -- recordings of earlier runs in the folder
+
+
+def test_only_the_recording_of_a_finished_run_makes_room(tmp_path: Path) -> None:
+    path = tmp_path / "recording.mcap"
+    assert make_room(path) is None
+    for k in (1, 2):
+        path.write_bytes(b"flight %d" % k)
+        assert make_room(path) == tmp_path / f"recording-{k}.mcap"
+        assert (tmp_path / f"recording-{k}.mcap").read_bytes() == b"flight %d" % k
+    write_run(some_run(), tmp_path, overwrite=True)
+    source = tmp_path.with_name("elsewhere.mcap")
+    source.write_bytes(b"precious")
+    path.symlink_to(source)
+    assert make_room(path) is None
+    assert not path.exists()
+    assert not (tmp_path / "run.json").exists()  # or it would stand beside the recording of a run that does not end
+    assert source.read_bytes() == b"precious"
+
+
+def test_a_live_run_keeps_the_recording_of_one_that_crashed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(run.compiled, "is_warm", lambda: True)
+    monkeypatch.setattr(run, "Live", lambda *_, **__: SimpleNamespace(close=lambda: None))
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in (".alight.lock", "recording.mcap"):
+        (out / name).write_bytes(b"1")
+    run.LiveRun(flight()[0], out, load_settings()).close()
+    release_folder(out)
+    assert (out / "recording-1.mcap").read_bytes() == b"1"
+    assert (out / "recording.mcap").stat().st_size > 100
+    assert "is kept as recording-1.mcap" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["live", "run"])
+def test_a_recording_is_not_flown_into_its_own_folder(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run.compiled, "is_warm", lambda: True)
+    for module, work in ((run, "Live"), (replay, "replay")):
+        monkeypatch.setattr(module, work, lambda *_, **__: pytest.fail("the work was begun"))
+    write_run(some_run(), tmp_path / "out")
+    path = tmp_path / "out" / "recording.mcap"
+    recorder = Recorder(path, head())
+    recorder.event(next(e for e in flight()[1] if isinstance(e, Frame)))
+    recorder.close()
+    before = path.read_bytes()
+    assert call([name, str(path), "--force", "--out", str(tmp_path / "out")]) == 2
+    assert f"{path}: lies in " in capsys.readouterr().err
+    assert path.read_bytes() == before
+    assert (tmp_path / "out" / "run.json").exists()
+
+
 # -- the command
 
 
@@ -243,8 +305,8 @@ def test_ctrl_c_ends_the_flight_and_keeps_its_results(log: Path, tmp_path: Path)
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
     )  # fmt: skip
     path = out / "recording.mcap"
-    while not (path.exists() and path.stat().st_size > 8 * 115_000):
-        time.sleep(0.05)
+    wait_until(lambda: run.poll() is not None or (path.exists() and path.stat().st_size > 8 * 115_000))
+    assert run.poll() is None
     run.send_signal(signal.SIGINT)
     _, said = run.communicate(timeout=120)
     assert run.returncode == 0, said

@@ -103,6 +103,18 @@ def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
     assert max(normalised) < 4.0
 
 
+def test_noise_of_the_gyro_does_not_tell_the_time_offset() -> None:
+    """A flight that hardly turns: each exposure's own error of the rate tells nothing, and the claim allows for it."""
+    f = PointFlight(seed=2, seconds=6.0, count=40, time_offset=0.02)
+    found = RollbackFilter(RIG, NOISE.model_copy(update={"time_offset_sigma": 0.03}))
+    fed(found, f.events)
+    state = found.state
+    assert state is not None
+    sigma = float(np.sqrt(state.P[TIME, TIME][0, 0]))
+    assert sigma < 0.008
+    assert abs(float(state.core[TIME][0]) - 0.02) < 2.0 * sigma
+
+
 def test_a_pose_at_another_time_agrees_with_differences() -> None:
     """The derivative of a clone by the time offset is the negative derivative of the pose by time."""
     rng = np.random.default_rng(0)

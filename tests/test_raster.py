@@ -112,7 +112,7 @@ def test_morphology_is_scipys_with_the_same_element() -> None:
     values = noise(seed=4)
     assert_array_equal(raster.local_max(values, 2), ndimage.grey_dilation(values, footprint=element, mode="reflect"))
     closing = ndimage.grey_closing(values, footprint=element)
-    assert_array_equal(raster.fill_pits(values, 2)[inside], closing[inside])
+    assert_array_equal(raster.fill_pits(values, 5)[inside], closing[inside])
 
 
 def test_specks_are_dropped_by_their_area() -> None:

@@ -15,7 +15,9 @@ import pytest
 from some_run import CELL, GRID, candidate, elevation, hazards, site, some_run
 
 from alight.records import Flag, Hazard, NextView, RunResult, Sites
+from alight.records.executive import FlightDiary, LookPicture, LookRecord
 from alight.report import canvas, facts, figures, maps, paint, render, words
+from alight.report.film import film
 from alight.settings import load_settings
 
 VOID = {"meta", "image", "circle", "line", "path"}
@@ -345,9 +347,25 @@ def test_no_chance_is_certain() -> None:
     assert words.chance(0.99) == "99.0 %"
 
 
+@pytest.mark.parametrize(("p", "text"), [(0.62, "0.620"), (0.9994, "0.999"), (0.9996, "> 0.999"), (1.0, "> 0.999")])
+def test_p_safe_is_never_rounded_up_to_1(p: float, text: str) -> None:
+    assert words.p_safe(p) == text
+
+
+def test_a_look_of_the_film_is_never_certain() -> None:
+    photo = np.full((8, 8, 3), 90, np.uint8)
+    look = LookPicture(LookRecord(1.0, (0.0, 0.0, 0.0), 6.0, "site", 1.0), photo, np.ones((8, 8), np.float32), 2.0)
+    (figure,) = film(some_run(diary=FlightDiary([], [look.look], [look])))
+    assert figure.caption == "at 1 s: site, P(safe) > 0.999"
+
+
 @pytest.mark.parametrize(
-    ("value", "text"), [(76e-6, "76 µs"), (0.0042, "4.2 ms"), (1.25, "1.25 s"), (125.0, "2 min 5 s")]
-)
+    ("value", "text"),
+    [
+        (76e-6, "76 µs"), (0.00099999, "1 ms"), (0.0042, "4.2 ms"), (0.9999, "1 s"), (1.25, "1.25 s"),
+        (99.7, "1 min 40 s"), (119.7, "2 min 0 s"), (125.0, "2 min 5 s"),
+    ],
+)  # fmt: skip
 def test_seconds(value: float, text: str) -> None:
     assert words.seconds(value) == text
 

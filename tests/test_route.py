@@ -176,3 +176,12 @@ def test_no_line_leads_down_with_the_wind_from_behind() -> None:
         for a, b in pairwise(got.waypoints):
             way = b.position_world - a.position_world
             assert way[2] > -0.1 or np.hypot(*way[:2]) < 0.1 or wind[0] < 2.0
+
+
+@pytest.mark.parametrize("clearance", [0.01, 0.1, 0.24])
+def test_a_clearance_below_half_a_cell_is_a_way_one_cell_wide(clearance: float) -> None:
+    settings = SETTINGS.model_copy(update={"clearance": clearance})
+    e, start = ground(np.zeros((101, 101)), cell=0.5), np.array([5.0, 5.0, 30.0])
+    got = route.plan_route(site(30.0, 25.0), e, start, settings)
+    assert [w.name for w in got.waypoints] == ["start", "approach", "inspect", "touchdown"]
+    assert got.warnings == ()

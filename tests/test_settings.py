@@ -11,7 +11,7 @@ import yaml
 from pydantic import ValidationError
 
 import alight
-from alight.settings import ImuNoise, Settings, load_settings, settings_of_run, settings_page
+from alight.settings import ImuNoise, Settings, load_settings, settings_of_keys, settings_of_run, settings_page
 from alight.settings.keys import all_keys, user_keys
 
 # keys of users before the tuning had a group of its own
@@ -136,6 +136,20 @@ def test_assignments_win_over_the_file_and_the_last_over_the_first() -> None:
     s = load_settings(text, ["parallax.cell=0.2", "parallax.cell=0.3", "lander.radius=2"])
     assert (s.parallax.cell, s.parallax.store_mb, s.lander.radius) == (0.3, 90, 2.0)
     assert s.parallax.method == "batch"  # keys that are not named keep their defaults
+
+
+def test_a_group_leaves_its_other_keys_as_they_are() -> None:
+    s = load_settings("lander: {radius: 0.8}", ["lander={max_roughness: 0.1}"])
+    assert (s.lander.radius, s.lander.max_roughness) == (0.8, 0.1)
+    for given in (
+        {"parallax.quality": "fine", "parallax": {"cell": 0.1}},
+        {"parallax": {"cell": 0.1}, "parallax.quality": "fine"},
+    ):
+        s = settings_of_keys(given)
+        assert (s.parallax.quality, s.parallax.cell) == ("fine", 0.1)
+    s = settings_of_keys({"motion.filter.time_offset": 0.1, "motion": {"filter": {"time_offset_sigma": 0.2}}})
+    assert (s.motion.filter.time_offset, s.motion.filter.time_offset_sigma) == (0.1, 0.2)
+    assert settings_of_keys({"lander": {"radius": 2.0}, "lander.radius": 3.0}).lander.radius == 3.0  # the last wins
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import yaml
 from rich.console import Console
 
+import alight_sim
 from alight import cli
 from alight.cli.simulate import PICTURE, blocks
 from alight.evaluation.flight import read_flight_truth
@@ -139,6 +141,7 @@ def test_a_scene_that_cannot_be_flown_is_told_in_one_line(
         (["demo", "--out", "x", "--set", "flight"], "--set takes key=value, got 'flight'"),
         (["demo", "--out", "x", "--set", "flight.wings=2"], "flight.wings: there is no such key"),
         (["demo", "--out", "x", "--set", "ground.relief.99.height=2"], "does not fit the scene"),
+        (["demo", "--out", "x", "--set", "flight.height=[1"], "--set flight.height=[1: not valid YAML"),
         (["demo", "--out", "x", "--height", "-3"], "flight.height: "),
         (["demo", "--out", "x", "--seed", "-3"], "--seed"),
     ],
@@ -153,6 +156,18 @@ def test_a_mistake_on_the_line_is_told_in_one_line(
     monkeypatch.chdir(tmp_path)
     assert words in refused(["simulate", *arguments], capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_printed_command_can_be_pasted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown = SimpleNamespace(rig=SimpleNamespace(cameras=[0]), seconds=1.0, length=2)
+    monkeypatch.setattr(alight_sim, "fly", lambda *_: flown)
+    monkeypatch.setattr(alight_sim, "write", lambda *_, **__: None)
+    out = tmp_path / "my flight"
+    assert cli.call(["simulate", "demo", "--out", str(out)]) == 0
+    go_on = capsys.readouterr().out.splitlines()[1].partition("go on:  ")[2]
+    assert go_on == f"alight run '{out}' --out '{out}-run' && alight evaluate '{out}-run' --truth '{out}'"
 
 
 def test_the_seed_draws_what_a_family_of_scenes_leaves_open() -> None:

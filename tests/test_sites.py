@@ -15,7 +15,7 @@ from alight.landing import sites
 from alight.landing.next_view import Observer, next_view
 from alight.landing.reserve import Reserve
 from alight.raster import clearance_of
-from alight.records import ElevationMap, Hazard, HazardMap, NextView, Sites, Terrain, TerrainMap
+from alight.records import ElevationMap, Flag, Hazard, HazardMap, NextView, Sites, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander, SitesSettings
 
 LANDER = Lander(radius=1.0)
@@ -307,3 +307,38 @@ def test_terms_that_a_user_adds_move_the_choice_and_their_gaps_refuse() -> None:
     assert first(east) < 3.0
     assert first(-east) > 12.0
     assert math.isnan(first(np.full_like(east, np.nan)))
+
+
+def test_a_small_footprint_on_doubtful_ground_has_a_height() -> None:
+    """A plain gap between trusted cells is bridged (G0); the footprint of a small lander may lie in it."""
+    e, lander = ground(np.full((41, 41), 2.0), sigma=0.01), Lander(radius=0.3)
+    e.flags[14:27, 14:27] = Flag.TEXTURE
+    e = replace(e, sigma=np.where(e.trusted, e.sigma, np.float32(0.005)))
+    h = assess(e, None, lander, EXACT)
+    middle = np.zeros(h.reasons.shape, np.bool_)
+    middle[20, 20] = True
+    reasons = np.where(middle, h.reasons, np.uint16(Hazard.SLOPE))
+    h = replace(h, reasons=reasons, clearance=np.full_like(h.clearance, 2.0))
+    (found,) = sites.choose_sites(h, None, e, SitesSettings(), lander).sites
+    assert_allclose((found.up, found.height_sigma), (2.0, 0.005), atol=1e-6)
+
+
+def test_a_height_may_lie_just_beyond_the_footprint_on_finer_cells() -> None:
+    fine = ground(np.full((80, 80), 2.0), cell=0.05)
+    fine.height[30:50, 30:50] = np.nan
+    fine.height[40, 40] = 3.0
+    judged = replace(ground(np.full((20, 20), 2.0), cell=0.2), grid=fine.grid.coarser(4))
+    h, lander = assess(judged, None, Lander(radius=0.4), EXACT), Lander(radius=0.05)
+    only = np.where(np.arange(400).reshape(20, 20) == 210, 0, int(Hazard.SLOPE)).astype(np.uint16)  # row 10, column 10
+    (found,) = sites.choose_sites(
+        replace(h, reasons=only, clearance=np.full_like(h.clearance, 2.0)), None, fine, SitesSettings(), lander
+    ).sites
+    assert found.up == 3.0
+
+
+def test_no_site_on_coarser_cells_than_the_heights_comes_with_its_reason() -> None:
+    fine, lander = ground(np.zeros((80, 80)), cell=0.05), Lander(radius=1.0)
+    judged = replace(ground(plane(40, 40, 0.5, 0.0)), grid=fine.grid.coarser(2))
+    found = sites.choose_sites(assess(judged, None, lander, EXACT), None, fine, SitesSettings(), lander)
+    assert found.sites == ()
+    assert "too steep" in found.reason

@@ -16,6 +16,7 @@ from alight.records import ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander, TerrainSettings
 from alight.terrain import classify, open_water
 from alight.terrain.appearance import appearance
+from alight.terrain.classify import without_pits
 from alight.terrain.relief import ground_under, open_to_rim, relief, standing_water
 from alight.terrain.water import WaterSigns, flooded, wetness
 
@@ -283,3 +284,37 @@ def test_a_car_park_on_a_slope_is_no_pond() -> None:
     assert not water(0.08, moving=0.1).any()
     assert water(0.0, moving=0.1)[slab].mean() > 0.5
     assert water(0.08, moving=0.8)[slab].mean() > 0.5
+
+
+def test_ground_without_any_picture_may_be_anything_and_is_no_site() -> None:
+    gap = (slice(60, 180), slice(60, 180))
+    rgb = textured(GREEN, SHAPE, 0.05, 1)
+    rgb[gap] = 0
+    e = ground(noise(0.002), sigma=0.005, rgb=rgb)
+    t, lander = classify(e, SETTINGS), Lander(radius=1.0)
+    assert t.bears is not None
+    assert t.novelty is not None
+    assert (t.bears[gap] == 0.5).all()
+    assert (t.novelty[gap] == 20.0).all()
+    assert assess(e, t, lander, HazardsSettings()).p_ground[120, 120] < 0.1
+    assert np.isfinite(t.bears[:60]).all()
+    assert (t.novelty[:50] < 20.0).all()
+
+
+@pytest.mark.parametrize(("cell", "widest"), [(0.1, 3), (0.12, 2), (0.15, 2), (0.2, 1), (0.25, 1), (0.4, 0)])
+def test_refused_ground_of_up_to_a_third_of_a_metre_is_left_to_the_geometry(cell: float, widest: int) -> None:
+    for width in (1, 2, 3, 4):
+        share = np.ones((41, 41), np.float32)
+        share[:, 20 : 20 + width] = 0.1
+        share[10:14] = np.minimum(share[10:14], 0.2)  # wide: it stays
+        left = without_pits(share, cell)
+        assert (left[25] < 0.5).sum() == (0 if width <= widest else width)
+        assert (left[11:13] < 0.5).all()
+        assert (left[15:30, :18] == 1.0).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 50), (50, 1), (2, 3), (1, 1)])
+def test_a_map_of_few_rows_is_classified(shape: tuple[int, int]) -> None:
+    t = classify(ground(np.zeros(shape), cell=0.2, sigma=0.01), SETTINGS)
+    assert t.novelty is not None
+    assert t.novelty.shape == shape

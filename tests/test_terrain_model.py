@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from PIL import Image
 
+import alight
 from alight.cli import call
 from alight.records import LANDABLE, InputError, Terrain
 from alight.settings import TerrainSettings
@@ -23,7 +24,7 @@ from alight.terrain.features import against, appearance_features, frame_of, leve
 from alight.terrain.model import Model, distance, log_probability, standardised
 from alight.training.confusion import Confusion
 from alight.training.patches import LabelledPatch
-from alight.training.train import elsewhere, judge_patches, train
+from alight.training.train import UNTESTED, elsewhere, judge_patches, judge_pixels, train
 
 LOOKS = {  # colour, contrast, size of the grain in pixels
     Terrain.BARE: ((160, 140, 110), 0.04, 1.0),
@@ -233,6 +234,7 @@ def test_pictures_with_a_label_a_pixel_are_judged_too(tmp_path: Path, capsys: py
     assert [n for n, _, _ in read_labelled(tmp_path)] == ["x"]
     assert call(["terrain", "test", str(tmp_path)]) == 0
     assert "tree" in capsys.readouterr().out
+    assert set(alight.evaluate_appearance(tmp_path).kinds.tolist()) == {int(Terrain.BARE), int(Terrain.TREE)}
     Image.fromarray(label[:50]).save(tmp_path / "labels" / "x.png")
     with pytest.raises(InputError, match="one grey value a pixel"):
         list(read_labelled(tmp_path))
@@ -267,3 +269,32 @@ def test_the_library_is_judged_as_well_as_claimed(shared_data: Path, every: int)
     assert result.accuracy() > 0.5
     assert result.hazards_called_safe(0.5) < 0.20
     assert result.safe_refused(0.5) < 0.35
+
+
+def coarser(site: str, sampling: float) -> list[LabelledPatch]:
+    """Return the patches of one site with pixels that cover more ground."""
+    return [replace(p, sampling=sampling) for p in patches((site,))]
+
+
+def test_a_site_too_coarse_for_a_level_is_left_out_of_its_test() -> None:
+    one, two = patches(("a",)), patches(("a", "b"))
+    assert set(elsewhere([*two, *coarser("c", 0.2)]).sites) == {"a", "b"}
+    assert set(elsewhere([*one, *coarser("c", 0.2)]).sites) == {"a", "c"}  # at the level that both can fill
+    with pytest.raises(ValueError, match="two sites"):
+        elsewhere([*coarser("a", 0.5), *coarser("b", 0.9)])
+    made, tested = train([*one, *coarser("c", 0.2)])
+    assert tested is not None
+    assert made.heads[0] is not None
+    assert made.heads[0].temperature == UNTESTED
+
+
+def test_pictures_too_coarse_for_a_model_are_refused(model: Model) -> None:
+    with pytest.raises(InputError, match=r"too coarse for this model: a pixel must be smaller than 0\.54 m"):
+        judge_patches(model, coarser("a", 0.9))
+    rgb, label = picture(Terrain.TREE, 0, side=200), np.full((200, 200), int(Terrain.TREE), np.uint8)
+    with pytest.raises(InputError, match="too coarse"):
+        judge_pixels(model, [("a", rgb, label)], 0.9)
+    with pytest.raises(InputError, match="no pixel of the labels has a class"):
+        judge_pixels(model, [("a", rgb, 0 * label)], 0.1)
+    with pytest.raises(InputError, match="too coarse"):
+        elsewhere([*coarser("a", 0.9), *coarser("b", 0.9)])

@@ -10,7 +10,7 @@ from alight.geometry import Camera, Pose, so3_exp
 from alight.records import Frame, Prediction, Rig, RigCamera
 from alight.settings import TracksSettings as Settings
 from alight.tracks import Tracker, corner_response, detect_corners, epipolar_distance, inverse_depth
-from alight.tracks.global_alignment import likely_turns
+from alight.tracks.global_alignment import likely_turns, relocate
 from alight.tracks.lens import Lens
 from alight.tracks.patches import GroundPlane, patch_warps
 
@@ -178,6 +178,15 @@ def test_half_a_turn_that_nobody_predicted_is_found(ground: np.ndarray) -> None:
     both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
     assert len(both) > 20
     assert np.median(np.abs(second.pixels[b, 0] - carried(first.pixels[a, 0], there, here))) < 0.15
+
+
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_a_shift_is_found_by_the_image_however_few_the_features(count: int) -> None:
+    rng = np.random.default_rng(0)
+    then = cv2.GaussianBlur(rng.integers(0, 255, (480, 640)).astype(np.uint8), (0, 0), 3)
+    then = cv2.normalize(then, np.empty_like(then), 0, 255, cv2.NORM_MINMAX)
+    now, pixels = np.roll(then, (12, 9), (0, 1)), rng.uniform(100, 380, (count, 2)).astype(np.float32)
+    np.testing.assert_allclose(relocate(then, now, pixels, (0.0,)) - pixels, np.tile([9.0, 12.0], (count, 1)), atol=0.5)
 
 
 def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None:

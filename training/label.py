@@ -31,7 +31,7 @@ from alight.outputs import Run, read_run
 from alight.records import Frame
 from alight.settings import Settings
 from alight.sources import open_source
-from alight.sources.photos import find_photos
+from alight.sources.photo_finding import find_photos
 
 TEMPLATE = Path(__file__).with_name("label_page.html")
 GREEN, RED, ORANGE, MAGENTA = (40, 200, 40), (230, 40, 40), (255, 160, 0), (220, 60, 220)
@@ -58,7 +58,7 @@ def page(folder: Path, only: list[str]) -> str:
     times = photo_times(folder)
     if unknown := sorted(set(only) - set(times)):
         raise ValueError(f"{folder}: no photo {', '.join(unknown)}")
-    files = {p.name: p for p in find_photos(folder) if p.name in times and (not only or p.name in only)}
+    files = {p.name: p for p in find_photos(folder).files if p.name in times and (not only or p.name in only)}
     lens = open_source(folder, Settings()).rig.cameras[0].camera
     data = {
         "set": folder.parent.name if folder.name == "images" else folder.name,

@@ -26,7 +26,7 @@ from scipy.special import ndtr
 
 from alight.arrays import F64, Mask
 from alight.hazards.assessment import evidence
-from alight.hazards.factors import deviation_hazards, soft_ground_hazards
+from alight.hazards.factors import with_floors
 from alight.learned import Rate, rate_bytes
 from alight.learned.terms import NEAR_TERMS
 from alight.settings import Settings
@@ -107,7 +107,7 @@ def claimed(rates: dict[str, Rate], s: NearSample) -> F64:
     """P(safe) of the cells of a sample, without straight ridges (G7i), which no term holds."""
     values = {t: s.terms[:, k].astype(np.float32) for k, t in enumerate(NEAR_TERMS)}
     obstacle, ground = (np.exp(rates[what].log_rate(values)) for what in WHAT)
-    obstacle, ground = np.maximum(obstacle, deviation_hazards(values)), np.maximum(ground, soft_ground_hazards(values))
+    obstacle, ground = with_floors(obstacle, ground, values)
     return np.asarray(s.tilt * np.exp(-obstacle - ground), np.float64)
 
 

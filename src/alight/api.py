@@ -1,17 +1,18 @@
-"""The functions of `import alight`: each command of the command line is one of them."""
+"""The functions of `import alight`, one a command; `live`, `fly`, `rehearse` and `settings` are commands only."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from alight.documents import DocumentError, read_text
+from alight.documents import DocumentError, parse_json, read_text
 from alight.records import SettingsError
 from alight.result import Result
-from alight.settings import Lander, Settings, load_settings
+from alight.settings import Lander, Settings, load_settings, settings_of_keys
+from alight.settings.base import FrozenModel
 
 if TYPE_CHECKING:
     from alight.checks import CheckResult
@@ -61,9 +62,28 @@ def settings_of(settings: SettingsLike = None, lander: Lander | None = None) -> 
 
 
 def _of_mapping(given: Mapping[str, Any]) -> Settings:
+    """Settings from keys; values may be models, paths, and scalars and arrays of NumPy, too."""
+    return settings_of_keys({str(key): _plain_value(str(key), value) for key, value in given.items()})
+
+
+def _plain_value(key: str, value: Any) -> Any:
     import json
 
-    return load_settings("", [f"{k}={json.dumps(v)}" for k, v in given.items()])
+    try:
+        return parse_json(json.dumps(value, default=_plain))
+    except (TypeError, ValueError, RecursionError) as e:
+        raise SettingsError(f"{key}: {e}; give a number, a word, a list or a mapping of keys") from e
+
+
+def _plain(value: Any) -> Any:
+    """Return a value that JSON has no form for in words, numbers, lists and mappings."""
+    if isinstance(value, FrozenModel):
+        return value.model_dump(mode="json", exclude_unset=True)
+    if isinstance(value, PurePath):
+        return str(value)
+    if hasattr(value, "tolist"):  # NumPy, which is not imported here
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__} is no value of a setting")
 
 
 def _text(path: Path) -> str:
@@ -90,7 +110,8 @@ def run(
     Args:
         source: a folder (flight log or photos), an opened source, or a simulated flight.
         lander: the aircraft's footprint and limits; wins over `settings`.
-        settings: a `Settings` model, a mapping of keys, or the name of a YAML file.
+        settings: a `Settings` model, a mapping of keys, or the name of a YAML file. None, and no `lander`: the
+            defaults, or those of the flight where its recording is run.
         poses: `truth`, or a TUM file of body poses in ENU, instead of the estimated motion.
         prior_dem: heights from elsewhere, to begin the search with and to compare with.
         home: place where the vehicle that flies the route is armed: `LAT,LON,ALT_MSL`, with `geoid`, or with the
@@ -105,13 +126,14 @@ def run(
     """
     from alight.outputs import FileStore
     from alight.runner.home import known_home, with_home
-    from alight.runner.replay import prior_heights, replay
+    from alight.runner.replay import prior_heights, replay, settings_for
     from alight.runner.work import cluster_jobs
     from alight.sources import open_source
 
     chosen = settings_of(settings, lander)
     armed_at = known_home(home, None if geoid is None else Path(geoid))
     recording = open_source(Path(source), chosen) if isinstance(source, str | Path) else source
+    chosen = settings_for(recording, chosen)
     prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
     store = FileStore(Path(tempfile.gettempdir()))
     with single_threaded_algebra(), closing(store), cluster_jobs(scheduler) as jobs:
@@ -180,36 +202,43 @@ def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
         return compare(Path(folder), Path(truth))
 
 
-def check(source: str | Path | Source, *, seconds: float = 10.0, start: float = 0.0) -> list[CheckResult]:
+def check(
+    source: str | Path | Source, *, seconds: float = 10.0, start: float = 0.0, settings: SettingsLike = None
+) -> list[CheckResult]:
     """Check the rig of a flight log or a recording: each result has a name, a verdict, the evidence and a remedy.
 
     Args:
         source: a flight log, a recording (.mcap), an opened source, or a simulated flight.
         seconds: length of the part that is read.
         start: s from the first exposure at which to begin.
+        settings: as for `run`; `sources.calibration` counts, and only where `source` is a name.
 
     Raises:
-        InputError: the input cannot be used, or has no exposure there.
+        InputError: the input cannot be used, is a folder of photos, or has no exposure there.
+        SettingsError: a setting cannot be used.
     """
     from alight.checks import check_source
     from alight.sources import open_source
 
     with single_threaded_algebra():
-        return check_source(open_source(source) if isinstance(source, str | Path) else source, seconds, start)
+        opened = open_source(source, settings_of(settings)) if isinstance(source, str | Path) else source
+        return check_source(opened, seconds, start)
 
 
-def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet) -> Result:
+def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet, overwrite: bool = False) -> Result:
     """Land a simulated vehicle (search, look, look again from lower down, touch down) and write the folder `out`.
 
+    An earlier run in the folder is replaced; `overwrite` writes also into a folder that holds other files.
+
     Raises:
-        OutputError: a folder cannot be written.
+        OutputError: the folder holds other files (and not `overwrite`), or cannot be written.
     """
     from alight.runner.demo import fly_demo
 
     with single_threaded_algebra():
-        landing = fly_demo(Path(out), seed, Settings(), True, progress)
+        landing = fly_demo(Path(out), seed, Settings(), overwrite, progress)
     result = Result(landing.result)
-    result.save(out, overwrite=True)
+    result.save(out, overwrite)
     return result
 
 
@@ -217,7 +246,7 @@ def campaign(
     scenes: Sequence[str],
     out: str | Path,
     *,
-    landings: int = 20,
+    landings: int | None = None,
     seed: int = 0,
     jobs: int = 1,
     scheduler: str | None = None,
@@ -228,23 +257,24 @@ def campaign(
     Args:
         scenes: names, scene files, or `all`.
         out: folder of the campaign.
-        landings: number of landings, those that the folder holds included.
+        landings: number of landings, those that the folder holds included; None: as many as the folder's campaign was
+            begun with, or 20.
         seed: of all random numbers.
         jobs: processes of this machine.
         scheduler: address of a Dask cluster instead.
         settings: as for `run`.
 
     Raises:
-        AlightError: no such scene, or the folder is another campaign's.
+        AlightError: no such scene, or the folder is another campaign's, or has more landings.
     """
-    from alight.runner.campaign import Campaign, fly_campaign
+    from alight.runner.campaign import Campaign, fly_campaign, wanted_landings
 
-    planned = Campaign.of(scenes, landings, seed, settings_of(settings))
+    planned = Campaign.of(scenes, wanted_landings(Path(out), landings), seed, settings_of(settings))
     return fly_campaign(planned, Path(out), jobs, scheduler)
 
 
 def warmup(progress: Progress = _quiet) -> None:
-    """Compile every kernel, so that the first run does not wait for it."""
+    """Compile all loops, so that the first run does not wait for it."""
     from alight.runner import demo as shown
 
     with single_threaded_algebra():
@@ -270,11 +300,15 @@ def evaluate_appearance(
 ) -> Confusion:
     """Compare a model of appearance (default: the package's own) with labelled pictures; return the confusion matrix.
 
+    Args:
+        folder: pictures by class, or `images/` with `labels/`.
+        model: a trained model; None: the package's own.
+        sampling: metres a pixel, where no index.csv gives it.
+        progress: called with the stage and the share of it that is done.
+
     Raises:
         InputError: the pictures or the model cannot be used.
     """
-    from alight.sources.library import read_library, read_model
-    from alight.training.train import judge_patches
+    from alight.runner.appearance import judge_appearance
 
-    known = read_model(None if model is None else Path(model))
-    return judge_patches(known, read_library(Path(folder), sampling), lambda share: progress("testing", share))
+    return judge_appearance(Path(folder), None if model is None else Path(model), sampling, progress)

@@ -78,7 +78,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
         why = f"{100 * left:.0f} % of the flow is left: the pictures do not show level ground that stands still"
         return [mounting, *(unknown(n, why) for n in NAMES[1:])], None
     first = fits[0].fit if fits[0].name == evidence.rig.cameras[0].name else None
-    return [_tilt(mounting, fits, motion), _offset(fits, motion), _focal(fits, motion)], first
+    return [_tilt(mounting, fits), _offset(fits, motion), _focal(fits)], first
 
 
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
@@ -127,7 +127,7 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
     return None
 
 
-def _tilt(mounting: CheckResult, fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
+def _tilt(mounting: CheckResult, fits: list[CameraMotion]) -> CheckResult:
     """Check the mountings for errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
@@ -180,7 +180,7 @@ def _offset(fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
     return good(name, evidence)
 
 
-def _focal(fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
+def _focal(fits: list[CameraMotion]) -> CheckResult:
     name = NAMES[2]
     parts = [(f.name, f.fit.parameters[FOCAL], f.fit.sigma[FOCAL], f.predicted.focal) for f in fits]
     evidence = "; ".join(

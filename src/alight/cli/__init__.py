@@ -5,8 +5,11 @@ import os
 # before NumPy is imported: the filter's matrices are small, and several threads spend their time waiting
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from alight.cli import campaign, check, fly, hazards, live, runs, simulate, terrain
-from alight.cli.app import call, main, progress_bar, read_settings
+try:
+    from alight.cli import campaign, check, fly, hazards, live, runs, simulate, terrain
+    from alight.cli.app import call, main, progress_bar, read_settings
+except KeyboardInterrupt:  # Ctrl-C in the first second or two
+    raise SystemExit(130) from None
 
 __all__ = [
     "call",

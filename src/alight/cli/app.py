@@ -8,10 +8,10 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 from rich.console import Console
@@ -29,10 +29,34 @@ MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
-stderr = Console(stderr=True)
 _ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
 _unsaid: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
 _signals: list[int] = []  # received requests to end
+
+
+def _discard(stream: TextIO) -> None:
+    """Send to the null device what a stream cannot write, or the interpreter fails on it at its end."""
+    with suppress(OSError):  # it has no number
+        number = stream.fileno()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+
+
+class _Stderr(Console):
+    """Console on stderr. A closed pipe or a full disk ends no work: the lines are lost, the results are not."""
+
+    def on_broken_pipe(self) -> None:
+        """Go on without stderr: rich would end the program."""
+        _discard(sys.stderr)
+
+    def __exit__(self, exc_type: Any, exc_value: Any, traceback: Any) -> None:
+        """Write the lines; each output of rich ends here."""
+        try:
+            super().__exit__(exc_type, exc_value, traceback)
+        except OSError:
+            _discard(sys.stderr)
+
+
+stderr = _Stderr(stderr=True)
 
 
 def _speak_up(verbose: bool) -> None:
@@ -126,7 +150,10 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 
 def complain(line: str, style: str) -> None:
-    """Print one line on stderr, however long: a terminal wraps it by itself, and a log needs it whole."""
+    """Print one line on stderr, however long: a terminal wraps it by itself, and a log needs it whole.
+
+    Nothing is raised where it cannot be written.
+    """
     from alight.report.words import printable
 
     stderr.print(printable(" ".join(line.split())), style=style, markup=False, highlight=False, soft_wrap=True)
@@ -139,7 +166,7 @@ def say(line: str) -> None:
     try:
         typer.echo(printable(line))
     except OSError as e:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter fails on it at its end
+        _discard(sys.stdout)
         if not isinstance(e, BrokenPipeError):
             _unsaid.append(f"standard output: cannot be written ({e.strerror}); mend that or leave it open")
 
@@ -170,9 +197,11 @@ def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str
 
 
 def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
+    from alight.report import words
+
     return (
         f"{place([site.east, site.north, site.up])}  slope {site.slope * 57.29578:.1f} deg  "
-        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {site.p_safe:.3f}"
+        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {words.p_safe(site.p_safe)}"
     )
 
 
@@ -294,6 +323,11 @@ def main() -> None:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # a background job ignores some
             signal.signal(number, _end)
     code = call()
+    try:
+        if sys.stderr is not None:  # it was closed at the start
+            sys.stderr.flush()
+    except OSError:  # a line of the log is left
+        _discard(sys.stderr)
     for number in (signal.SIGINT, *_ENDINGS):
         signal.signal(number, signal.SIG_IGN)  # all is written: no signal can spoil the exit code any more
     sys.exit(code)

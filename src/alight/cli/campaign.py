@@ -85,18 +85,20 @@ def _again(planned: Campaign, out: Path, only: int) -> None:
     if found.differing:
         complain(f"landing {only} is not as in {out}: {', '.join(found.differing)}", "bold red")
         raise typer.Exit(WRONG)
-    if found.not_compared is not None and out.exists():
+    if found.not_compared is not None:
         complain(f"landing {only} was not compared: {found.not_compared}", "bold red")
         raise typer.Exit(WRONG)
 
 
 def _tell(ended: Ended) -> None:
     """Print a line on stderr for a landing that has ended."""
+    from alight.report.words import p_safe
+
     r = ended.record
     told = [
         f"#{r.number} {r.conditions.scene}: {r.outcome}",
         r.error or r.why if r.outcome != "landed safely" else "",
-        "" if r.p_at_commit is None else f"P(safe) {r.p_at_commit:.3f}",
+        "" if r.p_at_commit is None else f"P(safe) {p_safe(r.p_at_commit)}",
         *(f"with {f.what}" for f in r.conditions.faults if f.happened is not None),
         f"{r.seconds:.0f} s",
         f"{r.cpu_s:.0f} s of CPU",

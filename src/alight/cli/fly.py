@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from enum import StrEnum
@@ -34,6 +35,7 @@ from alight.cli.app import (
     stderr,
 )
 from alight.cli.check import WRONG
+from alight.cli.live import refuse_unused
 from alight.cli.runs import leave_result
 from alight.records import InputError
 from alight.records.executive import FlightState
@@ -85,6 +87,7 @@ def fly(
 ) -> None:
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = read_settings(settings, assign)
+    refuse_unused(camera, False, rig)
     from alight.runner.fly import FlightRequest, fly_vehicle
     from alight.runner.home import wanted_home
 
@@ -96,7 +99,7 @@ def fly(
         with Display(console=stderr, transient=True, auto_refresh=False) as display:
             outcome = fly_vehicle(
                 request, lambda status: display.update(page(status), refresh=True),
-                lambda line: stderr.print(line, markup=False, highlight=False),
+                lambda line: complain(line, "none"),
             )  # fmt: skip
     else:
         plain = _PlainPage()
@@ -157,7 +160,7 @@ def rehearse(
         steered_by="truth", radius=lander.reach,
     )  # fmt: skip
     with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
-        say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {folder} --out OUT")
+        say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {shlex.quote(str(folder))} --out OUT")
         try:
             rehearsal.wait(seconds, lambda: flight.contact is not None and not rehearsal.autopilot.logic.armed)
             rehearsal.wait(5.0)
@@ -218,7 +221,7 @@ class _PlainPage:
 
     def say(self, line: str) -> None:
         """Print one line on stderr."""
-        stderr.print(line, markup=False, highlight=False, soft_wrap=True)
+        complain(line, "none")
 
 
 def page(status: FlightStatus) -> Group:
@@ -235,6 +238,8 @@ def _unwell(checks: Sequence[CheckResult]) -> list[str]:
 
 def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
     """Name and value of each fact of the status for a person."""
+    from alight.report.words import p_safe
+
     view, heard = status.view, status.telemetry
     yield "state", status.phase if view is None else view.state.value
     if view is not None:
@@ -242,7 +247,7 @@ def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
         yield "order", view.order
         if view.place is not None:
             east, north, _ = view.place
-            yield "place", f"{view.kind} at east {east:.1f} m north {north:.1f} m, P(safe) {view.p_safe or 0.0:.3f}"
+            yield "place", f"{view.kind} at east {east:.1f} m north {north:.1f} m, P(safe) {p_safe(view.p_safe or 0.0)}"
         if view.height is not None:
             yield "height", f"{view.height:.1f} m above {'it' if view.place is not None else 'the ground'}"
         yield "motion", f"{view.situation.state.name.lower()}, newest picture {view.situation.picture_age:.1f} s old"

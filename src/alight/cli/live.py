@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -24,6 +25,30 @@ from alight.cli.app import (
     stderr,
 )
 from alight.cli.runs import leave_result
+from alight.records import InputError
+
+
+def refuse_unused(source: str, follow: bool, rig: Path | None, speed: float = 1.0) -> None:
+    """Refuse options that have no effect on this source.
+
+    Args:
+        source: a recording, a folder, or cameras.
+        follow: the folder is being filled.
+        rig: folder with the calibration of cameras.
+        speed: of a recording.
+
+    Raises:
+        InputError: the message names the option.
+    """
+    from alight.sources.capture import PREFIXES
+
+    cameras = source.startswith(PREFIXES)
+    if cameras and follow:
+        raise InputError("--follow: is for a folder that is being filled, and cameras are none; leave it out")
+    if speed != 1.0 and (cameras or follow):
+        raise InputError("--speed: is of a flight log or a recording; cameras and folders that fill have their own")
+    if rig is not None and not cameras:
+        raise InputError(f"--rig: is for cameras; {source} brings its own calibration; leave it out")
 
 
 @app.command()
@@ -55,6 +80,7 @@ def live(
 ) -> None:
     """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
     chosen = read_settings(settings, assign)
+    refuse_unused(source, follow, rig, speed)
     from alight.runner.home import flown_home, wanted_home, with_home
     from alight.runner.live.health import FlightHealth
     from alight.runner.live.run import fly_live
@@ -72,5 +98,8 @@ def live(
             if stderr.is_terminal:
                 display.update(Text(health.line), refresh=True)
 
-        result = fly_live(opened.source, opened.events, out, chosen, record, opened.real_time, force, tell)
+        inputs = [path] if (path := Path(source)).is_file() else []
+        result = fly_live(
+            opened.source, opened.events, out, chosen, record, opened.real_time, force, tell, inputs=inputs
+        )
     leave_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)

@@ -154,7 +154,7 @@ def show_settings(
 
 @app.command()
 def warmup(verbose: VerboseOption = False) -> None:
-    """Compile every kernel, so that the first run does not wait for it."""
+    """Compile all loops, so that the first run does not wait for it."""
     from alight.runner import demo as show
 
     with progress_bar() as tell:

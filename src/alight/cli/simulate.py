@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from alight.cli.app import SeedOption, VerboseOption, app, progress_bar, say
-from alight.documents import parse_yaml, read_text
+from alight.documents import DocumentError, parse_yaml, read_text
 from alight.records import InputError, SettingsError
 
 if TYPE_CHECKING:  # the simulator is slow to import, and most commands do not need it
@@ -65,7 +66,8 @@ def _make(scene: Scene, seed: int, out: Path, force: bool) -> None:
         f"{cameras} camera{'s' if cameras > 1 else ''}, truth beside them)"
     )
     results = out.with_name(f"{out.name}-run") if out.name not in ("", "..") else Path("run")
-    say(f"go on:  alight run {out} --out {results} && alight evaluate {results} --truth {out}")
+    made, found = shlex.quote(str(out)), shlex.quote(str(results))
+    say(f"go on:  alight run {made} --out {found} && alight evaluate {found} --truth {made}")
 
 
 def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
@@ -106,12 +108,16 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
     key, sep, value = assignment.partition("=")
     if not sep or not all(part.strip() for part in key.split(".")):
         raise SettingsError(f"--set takes key=value, got {assignment!r}")
+    try:
+        wanted = parse_yaml(value)
+    except DocumentError as e:
+        raise SettingsError(f"--set {assignment}: {e}") from e
     *path, last = key.strip().split(".")
     at: Any = tree
     try:
         for part in path:
             at = at[_item(part)] if isinstance(at, list) else at.setdefault(part, {})
-        at[_item(last) if isinstance(at, list) else last] = parse_yaml(value)
+        at[_item(last) if isinstance(at, list) else last] = wanted
     except (ValueError, IndexError, TypeError, AttributeError) as e:
         raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
 

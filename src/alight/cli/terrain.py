@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,7 @@ from alight.records import InputError
 if TYPE_CHECKING:
     from alight.training.confusion import Confusion
 
-terrain = typer.Typer(no_args_is_help=True, help="Train and test the model of what ground looks like.")
+terrain = typer.Typer(help="Train and test the model of what ground looks like.")
 app.add_typer(terrain, name="terrain")
 
 SamplingOption = Annotated[
@@ -54,35 +55,28 @@ def tell_how_well(
     verbose: VerboseOption = False,
 ) -> None:
     """Print the confusion matrix of a model, by site. Without FOLDER: the provenance of the model."""
+    from alight.runner.appearance import judge_appearance
     from alight.sources.library import read_model
     from alight.training.confusion import lines_of
 
+    if leave_out and (folder is None or model is not None):
+        wrong = "needs FOLDER" if folder is None else "trains models of its own: leave out --model"
+        raise typer.BadParameter(f"--leave-out {wrong}")
     if folder is None:
         say(read_model(model).provenance)
         return
-    for line in lines_of(_left_out(folder, sampling) if leave_out else _judged(folder, model, sampling)):
+    with progress_bar() as tell:
+        found = _left_out(folder, sampling, tell) if leave_out else judge_appearance(folder, model, sampling, tell)
+    for line in lines_of(found):
         say(line)
 
 
-def _left_out(folder: Path, sampling: float) -> Confusion:
+def _left_out(folder: Path, sampling: float, tell: Callable[[str, float], None]) -> Confusion:
     from alight.sources.library import read_library
     from alight.training.train import elsewhere
 
     patches = read_library(folder, sampling)
-    with progress_bar() as tell:
-        try:
-            return elsewhere(patches, lambda share: tell("testing", share))
-        except ValueError as e:
-            raise InputError(f"{folder}: {e}; put the pictures of each site into a folder of its own") from e
-
-
-def _judged(folder: Path, model: Path | None, sampling: float) -> Confusion:
-    from alight.sources.library import is_labelled, read_labelled, read_library, read_model
-    from alight.training.train import judge_patches, judge_pixels
-
-    known = read_model(model)
-    if folder.is_dir() and is_labelled(folder):
-        return judge_pixels(known, read_labelled(folder), sampling)
-    patches = read_library(folder, sampling)
-    with progress_bar() as tell:
-        return judge_patches(known, patches, lambda share: tell("testing", share))
+    try:
+        return elsewhere(patches, lambda share: tell("testing", share))
+    except ValueError as e:
+        raise InputError(f"{folder}: {e}; put the pictures of each site into a folder of its own") from e

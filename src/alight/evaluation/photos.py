@@ -125,7 +125,7 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
         out.put("heights", "the run has no dem.tif")
         return
     up = world_up(run.height, run.grid, run.local)
-    above = float(run.info["height_above_ground_m"])
+    above = float(run.info.get("height_above_ground_m") or np.nan)
     error = interpolated(up, run.grid, points[:, 0], points[:, 1]) - points[:, 2]
     given = np.isfinite(error)
     if given.sum() < 3:
@@ -141,9 +141,9 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     out.put("P95 of |error| less a plane, m", float(np.percentile(np.abs(left), 95)))
     out.put("bias (median), m", float(np.median(error[given])))
     out.put("tilt, mrad", float(1e3 * np.hypot(*plane[:2])))
+    off = float((np.abs(left) > BAD_SHARE * above).sum() / len(points))
     out.put(
-        "off by more than 1 % of height and given out, % of all points",
-        100 * float((np.abs(left) > BAD_SHARE * above).sum() / len(points)),
+        "off by more than 1 % of height and given out, % of all points", 100 * off if np.isfinite(above) else np.nan
     )
     out.put(
         "within 1.96 sigma (points' own 0.028 m added), %", 100 * float(np.mean(np.abs(left[known]) < 1.96 * total))

@@ -1,6 +1,6 @@
 """Rotations, rigid poses, cameras, the world grid, geodetic <-> local. Ground floor: imports nothing of ours."""
 
-from alight.geometry.cameras import EQUIDISTANT, NONE, RADTAN, Camera
+from alight.geometry.cameras import Camera
 from alight.geometry.geodesy import LocalFrame
 from alight.geometry.grid import Grid, box_of, ground_projection, plane_on
 from alight.geometry.heights import ellipsoid_fall, world_up
@@ -16,9 +16,6 @@ from alight.geometry.rotations import (
 )
 
 __all__ = [
-    "EQUIDISTANT",
-    "NONE",
-    "RADTAN",
     "Camera",
     "Grid",
     "LocalFrame",

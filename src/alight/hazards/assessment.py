@@ -29,6 +29,8 @@ from alight.raster import (
 from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
+LEAST_BLOCKS = 4.0  # cells of radius: a smaller footprint holds too few blocks of 2 x 2 cells for a plane
+
 
 @dataclass(frozen=True, eq=False)
 class _Findings:
@@ -69,9 +71,9 @@ def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[in
 
 
 def _smoothed_roughness(height: F32, radius: float, cell: float, length: float) -> F32:
-    """Largest deviation of heights smoothed by `length`, metres; on wider cells where that length allows them."""
+    """Largest deviation of heights smoothed by `length`, metres; on wider cells if that and the radius allow it."""
     smooth = smoothed_height(height, cell, length)
-    if length / cell + ROUNDING < 2:
+    if length / cell + ROUNDING < 2 or radius < LEAST_BLOCKS * cell:
         return footprint_of(smooth, radius, cell).roughness
     wide = block_quantile(smooth, 2, 0.5)
     return upsample(footprint_of(wide, radius, 2 * cell).roughness, 2, height.shape)
@@ -146,7 +148,7 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
     high_step = f.step > (np.inf if lander.max_step is None else lander.max_step)
     broken = {
         Hazard.EDGE: f.edge,
-        Hazard.UNKNOWN: f.unknown,
+        Hazard.UNKNOWN: f.unknown & ~f.edge,  # ground beyond the map is no unknown ground of it
         Hazard.SLOPE: f.slope > lander.max_slope,
         Hazard.ROUGHNESS: rough,
         Hazard.STEP: high_step,

@@ -278,7 +278,7 @@ def skid_contact(
     axes: F64,
     offsets: I64,
     along: F64,
-    gauge: float,
+    gauge: F64,
     spans: I64,
     blocks: I64,
     limits: tuple[float, float],
@@ -291,11 +291,11 @@ def skid_contact(
         ground, body, tops, skip, own, spans, blocks, limits, tilt, rise: as in `feet_contact`.
         axes: (headings, 2) unit (column, row) of the forward direction.
         offsets: (headings, 2, n, 2) (row, column) of the cells under the left and the right rail.
-        along: (n,) evenly spread positions of those cells along the rail, cells.
-        gauge: distance between the rails, cells.
+        along: (headings, n) evenly spread positions of those cells along the rail, cells.
+        gauge: (headings,) distance between the rails, cells.
     """
     rows, cols = ground.shape
-    n, reach = along.size, np.float32(spans.size // 2)
+    n, reach = along.shape[1], np.float32(spans.size // 2)
     for r in prange(rows):
         left, right, joint = (
             np.empty((n, cols), np.float32),
@@ -311,10 +311,11 @@ def skid_contact(
         for k in range(axes.shape[0]):
             _rail(ground, r, offsets[k, 0], here[0], left)
             _rail(ground, r, offsets[k, 1], here[0], right)
-            resting_pitches(left, right, along[1] - along[0], joint, rest, pitch[0], pitch[1])
+            resting_pitches(left, right, along[k, 1] - along[k, 0], joint, rest, pitch[0], pitch[1])
             raise_to(highest, rest)
             for side in range(2):
-                _plane_on(left, right, along, np.float32(gauge), axes[k], here[0], pitch[side], rest, roll[side], plane)
+                apart = np.float32(gauge[k])
+                _plane_on(left, right, along[k], apart, axes[k], here[0], pitch[side], rest, roll[side], plane)
                 may_rise(here, plane[0], plane[1], plane[2], reach, rise[r], may)
                 search(body, tops, r, spans, blocks, limits[1], may, plane[0], plane[1], plane[2], rise[r])
             _steepen_both(steep, pitch, roll)

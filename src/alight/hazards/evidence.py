@@ -119,7 +119,7 @@ def obstacle_terms(
 
     `sampling` and `pixel`: metres, means over the footprint.
     """
-    cell, limit, highest = elevation.grid.cell, lander.tallest_obstacle, np.float32(lander.max_roughness)
+    cell, limit = elevation.grid.cell, lander.tallest_obstacle
     relief = discs.coarse(relief_power(elevation, limit))
     spots = picture_spots(elevation, limit)
     spot = discs.coarse(patch_mean(spots.power, cell, limit))
@@ -130,7 +130,7 @@ def obstacle_terms(
         ReliefTerm.ROUGHNESS_TREND: shape.roughness_trend,
     }
     sigma = discs.coarse(np.nan_to_num(elevation.sigma, nan=1.0)) / np.float32(limit)
-    return {k.value: discs.largest(log_at_least(v / highest, 0.03)) for k, v in deviations.items()} | {
+    return {k.value: discs.largest(log_at_least(v / np.float32(limit), 0.03)) for k, v in deviations.items()} | {
         ReliefTerm.RELIEF_WORST: _log_rms(discs.worst(relief), 0.02),
         ReliefTerm.RELIEF_MEAN: _log_rms(discs.mean(relief), 0.02),
         ReliefTerm.SAMPLING: np.log(sampling / np.float32(limit)),
@@ -152,12 +152,12 @@ def near_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, d
 
     `by`: the nearness; where it is 0 all over, green spots are not looked for.
     """
-    highest = np.float32(lander.max_roughness)
-    measured = np.nan_to_num(shape.measured_roughness, nan=UNMEASURED * lander.max_roughness)
-    rise, smooth = (log_at_least(v / highest, 0.03) for v in (measured, shape.roughness_smooth))
+    limit = lander.tallest_obstacle
+    measured = np.nan_to_num(shape.measured_roughness, nan=UNMEASURED * limit)
+    rise, smooth = (log_at_least(v / np.float32(limit), 0.03) for v in (measured, shape.roughness_smooth))
     green = np.zeros_like(by)
     if (by > 0).any():
-        green = discs.worst(discs.largest(green_spots(elevation, lander.tallest_obstacle)), beyond=0.0)
+        green = discs.worst(discs.largest(green_spots(elevation, limit)), beyond=0.0)
     return {
         NearTerm.RISE: discs.largest(rise),
         NearTerm.RISE_UNKNOWN: discs.largest(shape.unmeasured),

@@ -34,7 +34,7 @@ FOUND = 0.95  # probability with which an obstacle of `resolved` height would ha
 SETTLED = 0.3  # share of the doubt allowed by the least P(safe) that unseen obstacles may take
 NEARER = 0.5  # of the present pixel: that of a closer look where the size of the pixel is not the doubt
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
-LEAST_RATE = 1e-9  # keeps the logarithm of a rate finite
+LEAST = 1e-9  # keeps the logarithm of a rate, or of a probability, finite
 DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # largest deviations of all measured heights, over the limit
 EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # expected hazards from these alone (docs/lab/looks.md)
 RIDGES = 0.9, 1.0, 1.1  # broad deviations over the limit
@@ -105,9 +105,9 @@ def factors_of(
     found = margins_over_sigma(margins, lander, settings, cell)
     tilt, vehicle = found.tilt, found.of_the_vehicle
     if not settings.smoothed:
-        certain, never = np.ones_like(tilt), np.full_like(tilt, np.nan)
         p = safe_probability(found, margins.footprint.unknown, settings)
-        return SafetyFactors(p, certain, certain, np.full_like(tilt, cell), never)
+        obstacle, never = _beyond_cells(elevation, terrain, lander, settings), np.full_like(tilt, np.nan)
+        return SafetyFactors(p, obstacle, np.ones_like(tilt), np.full_like(tilt, cell), never)
     del found  # the deviation is among the evidence
     obstacle, ground = _chances(elevation, terrain, tilt, shape, lander, settings, missing)
     relief, least = kept(vehicle), np.minimum.reduce(vehicle)
@@ -115,6 +115,22 @@ def factors_of(
     enough = pixel_that_settles(curves, lander, settings)
     settles_at = _settles_at((relief, obstacle, ground), least, pixel, enough, lander, settings)
     return SafetyFactors(relief, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
+
+
+def _beyond_cells(
+    elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings
+) -> F32:
+    """(R, C) probability that the footprint has no obstacle that cells of surveyed heights are too wide to show (G7j).
+
+    The mean height of a wide cell flattens what stands in it. The share of half balls above the limit that cells do not
+    show as such is within 0.1 of that taken here (docs/lab/p-safe.md).
+    """
+    cell, fine = elevation.grid.cell, lander.judging_cell
+    if cell <= fine:
+        return np.ones(elevation.grid.shape, np.float32)
+    discs, hidden = Discs(elevation, lander.ground_reach), 1 - fine / cell
+    usual = _density(terrain, elevation.grid.shape, discs, settings)
+    return discs.fine(np.exp(np.float32(-hidden * math.pi * lander.ground_reach**2) * usual))
 
 
 def _chances(
@@ -132,11 +148,11 @@ def _chances(
     usual = area * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
-    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.sampled * deviation_hazards(found.near))
+    wet = np.exp(read_rate("ground_rate").log_rate(found.ground))
+    expected, wet = (_blended(v, f"near_{k}_rate", found) for k, v in (("obstacle", afar), ("ground", wet)))
+    expected, wet = with_floors(expected, wet, found.near, found.nearness, found.sampled)
     expected = expected + found.nearness * found.unseen * usual
-    wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
-    soft, ridge = soft_ground_hazards(found.ground), ridge_hazards(found.ridge)
-    wet = np.maximum.reduce([wet, found.nearness * soft, found.sampled * ridge])
+    wet = np.maximum(wet, found.sampled * ridge_hazards(found.ridge))
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
@@ -146,8 +162,22 @@ def _chances(
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
     """Expected hazards from a rate from afar and one from near by, the logarithms weighted by the nearness (G7f)."""
     near = read_rate(name).log_rate(found.near)
-    log = (1 - found.nearness) * log_at_least(afar, LEAST_RATE) + found.nearness * near
+    log = (1 - found.nearness) * log_at_least(afar, LEAST) + found.nearness * near
     return np.asarray(np.exp(log), np.float32)
+
+
+def with_floors(
+    obstacle: F32, ground: F32, near: Mapping[str, F32], by: F32 | float = 1.0, by_heights: F32 | float = 1.0
+) -> tuple[F32, F32]:
+    """Expected hazards of both factors, each at least what one kind of evidence alone lets expect (G7g, G7h).
+
+    Args:
+        obstacle, ground: expected hazards, of any one shape.
+        near: terms of a near look.
+        by, by_heights: nearness; and by the heights alone.
+    """
+    deviation, soft = by_heights * deviation_hazards(near), by * soft_ground_hazards(near)
+    return np.maximum(obstacle, deviation), np.maximum(ground, soft)
 
 
 def deviation_hazards(near: Mapping[str, F32]) -> F32:
@@ -216,7 +246,7 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
     at = [np.asarray(k * pixels, np.float32) for k in (PIXELS_A_SAMPLE, 1.0)]
     unseen = curves.unseen_share(lander.tallest_obstacle, *at)
     expected = math.pi * lander.ground_reach**2 * settings.unseen_bare * unseen
-    good = np.flatnonzero(expected <= -SETTLED * math.log(settings.p_safe))
+    good = np.flatnonzero(expected <= -SETTLED * math.log(max(settings.p_safe, LEAST)))
     return float(pixels[good[-1]]) if good.size else float(pixels[0])
 
 

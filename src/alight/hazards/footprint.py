@@ -68,8 +68,8 @@ class Skids:
 
     axes: F64  # (headings, 2) forward, unit (column, row)
     offsets: I64  # (headings, 2, n, 2) (row, column) under the left and the right rail
-    along: F64  # (n,) position along the rail, cells
-    gauge: float  # between the rails, cells
+    along: F64  # (headings, n) position along the rail, cells, evenly spread over the length of those cells
+    gauge: F64  # (headings,) between those cells, cells
 
 
 def _cells_within(centre: F64, radius_cells: float) -> I64:
@@ -144,7 +144,11 @@ def feet_of(lander: Lander, cell: float) -> Feet:
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:
-    """Lay the lander's skids on the grid, every heading, one sample a cell of length and both ends."""
+    """Lay the lander's skids on the grid, every heading, one sample a cell of length and both ends.
+
+    Length and gauge are those of the cells under the rails: so a plane gives its own tilt to 3 %, or more. On cells too
+    coarse for that (G5a) they are the lander's.
+    """
     assert lander.skids is not None
     length, gauge = lander.skids[0] / cell, lander.skids[1] / cell
     along = np.linspace(-length / 2, length / 2, max(3, 2 * math.ceil(length / 2) + 1))
@@ -152,5 +156,10 @@ def skids_of(lander: Lander, cell: float) -> Skids:
     axes = unlike_directions(lander.headings, corners)
     left = np.stack([axes[:, 1], -axes[:, 0]], axis=1)
     rails = [along[None, :, None] * axes[:, None] + side * gauge / 2 * left[:, None] for side in (1, -1)]
-    offsets = np.round(np.stack(rails, axis=1)).astype(np.int64)[..., ::-1]
-    return Skids(axes, np.ascontiguousarray(offsets), along, gauge)
+    cells = np.round(np.stack(rails, axis=1))  # (headings, rail, n, 2) (column, row)
+    offsets = np.ascontiguousarray(cells.astype(np.int64)[..., ::-1])
+    if is_coarse(lander, cell):
+        return Skids(axes, offsets, np.tile(along, (len(axes), 1)), np.full(len(axes), gauge))
+    stretch = np.einsum("hrnx,hx,n->h", cells, axes, along) / (2 * along @ along)
+    apart = np.einsum("hnx,hx->h", cells[:, 0] - cells[:, 1], left) / along.size
+    return Skids(axes, offsets, stretch[:, None] * along, apart)

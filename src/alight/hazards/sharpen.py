@@ -202,4 +202,5 @@ def _refined(elevation: ElevationMap, z: F32, lit: Mask, image: U8, factor: int)
         views=upsample(elevation.views, factor),
         rgb=rgb,
         residual=upsample(elevation.residual, factor),
+        sampling=upsample(elevation.sampling, factor),
     )

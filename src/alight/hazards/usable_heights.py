@@ -27,9 +27,9 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
     """Usable heights, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
 
     These are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
-    trusted ones beside them to half the roughness limit: an ambiguous match that lies on the ground around it.
-    On the rendered sample flight 0.15 m finds a quarter more of the safe ground at
-    the same false-safe rate; 0.25 m quadruples that rate (a tree crown matched at ground level is let in).
+    trusted ones beside them to half the height that the lander stands: an ambiguous match that lies on the ground
+    around it. On the rendered sample flight 0.15 m finds a quarter more of the safe ground at the same false-safe rate;
+    0.25 m quadruples that rate (a tree crown matched at ground level is let in).
     """
     known = elevation.trusted
     if not known.any():
@@ -46,7 +46,7 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
             gap = _with_gaps(known, cells) & ~known & where
             near = weighted_gaussian(height, known.astype(np.float32), cells)
             neighbours = np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
-            agrees = np.abs(height - neighbours) <= 0.5 * lander.max_roughness
+            agrees = np.abs(height - neighbours) <= 0.5 * lander.tallest_obstacle
             known = known | (gap & agrees)
     return np.where(known, height, np.float32(np.nan))
 
@@ -57,7 +57,7 @@ def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSe
     A vague one counts in full where it stands out by several of its sigmas from the trusted ground about it; else it
     counts as one sigma nearer to that ground, and as not measured, NaN, within one sigma.
     """
-    vague = elevation.sigma > np.float32(settings.vague * lander.max_roughness)
+    vague = elevation.sigma > np.float32(settings.vague * lander.tallest_obstacle)
     known = elevation.trusted
     if not vague.any() or not known.any():
         return np.where(vague, np.float32(np.nan), elevation.height)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from alight.records import ElevationMap, Hazard, HazardMap
-from alight.settings import SitesSettings
+from alight.settings import Lander, SitesSettings
 
 REASON_WORDS = {
     Hazard.ROUGHNESS: "is too rough",
@@ -18,9 +18,9 @@ REASON_WORDS = {
 }
 
 
-def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings) -> str:
+def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander) -> str:
     """The reasons against a landing in one sentence, as shares of the ground that was seen; they may overlap."""
-    seen = elevation.trusted
+    seen, cell, hazards = elevation.trusted, hazards.grid.cell, hazards.on(elevation.grid)
     if not seen.any():
         return "no safe site: no ground was seen well enough to know its height"
     if ((hazards.reasons[seen] & Hazard.EDGE) != 0).all():
@@ -35,4 +35,5 @@ def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSett
     shares = {bit: float(((hazards.reasons[seen] & bit) != 0).mean()) for bit in REASON_WORDS}
     ranked = sorted((s, b) for b, s in shares.items() if s >= 0.005)[::-1]
     parts = [f"{100 * share:.0f} % {REASON_WORDS[bit]}" for share, bit in ranked]
-    return "no safe site: of the seen ground " + ", ".join(parts)
+    too_wide = f"; cells of {cell:g} m are wider than the radius of {lander.radius:g} m, so no plane fits"
+    return "no safe site: of the seen ground " + ", ".join(parts) + (too_wide if lander.radius < cell else "")

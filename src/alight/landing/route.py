@@ -108,7 +108,7 @@ def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float
     if not near.any():
         return False
     steps = (share[near] * math.hypot(to[0] - start[0], to[1] - start[1]) / grid.cell).astype(np.int64)
-    stretch = np.ones(min(round(2 * width / grid.cell), int(steps.max()) + 1))
+    stretch = np.ones(min(max(round(2 * width / grid.cell), 1), int(steps.max()) + 1))
     unknown = ~grid.nearest_on(about, mapped)[near]
     lost, cells = (np.convolve(np.bincount(steps, w), stretch, "valid") for w in (unknown, None))
     return bool((lost > UNMAPPED * cells).any())

@@ -92,6 +92,24 @@ def _footprint(grid: Grid, east: float, north: float, radius: float) -> tuple[sl
     return disc_window(grid.shape, row, col, radius / grid.cell)
 
 
+def _height_at(c: _Choice, east: float, north: float) -> tuple[float, float]:
+    """Height of a place and its sigma, metres: of the trusted cells of the footprint, else of any that have a height.
+
+    A small footprint may lie between trusted cells, on doubtful ones that agree with them (G0). On finer cells than
+    those of the hazards, its heights may lie just beyond it.
+    """
+    e = c.elevation
+    for reach in (c.lander.radius, c.lander.radius + c.hazards.grid.cell):
+        rows, cols, disc = _footprint(e.grid, east, north, reach)
+        height, sigma = e.height[rows, cols], e.sigma[rows, cols].astype(np.float64)
+        known = disc & np.isfinite(height)
+        if known.any():
+            break
+    trusted = known & e.trusted[rows, cols]
+    here = trusted if trusted.any() else known
+    return float(height[here].mean()), float(np.sqrt(np.mean(sigma[here] ** 2)))
+
+
 def _landing_class(land_cover: TerrainMap | None, east: float, north: float, radius: float) -> Terrain:
     """The most frequent known class in the footprint."""
     if land_cover is None:
@@ -113,14 +131,12 @@ def _site(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
     """The record of the place at one peak of the score."""
     hazards, radius, grid = c.hazards, c.lander.radius, c.hazards.grid
     east, north = grid.east + at[1] * grid.cell, grid.north - at[0] * grid.cell
-    rows, cols, disc = _footprint(c.elevation.grid, east, north, radius)
-    ground = disc & c.elevation.trusted[rows, cols]
-    sigma: F32 = c.elevation.sigma[rows, cols][ground]
+    up, sigma = _height_at(c, east, north)
     return Site(
         rank=rank,
         east=east,
         north=north,
-        up=float(c.elevation.height[rows, cols][ground].mean()),
+        up=up,
         p_safe=float(hazards.p_safe[at]),
         p_relief=float(hazards.p_relief[at]),
         p_obstacle=float(hazards.p_obstacle[at]),
@@ -133,7 +149,7 @@ def _site(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
         radius=radius + float(clearance[at]),
         terrain=_landing_class(c.land_cover, east, north, radius),
         heading=_heading(east, north, c.observer),
-        height_sigma=float(np.sqrt(np.mean(sigma.astype(np.float64) ** 2))),
+        height_sigma=sigma,
     )
 
 
@@ -185,4 +201,4 @@ def choose_sites(
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
     sites = tuple(_site(c, i + 1, at, hazards.clearance) for i, at in enumerate(safe))
     candidates = tuple(_candidate(c, len(safe) + i + 1, at, room) for i, at in enumerate(undecided))
-    return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings), candidates=candidates)
+    return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings, lander), candidates=candidates)

@@ -117,7 +117,7 @@ def solve_pivoted(L: F64, pivots: I64, b: F64, residual: F64, rows: F64) -> None
         L: (n, n) lower factor of the matrix with its rows and columns in the order of the pivots.
         pivots: (n,) from 1, as LAPACK counts.
         b: (n,) right side.
-        residual: (m,) out, L' residual = b. rows: (m, n) zero, out: L' in the order of the unknowns.
+        residual: (m,) out, L residual = b. rows: (m, n) zero, out: L' in the order of the unknowns.
     """
     for r in range(len(residual)):
         value = b[pivots[r] - 1]

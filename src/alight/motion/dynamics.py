@@ -27,6 +27,11 @@ class Step:
     position: F64  # (3,) m
     velocity: F64  # (3,) m/s
 
+    @classmethod
+    def at(cls, state: FilterState) -> Step:
+        """Return pose and velocity of a state, copied."""
+        return cls(state.R, state.core[POS].copy(), state.core[VEL].copy())
+
 
 def inertial_step(R: F64, p: F64, v: F64, m: Preintegral) -> Step:
     """Propagate pose and velocity by preintegrated inertial measurements (M8; Forster et al. 2017)."""

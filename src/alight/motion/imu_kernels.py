@@ -135,6 +135,8 @@ def preintegrate_segments(
             for j in range(9):
                 for k in range(6):
                     C[i, j] += B[i, k] * B[j, k] * variance[n, k // 3]
+        for i in range(6, 9):  # white acceleration also moves about its mean over the segment
+            C[i, i] += variance[n, 1] * t * t * t * t / 12.0
         total += t
     return total
 

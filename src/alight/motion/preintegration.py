@@ -29,7 +29,8 @@ class Segments:
 
     dt: F64  # (N,) s
     rates: F64  # (N, 6) rad/s, m/s^2
-    interval: F64  # (N,) s between the samples about it; of one beyond the last sample: from that sample to its end
+    interval: F64  # (N,) s between the samples about it; where there is only one: from that one to its far end
+    since: F64  # (N,) s from the sample before it to its end; before the first sample: from its begin to that one
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,28 +57,40 @@ def right_jacobian(phi: F64) -> F64:
 
 
 def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
-    """Cut [start, end] at the samples; each segment has the mean of its ends, beyond the last sample that one holds.
+    """Cut [start, end] at the samples; each segment has the mean of its ends, outside all samples the nearest one.
 
-    Its angular velocity holds for 0.2 s: held for 1.7 s, in gusts, it turned the state by 40 degrees.
+    The angular velocity of that one holds for 0.2 s: held for 1.7 s, in gusts, it turned the state by 40 degrees.
     """
     n = len(imu) + 1
     dt, rates = np.empty(n), np.empty((n, 6))
     count = cut_segments(imu.times, imu.rates, start_ns, end_ns, dt, rates) if n > 1 and end_ns > start_ns else 0
     dt, rates = dt[:count], rates[:count]
-    interval = dt.copy()
+    interval, since = dt.copy(), dt.copy()
     if count:
-        interval[0], interval[-1] = _interval_at(imu, start_ns), _interval_at(imu, end_ns - 1)
-    if count and end_ns > imu.last_ns:
-        interval[-1] = (end_ns - imu.last_ns) * 1e-9
-        beyond_ns = max(start_ns, imu.last_ns)
-        rates[-1, :3] *= min(max(imu.last_ns + _HELD_NS - beyond_ns, 0) / (end_ns - beyond_ns), 1.0)
-    return Segments(dt, rates, interval)
+        for k, begin_ns in ((0, start_ns), (-1, end_ns - round(dt[-1] * 1e9))):
+            interval[k], since[k] = _samples_about(imu, begin_ns, begin_ns + round(dt[k] * 1e9))
+        if end_ns > imu.last_ns:
+            begin_ns = max(start_ns, imu.last_ns)
+            rates[-1, :3] *= _held(begin_ns - imu.last_ns, end_ns - begin_ns)
+        if start_ns < imu.first_ns:
+            last_ns = min(end_ns, imu.first_ns)
+            rates[0, :3] *= _held(imu.first_ns - last_ns, last_ns - start_ns)
+    return Segments(dt, rates, interval, since)
 
 
-def _interval_at(imu: ImuBuffer, t_ns: int) -> float:
-    """Return the time [s] between the samples before and after an instant; 0 outside all samples."""
-    after = int(np.searchsorted(imu.times, t_ns, side="right"))
-    return float(imu.times[after] - imu.times[after - 1]) * 1e-9 if 0 < after < len(imu) else 0.0
+def _held(away_ns: int, length_ns: int) -> float:
+    """Share of a time of `length_ns`, `away_ns` from the nearest sample, for which its angular velocity holds."""
+    return min(max(_HELD_NS - away_ns, 0) / length_ns, 1.0)
+
+
+def _samples_about(imu: ImuBuffer, begin_ns: int, end_ns: int) -> tuple[float, float]:
+    """Return `interval` and `since` of the segment from `begin_ns` to `end_ns`."""
+    times = imu.times
+    after = int(np.searchsorted(times, begin_ns, side="right"))
+    if after == 0:
+        return (imu.first_ns - begin_ns) * 1e-9, (imu.first_ns - begin_ns) * 1e-9
+    since = (end_ns - int(times[after - 1])) * 1e-9
+    return (int(times[after]) - int(times[after - 1])) * 1e-9 if after < len(times) else since, since
 
 
 def preintegrate(parts: Segments, gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings) -> Preintegral:
@@ -105,11 +118,11 @@ def _variance(parts: Segments, noise: FilterSettings) -> F64:
     """(N, 2) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2].
 
     In a gap the angular velocity wanders as in the constant-velocity model from the last sample on, until it has its
-    largest variance: the rotation since then has that model's variance however the gap is cut (M6b).
+    largest variance: until then the rotation has that model's variance however the gap is cut (M6b).
     """
-    dt, since = parts.dt, parts.interval
+    dt, since = parts.dt, parts.since
     out = np.empty((len(dt), 2))
-    gap = since > _MAX_SAMPLE_INTERVAL
+    gap = parts.interval > _MAX_SAMPLE_INTERVAL
     wandered = noise.angular_acceleration_sigma**2 * (since**3 - np.maximum(since - dt, 0.0) ** 3) / (3.0 * dt**2)
     out[:, 0] = noise.gyro_noise**2 / dt + gap * np.minimum(wandered, 2.0 * OPEN_RATE_SIGMA**2 * _OPEN_RATE_TAU / dt)
     out[:, 1] = noise.accelerometer_noise**2 / dt + gap * (noise.acceleration_sigma**2 / dt)

@@ -59,8 +59,3 @@ def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> 
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
     return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
-
-
-def depths(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
-    """Return the (...) distances of (..., 3) points along the optical axis, metres; arguments of `in_camera`."""
-    return in_camera(R, p, rig_from_cam, x)[..., 2]

@@ -15,6 +15,7 @@ import threading
 import time
 from collections import Counter, deque
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from mcap.writer import Writer
 
 from alight import __version__
 from alight.outputs.atomic_write import output_error
+from alight.outputs.folder import RUN_JSON, is_run
 from alight.records import Event, Motion, Sites, Telemetry
 from alight.records.codec import (
     CAMERAS,
@@ -50,6 +52,30 @@ _LATEST = 2**63 - 1  # ns
 WAITING_MB = 256  # that may wait for the disk
 
 Message = tuple[str, int, "list[bytes | memoryview]"]  # topic, stamp in ns, parts
+
+
+def make_room(path: Path) -> Path | None:
+    """Make room for a recording: that of a finished run is removed with its run.json, any other one is renamed.
+
+    So a `run.json` never stands beside the recording of a later run that did not end.
+
+    Returns:
+        the new name of the recording that was kept; None: there was none.
+
+    Raises:
+        OutputError: it can neither be removed nor renamed.
+    """
+    try:
+        if is_run(path.parent):
+            path.unlink(missing_ok=True)
+            (path.parent / RUN_JSON).unlink()
+            return None
+        if not path.exists():
+            return None
+        free = (path.with_stem(f"{path.stem}-{k}") for k in count(1))
+        return path.rename(next(p for p in free if not p.exists()))
+    except OSError as e:
+        raise output_error(path, e) from e
 
 
 class Recorder:

@@ -39,7 +39,7 @@ class CoverMemory:
         if self.grid is not None:
             age = max(t_ns - self.t_ns, 0) * 1e-9
             before = self.grid.nearest_on(cover.grid, self.bears, np.nan)
-            unlike = self.grid.nearest_on(cover.grid, self.novelty, np.nan) * np.float32(1 + age / FADES)
+            unlike = self.grid.nearest_on(cover.grid, self.novelty, np.nan) * np.float32(2 ** (age / FADES))
             keeps = ~np.isnan(before) & (np.isnan(bears) | ~(unlike >= novelty))
             bears, novelty = np.where(keeps, before, bears), np.where(keeps, unlike, novelty)
         return CoverMemory(cover.grid, bears, novelty, t_ns)

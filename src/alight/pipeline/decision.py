@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from alight.pipeline.judging import Verdict
+from alight.pipeline.judging import Verdict, reserve_notes
 from alight.pipeline.lanes import Judge
 from alight.pipeline.mapping import FinishedMap
 from alight.pipeline.navigation import Trajectory
@@ -28,12 +28,12 @@ class Decision:
     photos: tuple[PhotoOutcome, ...] = ()
 
     @classmethod
-    def none(cls, trajectory: Trajectory, reason: str, *warnings: str) -> Decision:
-        """Decision without a site, with the reason."""
-        said = [*trajectory.warnings, *warnings]
-        return cls(
-            Sites((), reason), list(trajectory.motions), warnings=said, notes=trajectory.notes, photos=trajectory.photos
-        )
+    def none(cls, trajectory: Trajectory, reason: str, *warnings: str, judge: Judge | None = None) -> Decision:
+        """Decision without a site, with the reason, and the warnings of a judge and its sites in reserve."""
+        said, notes = [*trajectory.warnings, *warnings], dict(trajectory.notes)
+        if judge is not None:
+            said, notes = [*said, *judge.warnings], notes | reserve_notes(judge.reserve.sites)
+        return cls(Sites((), reason), list(trajectory.motions), warnings=said, notes=notes, photos=trajectory.photos)
 
     @classmethod
     def of(

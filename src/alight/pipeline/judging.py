@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,17 @@ from alight.pipeline.mapping.passing import traffic
 from alight.pipeline.remembered import NOWHERE, Remembered, shown_at
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
-from alight.records import NOTHING_MISSING, ElevationMap, Flag, HazardMap, MissingVeto, NextView, Sites, TerrainMap
+from alight.records import (
+    NOTHING_MISSING,
+    ElevationMap,
+    Flag,
+    HazardMap,
+    MissingVeto,
+    NextView,
+    Site,
+    Sites,
+    TerrainMap,
+)
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
@@ -203,12 +214,16 @@ class JudgingLane:
                 f"{self._settings.parallax.quality}: heights on cells of {found.danger.grid.cell:g} m; on half of the "
                 f"ground an obstacle of {float(np.median(resolved)):.2f} m would be found with a chance of 95 %"
             )
-        earlier = self.reserve.sites[len(found.sites.sites) :]
-        if earlier:
-            out["sites in reserve"] = [f"east {s.east:.1f} north {s.north:.1f} m, P {s.p_safe:.3f}" for s in earlier]
+        out |= reserve_notes(self.reserve.sites[len(found.sites.sites) :])
         if self.memory.lost:
             out["sites given up"] = list(self.memory.lost)
         return out
+
+
+def reserve_notes(sites: Sequence[Site]) -> dict[str, object]:
+    """Notes of a run on sites in reserve, in the world."""
+    lines = [f"east {s.east:.1f} north {s.north:.1f} m, P {min(s.p_safe, 0.999):.3f}" for s in sites]
+    return {"sites in reserve": lines} if lines else {}
 
 
 def _tidy(elevation: ElevationMap) -> None:
@@ -237,9 +252,12 @@ def land_cover(
     return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 
 
-def observer(seen: MapSnapshot) -> Observer:
-    """The vehicle, and its cameras by the views of the newest instant that look down."""
-    newest = [v for v in seen.views if v.t_ns == max(w.t_ns for w in seen.views)]
+def observer(seen: MapSnapshot) -> Observer | None:
+    """The vehicle, and its cameras by the views of the newest instant that look down; None if none of them does."""
+    t_ns = max((v.t_ns for v in seen.views), default=0)
+    newest = [v for v in seen.views if v.t_ns == t_ns]
+    if not newest:
+        return None
     vehicle, stereo = seen.vehicle, len({v.cam for v in newest}) > 1
     return Observer(vehicle.position, vehicle.height_above_ground, newest[-1].camera.fu, stereo)
 

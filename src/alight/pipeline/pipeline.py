@@ -105,7 +105,7 @@ class Pipeline:
             return Decision.none(trajectory, trajectory.reason)
         found = self._mapping.finish(trajectory, lambda f: tell("heights", f))
         if found.snapshot is None:
-            return Decision.none(trajectory, found.reason, *found.warnings)
+            return Decision.none(trajectory, found.reason, *found.warnings, judge=self._judging)
         tell("judging", 0.2)
         way = self._route(verdict := self.judge(found.snapshot), found.snapshot)
         tell("judging", 1.0)

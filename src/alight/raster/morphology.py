@@ -27,9 +27,16 @@ def grow(mask: Mask, reach: int) -> Mask:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), ellipse(reach)) > 0)
 
 
-def fill_pits(values: F32, reach: int) -> F32:
-    """Grey-scale closing: raise low areas that are narrower than twice the reach, cells."""
-    return np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, ellipse(reach)), np.float32)
+def fill_pits(values: F32, width: int) -> F32:
+    """Grey-scale closing: raise low areas that are narrower than `width` cells.
+
+    An element of even width has no middle: it is anchored at opposite corners, so that nothing shifts.
+    """
+    if width % 2:
+        return np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, ellipse(width // 2)), np.float32)
+    square = np.ones((width, width), np.uint8)
+    raised = cv2.dilate(values, square, anchor=(0, 0))
+    return np.asarray(cv2.erode(raised, square, anchor=(width - 1, width - 1)), np.float32)
 
 
 def local_max(values: F32, reach: int) -> F32:

@@ -142,7 +142,8 @@ class LookRecord:
     def line(self) -> str:
         """The look as one line of text."""
         doubt = f", {self.doubt}" if self.doubt else ""
-        return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {self.p_safe:.3f}{doubt}"
+        p = min(self.p_safe, 0.999)  # never called certain
+        return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {p:.3f}{doubt}"
 
     def as_tree(self) -> dict[str, object]:
         """The look as a tree of JSON."""

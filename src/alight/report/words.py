@@ -84,18 +84,26 @@ def chance(probability: float) -> str:
 
 def seconds(value: float) -> str:
     """76 µs, 4.2 ms, 1.25 s, 2 min 5 s."""
-    if value < 1e-3:
+    if value < 0.9995e-3:
         return f"{value * 1e6:.0f} µs"
-    if value < 1:
+    if value < 0.9995:
         return f"{value * 1e3:.3g} ms"
-    return f"{value:.3g} s" if value < 99.5 else f"{value // 60:.0f} min {value % 60:.0f} s"
+    if value < 99.5:
+        return f"{value:.3g} s"
+    minutes, rest = divmod(round(value), 60)
+    return f"{minutes} min {rest} s"
 
 
 def probability(p: float) -> str:
     """0.93, 0.987; never rounded up to 1."""
     if not math.isfinite(p):
         return UNKNOWN
-    return "> 0.999" if p > 0.9995 else f"{p:.2f}" if p < 0.985 else f"{p:.3f}"
+    return f"{p:.2f}" if p < 0.985 else p_safe(p)
+
+
+def p_safe(p: float) -> str:
+    """P(safe) with three figures, 0.620, 0.987; never rounded up to 1."""
+    return "> 0.999" if p > 0.9995 else f"{p:.3f}"
 
 
 def factors(site: Site) -> str:

@@ -1,4 +1,4 @@
-"""Train a model of appearance on a folder of pictures, and write it."""
+"""Train a model of appearance on a folder of pictures and write it; test one on labelled pictures."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 from alight.outputs.atomic_write import write_whole
 from alight.records import InputError, OutputError
-from alight.sources.library import model_bytes, read_library
+from alight.sources.library import is_labelled, model_bytes, read_labelled, read_library, read_model
 from alight.terrain import Model
 from alight.training.confusion import Confusion
-from alight.training.train import train
+from alight.training.train import judge_patches, judge_pixels, train
 
 
 class TrainedAppearance(NamedTuple):
@@ -42,3 +42,22 @@ def train_to_file(
         raise InputError(f"{folder}: {e}") from e
     write_whole(out, model_bytes(found.model))
     return found
+
+
+def judge_appearance(
+    folder: Path, model: Path | None, sampling: float, progress: Callable[[str, float], None]
+) -> Confusion:
+    """Compare a model of appearance with labelled pictures.
+
+    Args:
+        folder: pictures by class, or `images/` with `labels/`.
+        model: of appearance; None: the package's own.
+        sampling: metres a pixel, where no index.csv gives it.
+
+    Raises:
+        InputError: the pictures or the model cannot be used.
+    """
+    known = read_model(model)
+    if folder.is_dir() and is_labelled(folder):
+        return judge_pixels(known, read_labelled(folder), sampling)
+    return judge_patches(known, read_library(folder, sampling), lambda share: progress("testing", share))

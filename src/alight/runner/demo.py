@@ -1,4 +1,4 @@
-"""The demo: a landing in closed loop over simulated ground. Also warms the kernels, by a recorded flight."""
+"""The demo: a landing in closed loop over simulated ground. Also compiles all loops, by a recorded flight."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
 
 
 def compile_kernels(tell: Tell) -> None:
-    """Compile and cache every kernel by running each stage over a flight of a second."""
+    """Compile all loops and keep them, by running each stage over a flight of a second."""
     folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
     try:
         flight = simulate.fly("demo", 0, 1.0)

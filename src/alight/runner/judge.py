@@ -14,7 +14,7 @@ from alight.hazards.sharpen import sharpen
 from alight.landing.sites import choose_sites
 from alight.outputs.verdict import write_judgement
 from alight.records import RunResult
-from alight.settings import Settings, load_settings
+from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
@@ -29,6 +29,17 @@ def for_surveyed_heights(settings: Settings) -> Settings:
     suited = {k: getattr(surveyed, k) for k in surveyed.model_fields_set - own.model_fields_set}
     tuning = settings.tuning.model_copy(update={"hazards": own.model_copy(update=suited)})
     return settings.model_copy(update={"tuning": tuning})
+
+
+def _too_wide(cell: float, stages: StageSettings) -> list[str]:
+    """A warning where cells (metres) are too wide to show the obstacles that the lander must not stand on."""
+    if cell <= stages.lander.judging_cell or stages.hazards.smoothed:
+        return []
+    return [
+        f"cells of {cell:g} m do not show every obstacle of {stages.lander.tallest_obstacle:g} m: P(safe) is lowered "
+        "by those that are usual on unknown ground (tuning.hazards.unseen_unknown); give cells of "
+        f"{stages.lander.judging_cell:.3g} m or less"
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +61,7 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgeme
 
     Args:
         ground: heights, their sigma, and an image of the same ground where there is one.
-        settings: lander, hazards and sites; `SURVEYED` are the assignments that suit surveyed heights.
+        settings: lander, hazards and sites; see `for_surveyed_heights`.
         name: of the input, for the report.
     """
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
@@ -60,6 +71,7 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgeme
         elevation = finer or elevation
     clock.append(time.perf_counter())
     stages = settings.stages()
+    warnings += _too_wide(elevation.grid.cell, stages)
     hazards = assess(elevation, None, stages.lander, stages.hazards)
     clock.append(time.perf_counter())
     result = RunResult(

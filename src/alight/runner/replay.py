@@ -177,6 +177,16 @@ def result_of(
     )
 
 
+def settings_for(source: Source, given: Settings) -> Settings:
+    """Return the settings of a run: those given, or those of the flight where its recording is run and none are given.
+
+    Args:
+        source: the recording.
+        given: settings; a key that is set to its default counts as given.
+    """
+    return given if source.flown_with is None or given.model_fields_set else source.flown_with
+
+
 @dataclass(frozen=True)
 class Find:
     """Options of one run over a recording."""
@@ -199,10 +209,8 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
-    settings = how.settings
-    source = open_source(path, settings)
-    if source.flown_with is not None and settings == Settings():
-        settings = source.flown_with
+    source = open_source(path, how.settings)
+    settings = settings_for(source, how.settings)
     digest = source.digest()
     if not digest and (option := "--resume" if how.resume else how.scheduler and "--scheduler"):
         raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")
@@ -212,12 +220,12 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     if how.home is not None and not source.georeferenced:
         raise InputError(f"--home: {source.name} says nothing about its place on Earth; run it without")
     prior = prior_heights(source, settings, how.prior)
-    prepare_folder(out, how.overwrite)
+    given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
+    given += [how.prior] if how.prior else []
+    prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
     with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
-        given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
-        given += [how.prior] if how.prior else []
         work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
         try:
             return with_home(replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), prior), how.home)

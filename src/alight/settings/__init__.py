@@ -1,7 +1,7 @@
 """Settings: the keys of a user, the tuned constants of the stages, and the reading of both."""
 
 from alight.settings.imu import ImuNoise
-from alight.settings.loading import load_settings, settings_of_run
+from alight.settings.loading import load_settings, settings_of_keys, settings_of_run
 from alight.settings.page import settings_page
 from alight.settings.stages import (
     BundleSettings,
@@ -25,5 +25,5 @@ __all__ = [
     "BundleSettings", "ElevationSettings", "ExecutiveSettings", "FilterSettings", "HazardsSettings", "ImuNoise",
     "Lander", "MotionSettings",
     "ParallaxSettings", "RouteSettings", "Settings", "SitesSettings", "StageSettings", "TerrainSettings",
-    "TracksSettings", "Tuning", "load_settings", "settings_of_run", "settings_page",
+    "TracksSettings", "Tuning", "load_settings", "settings_of_keys", "settings_of_run", "settings_page",
 ]  # fmt: skip

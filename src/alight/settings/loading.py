@@ -32,6 +32,18 @@ def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
     return _validated(tree)
 
 
+def settings_of_keys(given: Mapping[str, Any]) -> Settings:
+    """Make settings from keys such as `parallax.cell` or groups of them; each wins over those before it.
+
+    Raises:
+        ValueError: a key is unknown or moved, or a value is out of range; the message names the key.
+    """
+    tree = dict[str, Any]()
+    for key, value in given.items():
+        _put(tree, key.strip(), value)
+    return _validated(tree)
+
+
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
     """Read the settings of a run.json, also of another version: moved keys are renamed, unknown ones left out.
 
@@ -64,12 +76,21 @@ def _assign(tree: Tree, assignment: str) -> None:
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
+    """Put a value into the tree; of a group of keys, those that are not named stay."""
     *path, last = key.split(".")
     for part in path:
         tree = tree.setdefault(part, {})
         if not isinstance(tree, dict):
             raise ValueError(f"{key}: {part} is not a group of settings")
-    tree[last] = value
+    _merge(tree, last, value)
+
+
+def _merge(tree: Tree, name: str, value: Any) -> None:
+    if isinstance(value, Mapping) and isinstance(tree.get(name), dict):
+        for inner, part in value.items():
+            _merge(tree[name], inner, part)
+    else:
+        tree[name] = value
 
 
 def _leaves(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

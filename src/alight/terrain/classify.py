@@ -25,9 +25,9 @@ KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of l
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this is too narrow to stand in
 APART = 3  # cells between those whose novelty is computed
-ANYTHING = 0.5  # probability of black ground that no finer picture shows
+ANYTHING = 0.5  # probability of ground that no picture shows
 UNLIKE = 20.0  # its novelty: 1 % of a footprint refuses it
-PIT = 0.15  # metres: refused ground narrower than twice this is left to the geometry
+PIT = 0.3  # metres: refused ground that is no wider is left to the geometry
 ROWS_AT_A_TIME = 64
 WATER = Terrain.WATER - 1
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
@@ -61,6 +61,11 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
         standing = without_specks(np.nan_to_num(height_above) > tall, cell, 0.5)
         out |= grow(standing, n)
     return out
+
+
+def without_pits(share: F32, cell: float) -> F32:
+    """P(landable), (R, C), with refused ground of up to `PIT` width raised to that about it; `cell` in metres."""
+    return fill_pits(share, int(PIT / cell + 1e-6) + 1)
 
 
 def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
@@ -163,7 +168,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
 
     def surely(shares: list[F32]) -> F32:
         """The smaller of the shares with and without appearance, because appearance never permits (T5)."""
-        share = fill_pits(np.minimum.reduce(shares), round(PIT / cell))
+        share = without_pits(np.minimum.reduce(shares), cell)
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
     landable = surely([p.open for p in each])
@@ -175,7 +180,8 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
     """Pass terms on, and keep every `APART`-th cell of each."""
     for name, values in terms:
-        some[name] = values[APART // 2 :: APART, APART // 2 :: APART].copy()  # a view would keep the whole
+        first = [min(APART // 2, n - 1) for n in values.shape]
+        some[name] = values[first[0] :: APART, first[1] :: APART].copy()  # a view would keep the whole
         yield name, values
 
 
@@ -215,28 +221,29 @@ def classify(
 
     Returns:
         Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
-        never one to permit. Black ground that no finer picture shows is UNKNOWN too, but may be anything, as a pit:
-        its probability is `ANYTHING`, its novelty `UNLIKE`.
+        never one to permit. Ground with heights and without a picture is UNKNOWN too. It may be anything: its `bears`
+        is `ANYTHING`, its novelty `UNLIKE`. Black ground, as in a pit, also has a `landable` of `ANYTHING`.
     """
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
     found = _classified(elevation, settings, model, tables or package_tables())
     known = seen(elevation)
-    blank = black_ground(elevation) & ~known
+    unpictured = (elevation.views > 0) & ~known
+    blank = black_ground(elevation) & unpictured
     surfaces = LevelSurfaces.of(elevation, settings)
 
-    def of_ground(values: F32, where_blank: float) -> F32:
-        return np.where(known, values, np.where(blank, np.float32(where_blank), nothing))
+    def of_ground(values: F32, otherwise: float, where: Mask) -> F32:
+        return np.where(known, values, np.where(where, np.float32(otherwise), nothing))
 
     cover = TerrainMap(
         elevation.grid,
         np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        of_ground(found.landable, ANYTHING),
+        of_ground(found.landable, ANYTHING, blank),
         water=np.where(known, found.water, nothing),
         enclosed=surfaces.enclosed(),
-        novelty=of_ground(found.novelty, UNLIKE),
-        bears=of_ground(found.bears, ANYTHING),
+        novelty=of_ground(found.novelty, UNLIKE, unpictured),
+        bears=of_ground(found.bears, ANYTHING, unpictured),
         coloured=found.coloured,
     )
     return cover.with_roofs(surfaces.raised())

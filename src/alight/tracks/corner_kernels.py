@@ -179,21 +179,23 @@ def strongest_corners(image: U8, boxes: I64, taken: F32, away: float, half: int,
 
 
 @kernel
-def interpolate_rays(table: F64, pixels: F64, out: F64) -> None:
-    """Interpolate a table (R, C, 2) bilinearly at (N, 2) places (column, row); outside, at its edge.
-
-    NaN stays NaN.
-    """
+def ray_at(table: F64, x: float, y: float, ray: F64) -> None:
+    """Interpolate a table (R, C, 2) bilinearly at one place (column, row); outside, at its edge."""
     rows, cols = table.shape[:2]
+    x, y = min(max(x, 0.0), cols - 1.001), min(max(y, 0.0), rows - 1.001)
+    i, j = int(y), int(x)
+    b, a = y - i, x - j
+    for c in range(2):
+        upper = (1 - a) * table[i, j, c] + a * table[i, j + 1, c]
+        lower = (1 - a) * table[i + 1, j, c] + a * table[i + 1, j + 1, c]
+        ray[c] = (1 - b) * upper + b * lower
+
+
+@kernel
+def interpolate_rays(table: F64, pixels: F64, out: F64) -> None:
+    """Interpolate a table as in `ray_at` at (N, 2) places; NaN stays NaN."""
     for k in range(pixels.shape[0]):
         if not (np.isfinite(pixels[k, 0]) and np.isfinite(pixels[k, 1])):
             out[k] = np.nan
             continue
-        x = min(max(pixels[k, 0], 0.0), cols - 1.001)
-        y = min(max(pixels[k, 1], 0.0), rows - 1.001)
-        i, j = int(y), int(x)
-        b, a = y - i, x - j
-        for c in range(2):
-            upper = (1 - a) * table[i, j, c] + a * table[i, j + 1, c]
-            lower = (1 - a) * table[i + 1, j, c] + a * table[i + 1, j + 1, c]
-            out[k, c] = (1 - b) * upper + b * lower
+        ray_at(table, pixels[k, 0], pixels[k, 1], out[k])

@@ -53,7 +53,7 @@ def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, 
     """Return the (2,) px of the common error of all predicted pixels: a degree of tilt is 34 px, beyond the search."""
     a, b = downsampled(then), downsampled(now)
     k = downsampling_factor(now)
-    warped, valid = _warped(a, b, pixels, predicted, k)
+    warped, valid = _warped(a, b, _affine_of(pixels, predicted, k))
     r = reach_px // k
     if valid.mean() < least_overlap or min(a.shape) <= 4 * r:
         return np.zeros(2, np.float32)
@@ -94,7 +94,8 @@ def relocate(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
     for turn in turns:
         R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         predicted = ((pixels - middle) @ R.T + middle).astype(np.float32)
-        warped, _ = _warped(a, b, pixels, predicted, k)
+        about = (middle + 0.5) / k - 0.5
+        warped, _ = _warped(a, b, np.column_stack([R, about - R @ about]))
         shift, peak = cv2.phaseCorrelate(_high_pass(warped), _high_pass(b), window)
         if peak > best:
             best, found = peak, predicted + np.array(shift, np.float32) * k
@@ -118,10 +119,14 @@ def downsampled(image: U8) -> U8:
     return np.asarray(cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA))
 
 
-def _warped(then: U8, now: U8, pixels: F32, predicted: F32, factor: int) -> tuple[U8, Mask]:
-    """Warp a downsampled image by the affine map from `pixels` to `predicted` (full size); also where it is valid."""
+def _affine_of(pixels: F32, predicted: F32, factor: int) -> F64:
+    """Return the affine map (2, 3) of downsampled images from `pixels` to `predicted`, (N, 2) of full size."""
     a, b = ((x.astype(np.float64) + 0.5) / factor - 0.5 for x in (pixels, predicted))
-    affine = np.linalg.lstsq(np.column_stack([a, np.ones(len(a))]), b, rcond=None)[0].T
+    return np.asarray(np.linalg.lstsq(np.column_stack([a, np.ones(len(a))]), b, rcond=None)[0].T)
+
+
+def _warped(then: U8, now: U8, affine: F64) -> tuple[U8, Mask]:
+    """Warp a downsampled image by a (2, 3) affine map; also return where it is valid."""
     size = (now.shape[1], now.shape[0])
     valid = cv2.warpAffine(np.ones_like(then), affine, size, flags=cv2.INTER_NEAREST) > 0
     return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(valid)
@@ -129,7 +134,7 @@ def _warped(then: U8, now: U8, pixels: F32, predicted: F32, factor: int) -> tupl
 
 def image_correlation(then: U8, now: U8, pixels: F32, predicted: F32, factor: int, least_overlap: float) -> float:
     """Correlation of two downsampled images where they overlap by the affine map from `pixels` to `predicted`."""
-    warped, valid = _warped(then, now, pixels, predicted, factor)
+    warped, valid = _warped(then, now, _affine_of(pixels, predicted, factor))
     if valid.mean() < least_overlap:
         return -1.0
     x, y = warped[valid].astype(np.float64), now[valid].astype(np.float64)

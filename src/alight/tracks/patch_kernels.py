@@ -6,6 +6,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, I32, I64, U8
 from alight.compiled import kernel, sum_kernel
+from alight.tracks.corner_kernels import ray_at
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 _MIN_GAIN = np.float32(0.2)  # of contrast; a patch with less contrast is not matched
@@ -199,19 +200,6 @@ def cut_patches(image: U8, corners: I64, slots: I64, patches: U8) -> None:
 
 
 @kernel
-def _ray_beside(table: F64, x: float, y: float, ray: F64) -> None:
-    """Interpolate the table of a lens at one pixel."""
-    rows, cols = table.shape[:2]
-    x, y = min(max(x + 1.0, 0.0), cols - 1.001), min(max(y + 1.0, 0.0), rows - 1.001)
-    i, j = int(y), int(x)
-    b, a = y - i, x - j
-    for c in range(2):
-        upper = (1 - a) * table[i, j, c] + a * table[i, j + 1, c]
-        lower = (1 - a) * table[i + 1, j, c] + a * table[i + 1, j + 1, c]
-        ray[c] = (1 - b) * upper + b * lower
-
-
-@kernel
 def warp_patches(
     pixels: F64, table: F64, R: F64, t: F64, views: I64, up: F64, depth: float, there: F64, other: F64, out: F64
 ) -> None:
@@ -219,7 +207,7 @@ def warp_patches(
 
     Args:
         pixels: (N, 2) here.
-        table, other: rays of the lens of this view, and of the other views, as in `interpolate_rays`.
+        table, other: rays of the lens of this view, and of the other views, as in `ray_at`, with a pixel at place + 1.
         R, t: (V, 3, 3), (V, 3) other_from_here.
         views: (N,) which of them.
         up: (3,) unit, here; depth: m of the ground along the axis; a view that is too oblique has it across.
@@ -234,7 +222,7 @@ def warp_patches(
             for side in range(2):
                 off = _DIFFERENCE if side == 0 else -_DIFFERENCE
                 dx, dy = (off, 0.0) if axis == 0 else (0.0, off)
-                _ray_beside(table, pixels[k, 0] + dx, pixels[k, 1] + dy, ray)
+                ray_at(table, pixels[k, 0] + dx + 1.0, pixels[k, 1] + dy + 1.0, ray)
                 down = (ray[0] * up[0] + ray[1] * up[1] + up[2]) / min(up[2], -1e-9)  # 1 along the axis
                 z = depth / down if steep and down > _MIN_DESCENT else depth
                 q0 = z * (R[v, 0, 0] * ray[0] + R[v, 0, 1] * ray[1] + R[v, 0, 2]) + t[v, 0]
@@ -245,7 +233,7 @@ def warp_patches(
             for side in range(2):
                 off = _DIFFERENCE if side == 0 else -_DIFFERENCE
                 dx, dy = (off, 0.0) if axis == 0 else (0.0, off)
-                _ray_beside(other, there[k, 0] + dx, there[k, 1] + dy, ends[side])
+                ray_at(other, there[k, 0] + dx + 1.0, there[k, 1] + dy + 1.0, ends[side])
             by_there[0, axis], by_there[1, axis] = ends[0, 0] - ends[1, 0], ends[0, 1] - ends[1, 1]
         det = by_there[0, 0] * by_there[1, 1] - by_there[0, 1] * by_there[1, 0]
         for axis in range(2):

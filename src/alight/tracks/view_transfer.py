@@ -17,6 +17,8 @@ from alight.tracks.patches import median_depth
 from alight.tracks.search_region import pixel_covariance
 from alight.tracks.transfer_kernels import carry_points
 
+_SAME_PLACE = 1e-5  # m between two views, below which no depth shifts a feature
+
 
 @dataclass(frozen=True, eq=False)
 class PredictedPixels:
@@ -90,7 +92,7 @@ class ViewTransfer:
         baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
         least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
         shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
-        if baseline * camera.fu < least:
+        if baseline < _SAME_PLACE:
             return depth
         small, now = (downsampled(image) for image in images)
         scores = [

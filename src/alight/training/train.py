@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
 from alight.arrays import F32, F64, I64, U8
-from alight.records import Terrain
+from alight.records import InputError, Terrain
 from alight.terrain.features import LEVELS, PIXEL, STRETCH
 from alight.terrain.model import CLIP, Head, Model, appearance_evidence, log_probability, log_softmax, scores
 from alight.training.confusion import Confusion, lines_of
@@ -107,12 +107,14 @@ def patch_means(log_p: F32, patch: I64, count: int) -> F64:
 def leave_sites_out(samples: Samples, kinds: U8, sites: NDArray[np.str_]) -> tuple[Confusion, float]:
     """Test every site with a model of the others (one level); return the confusion and the fitted temperature.
 
+    A site without samples of this level, whose pixels are too coarse, is not tested.
+
     Raises:
-        ValueError: there are fewer than two sites.
+        ValueError: there are samples of fewer than two sites.
     """
-    every = np.unique(sites)
+    every = np.unique(sites[samples.patch])
     if len(every) < 2:
-        raise ValueError("leaving a site out needs pictures of two sites or more")
+        raise ValueError(f"leaving a site out needs two sites or more with pixels smaller than {COARSEST:.2f} m")
     classes = np.unique(kinds)
     parts = [_fit_without(samples, kinds, sites, classes, str(site)) for site in every]
     scored, patch = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
@@ -149,7 +151,7 @@ def train(patches: list[LabelledPatch], tell: Tell = quiet) -> tuple[Model, Conf
             continue
         at = np.searchsorted(classes, kinds[s.patch]).astype(np.int64)
         head = fit_head(s.values, at, balance(kinds[s.patch], sites[s.patch]), len(classes))
-        out, temperature = leave_sites_out(s, kinds, sites) if len(np.unique(sites)) > 1 else (None, UNTESTED)
+        out, temperature = leave_sites_out(s, kinds, sites) if len(np.unique(sites[s.patch])) > 1 else (None, UNTESTED)
         first = first or out
         heads[level] = replace(head, temperature=temperature)
     if not any(heads):
@@ -168,21 +170,27 @@ def provenance(kinds: U8, sites: NDArray[np.str_], left_out: Confusion | None) -
 
 
 def elsewhere(patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
-    """Every site judged by a model of the others, at the finest level that all classes can fill.
+    """Every site judged by a model of the others, at the finest level that all classes and two sites can fill.
 
     Raises:
-        ValueError: fewer than two sites, or the pictures are too coarse.
+        InputError: the pictures are too coarse.
+        ValueError: fewer than two sites.
     """
     kinds, sites = _known(patches)
     for level in range(LEVELS):
         s = measure_patches(patches, level, tell)
-        if set(kinds[s.patch]) == set(kinds):
+        enough = len(np.unique(sites[s.patch])) > 1 or level == LEVELS - 1
+        if set(kinds[s.patch]) == set(kinds) and enough:
             return leave_sites_out(s, kinds, sites)[0]
-    raise ValueError(f"the pictures are too coarse: a pixel must be smaller than {COARSEST:.2f} m")
+    raise InputError(f"the pictures are too coarse: a pixel must be smaller than {COARSEST:.2f} m")
 
 
 def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
-    """Confusion of a given model on every patch, each at the finest level that it can fill."""
+    """Confusion of a given model on every patch, each at the finest level that it can fill.
+
+    Raises:
+        InputError: the pictures are too coarse for the model.
+    """
     kinds, sites = _known(patches)
     log_p = np.full((len(patches), len(model.classes)), np.nan)
     for level, head in enumerate(model.heads):
@@ -190,11 +198,22 @@ def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet
             s = measure_patches(patches, level, share_progress(tell, level), variants=1)
             found = patch_means(log_probability(head, s.values), s.patch, len(patches))
             log_p = np.where(np.isnan(log_p), found, log_p)
+    if np.isnan(log_p).all():
+        raise _too_coarse(model)
     return _confusion(kinds, sites, model.classes, log_p)
 
 
+def _too_coarse(model: Model) -> InputError:
+    pixel = STRETCH * PIXEL * 2 ** max(level for level, head in enumerate(model.heads) if head is not None)
+    return InputError(f"the pictures are too coarse for this model: a pixel must be smaller than {pixel:.2f} m")
+
+
 def judge_pixels(model: Model, pictures: Iterable[tuple[str, U8, U8]], sampling: float) -> Confusion:
-    """Confusion of a model on the blocks of pictures with a label a pixel; all pictures are one site."""
+    """Confusion of a model on the blocks of pictures with a label a pixel; all pictures are one site.
+
+    Raises:
+        InputError: the pictures are too coarse for the model, or none of their pixels has a class.
+    """
     kinds, log_p = [], []
     for _, rgb, label in pictures:
         found = appearance_evidence(model, rgb, sampling)
@@ -203,7 +222,10 @@ def judge_pixels(model: Model, pictures: Iterable[tuple[str, U8, U8]], sampling:
         rows, cols = found.shape[:2]
         kinds.append(cv2.resize(label, (cols, rows), interpolation=cv2.INTER_NEAREST).ravel())
         log_p.append(found.reshape(-1, found.shape[2]).astype(np.float64))
-    kind = np.concatenate([*kinds, np.empty(0, np.uint8)])
-    said = np.concatenate([*log_p, np.empty((0, len(model.classes)))])
+    if not kinds:
+        raise _too_coarse(model)
+    kind, said = np.concatenate(kinds), np.concatenate(log_p)
+    if not kind.any():
+        raise InputError("no pixel of the labels has a class; give its code, 1 to 8")
     said[kind == Terrain.UNKNOWN] = np.nan
     return _confusion(kind, np.full(len(kind), "pictures"), model.classes, said)

@@ -159,7 +159,7 @@ def solve_bundle(
     if len(aside):
         state, priors, placed = resect(state, most, aside, priors)
         lost = np.setdiff1d(aside, placed)
-        few, most, obs = (without_photos(o, lost)[0] for o in (few, most, obs))
+        few, most = (without_photos(o, lost)[0] for o in (few, most))
         photos = np.setdiff1d(photos, lost)
         state, _ = one_round(state, few, priors, *ROUNDS[-2])
     state, _ = one_round(state, most, priors, *ROUNDS[-1])

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from alight.arrays import F64, I64
 from alight.motion.bundle.matching import BundleObservations, PhotoFeatures
+from alight.spread import SIGMA_OF_MAD
 
 DARK, BRIGHT = 8.0, 245.0  # colours beyond are not used: noise, or overexposed
 TIE = 0.02  # weight, of a photo's observations, of the prior that its factor is 1
@@ -47,7 +48,7 @@ def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservat
         out = _solved(obs, value, len(features))
         off = value + out[obs.photo]
         off -= _means(obs, off)[obs.point]
-        sigma = np.maximum(1.4826 * np.median(np.abs(off), axis=0), 1e-6)
+        sigma = np.maximum(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), 1e-6)
         obs, value = _of(obs, np.all(np.abs(off) < FAR * sigma, axis=1), value)
     return np.asarray(np.exp(out).clip(1 / MOST, MOST))
 

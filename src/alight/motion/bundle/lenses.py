@@ -50,6 +50,11 @@ class PhotoLenses:
         """Readout of a camera from its maker, s; None: not known."""
         return self.told[camera] if self.told else None
 
+    @property
+    def any_told(self) -> bool:
+        """True if a maker states the readout of any camera."""
+        return any(readout is not None for readout in self.told)
+
     def with_told(self, lens: F64) -> F64:
         """Lens numbers (k,) with the readouts from the makers."""
         lens = lens.copy()

@@ -130,16 +130,18 @@ def observable_lens(priors: Priors, photos: I64) -> Priors:
 def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
     """Let rows be exposed one after the other; the readout is free where velocities are known and the maker gives none.
 
+    Where all lens numbers are held, so are the readouts.
+
     Args:
         priors: of all photos.
         centres: (n, 3) metres, as adjusted so far.
         seconds: (n,) when each photo was taken.
     """
     velocity = velocities(centres, seconds, priors.lenses.of)
-    sigma = priors.sigma_lens.copy()
+    sigma, held = priors.sigma_lens.copy(), not priors.sigma_lens.any()
     for k, number in enumerate(priors.lenses.readout_numbers):
         known = velocity[priors.lenses.of == k].any(axis=1)
-        free = known.sum() >= _LENS_PHOTOS and priors.lenses.told_of(k) is None
+        free = not held and known.sum() >= _LENS_PHOTOS and priors.lenses.told_of(k) is None
         sigma[number] = _SIGMA_READOUT if free else 0.0
     return replace(priors, sigma_lens=sigma, velocity=velocity)
 

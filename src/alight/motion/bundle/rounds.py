@@ -51,7 +51,7 @@ def coarse_rounds(
     if len(more):
         aside, few = np.union1d(aside, more), without_photos(few, more)[0]
         state, _ = one_round(state, few, held, *ROUNDS[_LENS_ROUND - 1])
-    if seconds is None or not priors.sigma_lens.any():
+    if seconds is None or not (priors.sigma_lens.any() or priors.lenses.any_told):
         state = _lens_rounds(state, few, priors)
     else:
         told = seconds.copy()

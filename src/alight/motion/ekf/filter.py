@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from alight.motion.dynamics import (
     propagate_covariance,
 )
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
-from alight.motion.ekf.initial_attitude import COURSE_ATTITUDE_SIGMA, MIN_GPS_BASELINE, attitude_from_course
+from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, CourseAttitude, PositionedExposure
 from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import Gate
 from alight.motion.ekf.memory import FilterMemory, Snapshot
@@ -72,7 +71,8 @@ log = logging.getLogger(__name__)
 _MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which they count as a jump, not a short fault
 _MAX_GPS_AGE = 0.2  # s between a GPS position and the exposure that it is used for
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
-_RATE_HALF_WINDOW_NS, _RATE_SAMPLES = 15_000_000, 7  # ns and samples over which the angular velocity is averaged
+_RATE_HALF_WINDOW_NS = 15_000_000  # ns, half of the time over which the angular velocity is averaged
+_RATE_MARGIN = 100.0  # over the variance of that mean: each exposure has its own error, and so seems to tell the offset
 _ATTITUDE_INFLATION = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added when observations contradict
 _MAX_INFLATIONS = 3  # in a row without a good exposure between, after which the filter starts anew
 
@@ -89,7 +89,8 @@ class MotionFilter:
         self._settings = settings
         self._gate = Gate(settings.gate)
         self._imu = ImuBuffer()
-        self._keep_ns = _IMU_KEEP_NS + round(settings.lateness * 1e9)
+        self._vague = False  # True: a warning on the sigmas of GPS/INS was given
+        self._late_ns = round(settings.lateness * 1e9)
         self._memory = FilterMemory(
             VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast), map_number=map_number
         )
@@ -98,18 +99,16 @@ class MotionFilter:
     def feed_imu(self, sample: ImuSample) -> None:
         """Take one inertial measurement; it is used when the next exposure or GPS/INS row comes."""
         m = self._memory
-        if len(self._imu) and sample.t_ns <= self._imu.last_ns:
+        if not self._imu.append(sample):
             return
-        if not (np.isfinite(sample.angular_velocity_body).all() and np.isfinite(sample.specific_force_body).all()):
-            return
-        self._imu.append(sample)
         if self._recording:
             self._recording.imu.append(sample)
         if not m.inertial:
             m.inertial = True
             if m.state is not None:
                 self._start_biases(m.state)
-        self._imu.forget_before(sample.t_ns - self._keep_ns)
+        used_ns = m.state.t_ns - self._late_ns if m.state is not None else sample.t_ns
+        self._imu.forget_before(min(sample.t_ns - _IMU_KEEP_NS - self._late_ns, used_ns))
 
     def feed_nav(self, sample: NavSample) -> None:
         """Take one row of the GPS/INS solution; rows that are older than the state are left out."""
@@ -128,19 +127,25 @@ class MotionFilter:
             self._recording.nav.append(sample)
         self._update_from_nav(m.state, sample, sigma)
         if is_diverged(m.state):
-            self._start(sample, sigma)
+            self._start_over(m.state, sample, sigma)
 
     def feed_tracks(self, tracks: Tracks) -> Motion | None:
         """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
         m = self._memory
         if tracks.t_ns <= m.last_exposure_ns or self.time_of(tracks) < self.time_ns:
             return None
+        course = self._course(tracks)
         m.last_exposure_ns = tracks.t_ns
-        self._attitude_from_course(tracks)
+        if m.state is None and course is not None and m.last_nav is not None:
+            row, course = course.row(m.last_nav, tracks.t_ns), None
+            self._start(row, sigmas(row, self._settings))
         state = m.state
         if state is None:
             return None
         self._propagate(state, self.time_of(tracks))
+        if course is not None:
+            residual, unit = so3_log(course.R @ state.R.T), 1.0 / course.sigma
+            state.correct(residual * unit, np.diag(unit), np.arange(ATT.start, ATT.stop))
         counts = m.visual.on_exposure(state, tracks) if len(tracks.ids) else GateCounts()
         if m.health.on_exposure(tracks.t_ns, counts):
             self._inflate_attitude(state)
@@ -149,34 +154,29 @@ class MotionFilter:
             self._recording.exposures.append((motion, tracks, state.core[:CORE].copy()))
         return motion
 
-    def _attitude_from_course(self, tracks: Tracks) -> None:
+    def _course(self, tracks: Tracks) -> CourseAttitude | None:
         """Estimate the attitude from images where GPS comes without it: at the start, and between photos (M26)."""
         m, nav = self._memory, self._memory.last_nav
         if nav is None or nav.position_world is None or nav.world_from_body is not None:
-            return
+            return None
         if (tracks.t_ns - nav.t_ns) * 1e-9 > _MAX_GPS_AGE:
-            return
-        before = m.last_positioned
-        if before is not None and np.linalg.norm((nav.position_world - before[1])[:2]) < MIN_GPS_BASELINE:
-            return
-        m.last_positioned = (tracks, nav.position_world)
-        if before is None:
-            return
-        R = attitude_from_course(before[0], tracks, nav.position_world - before[1], self._cams[0])
-        if R is None:
-            return
-        if m.state is None:
-            sigma_body = np.abs(R.T) @ COURSE_ATTITUDE_SIGMA
-            row = replace(nav, t_ns=tracks.t_ns, world_from_body=R, sigma_attitude=sigma_body)
-            self._start(row, sigmas(row, self._settings))
-        elif tracks.t_ns - before[0].t_ns > MAX_RATE_AGE * 1e9:
-            residual, unit = so3_log(R @ m.state.R.T), 1.0 / COURSE_ATTITUDE_SIGMA
-            m.state.correct(residual / COURSE_ATTITUDE_SIGMA, np.diag(unit), np.arange(ATT.start, ATT.stop))
+            return None
+        if m.state is not None and (tracks.t_ns - m.last_exposure_ns) * 1e-9 <= MAX_RATE_AGE:
+            return None
+        before, now = m.last_positioned, PositionedExposure(tracks, nav)
+        found = None if before is None else before.course_to(now, self._cams[0], self._settings)
+        if m.state is None and found is not None and found.sigma[2] > MAX_START_SIGMA:
+            found = None
+        if found is not None or before is None or before.is_out_of_view(now):
+            m.last_positioned = now
+        return found
 
     def keyframes(self) -> KeyframeWindow | None:
-        """Return the keyframe window by value, from which the joint posterior follows; None without keyframes."""
+        """Return the keyframe window by value, from which the joint posterior follows; None before any exposure."""
         m = self._memory
-        return m.visual.window(m.state, m.map_number) if m.state is not None and len(m.state.clones) else None
+        if m.state is None or m.last_exposure_ns == NEVER_NS:
+            return None
+        return m.visual.window(m.state, m.last_exposure_ns, m.map_number)
 
     def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
         """Predict the camera poses at an exposure, relative to that at `before_ns`; None before any GPS/INS row."""
@@ -259,8 +259,18 @@ class MotionFilter:
                 state.core[GYRO] = sample.angular_velocity_body
         if self._recording:
             self._recording.nav.append(sample)
-        m.predicted = _step_at(state)
+        m.predicted = Step.at(state)
         return True
+
+    def _start_over(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
+        """Start anew where the state has diverged; not if the row itself claims as little as that."""
+        fresh = initial_state(sample, sigma, self._settings)
+        if fresh is None or not (is_diverged(fresh) and np.isfinite(state.core).all()):
+            self._start(sample, sigma)
+        elif not self._vague:
+            self._vague = True
+            claim = "motion: GPS/INS claims the attitude to %.2f rad and the velocity to %.1f m/s only (1-sigma): "
+            log.warning(claim + "it is lost until IMU or pictures make them better", *sigma[[3, 6]])
 
     def _start_biases(self, state: FilterState) -> None:
         """Set the biases of the IMU to zero with their prior covariance."""
@@ -294,16 +304,14 @@ class MotionFilter:
         state.core[NAV] *= decay
         state.t_ns = t_ns
         state.rate, state.rate_variance = self._rate(state)
-        self._memory.predicted = _step_at(state)
+        self._memory.predicted = Step.at(state)
 
     def _rate(self, state: FilterState) -> tuple[F64, float]:
-        """(3,) rad/s angular velocity in the body, the mean of some samples, and its variance."""
+        """(3,) rad/s angular velocity in the body, the mean over 30 ms, and its variance as it counts for M27."""
         if not self._memory.inertial:
             return state.core[GYRO].copy(), float(state.P[GYRO, GYRO].diagonal().max())
-        first = min(int(np.searchsorted(self._imu.times, state.t_ns - _RATE_HALF_WINDOW_NS)), len(self._imu) - 1)
-        some = self._imu.rates[first : first + _RATE_SAMPLES, :3]
-        mean = some.sum(axis=0) / len(some)
-        return mean - state.core[GYRO], self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
+        mean = self._imu.mean_rate(state.t_ns, _RATE_HALF_WINDOW_NS)
+        return mean - state.core[GYRO], _RATE_MARGIN * self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
 
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
 
@@ -388,8 +396,3 @@ class MotionFilter:
             why,
             m.map_number,
         )
-
-
-def _step_at(state: FilterState) -> Step:
-    """Pose and velocity of a state, copied."""
-    return Step(state.R, state.core[POS].copy(), state.core[VEL].copy())

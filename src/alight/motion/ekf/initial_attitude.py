@@ -2,41 +2,108 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F64
 from alight.geometry import Pose
-from alight.records import Tracks
+from alight.motion.gps_ins import sigmas, whites
+from alight.records import NavSample, Tracks
+from alight.settings import FilterSettings
 
-COURSE_ATTITUDE_SIGMA = np.array([0.1, 0.1, 0.05])  # rad about east, north, up; the camera is assumed to look down
-MIN_GPS_BASELINE = 0.5  # m between two GPS positions whose direction is used
+_MIN_GPS_BASELINE = 0.5  # m between two GPS positions whose direction is used
+_MIN_SHARED = 20  # features that two exposures share; with fewer, the later one is the first of the next pair
+_TILT_SIGMA = 0.1  # rad; the camera is assumed to look down
+_MIN_HEADING_SIGMA = 0.05  # rad
+MAX_START_SIGMA = 1.0 / 3.0  # rad, of the heading at a start: way and shift are three sigmas long, else they grow first
 _MIN_FEATURES = 12
 _ROUNDS, _PAIRS = 6, 100
 _INLIER = 0.01  # normalised coordinates; features with a larger residual are off the ground plane, or wrong
 
 
-def attitude_from_course(before: Tracks, now: Tracks, baseline_world: F64, body_from_cam: Pose) -> F64 | None:
-    """Return world_from_body (3, 3) at `now` for a camera that looks straight down; None: images do not determine it.
+@dataclass(frozen=True, eq=False)
+class CourseAttitude:
+    """Attitude of a camera that is taken to look straight down, with the heading from the course."""
 
-    The ground moves against the direction of flight. A similarity from one image to the other gives that direction in
-    the image, GPS gives it in the world.
+    R: F64  # (3, 3) world_from_body
+    sigma: F64  # (3,) rad about east, north, up
+
+    def row(self, nav: NavSample, t_ns: int) -> NavSample:
+        """Return a GPS row with this attitude, as the row at an instant."""
+        about_body = np.sqrt((self.R.T**2) @ self.sigma**2)
+        return replace(nav, t_ns=t_ns, world_from_body=self.R, sigma_attitude=about_body)
+
+
+@dataclass(frozen=True, eq=False)
+class PositionedExposure:
+    """An exposure and the GPS row at it, which has a position and no attitude."""
+
+    tracks: Tracks
+    nav: NavSample
+
+    def is_out_of_view(self, now: PositionedExposure) -> bool:
+        """True if this one shares too few features with a later one to be the first of a pair."""
+        return len(np.intersect1d(self.tracks.ids, now.tracks.ids)) < _MIN_SHARED
+
+    def course_to(self, now: PositionedExposure, cam: Pose, settings: FilterSettings) -> CourseAttitude | None:
+        """Return the attitude at a later one by the course; `cam` is body_from_cam; None: not determined."""
+        return attitude_from_course(self.tracks, now.tracks, *self._way_to(now, settings), cam)
+
+    def _way_to(self, now: PositionedExposure, settings: FilterSettings) -> tuple[F64, float]:
+        """Return the way (2,) to a later one, m east and north, and the 1-sigma of each by the GPS model (M10)."""
+        assert self.nav.position_world is not None
+        assert now.nav.position_world is not None
+        way = (now.nav.position_world - self.nav.position_world)[:2]
+        sigma, dt = sigmas(now.nav, settings), (now.nav.t_ns - self.nav.t_ns) * 1e-9
+        drift = sigma**2 * (1.0 - np.exp(-dt / settings.nav_position_tau))
+        return way, float(np.sqrt(2.0 * (drift + whites(sigma, settings) ** 2)[:2].max()))
+
+
+@dataclass(frozen=True)
+class _Shift:
+    """Motion of the ground through the image, in normalised coordinates, without the change of the tilt."""
+
+    value: complex
+    sigma: float  # across its direction
+    scale: float  # of the second image against the first: above 1 the camera descended
+
+
+def attitude_from_course(
+    before: Tracks, now: Tracks, way_world: F64, way_sigma: float, body_from_cam: Pose
+) -> CourseAttitude | None:
+    """Return the attitude at `now` for a camera that looks straight down; None: images do not determine it.
+
+    The ground moves against the direction of flight. The map from one image to the other gives that direction in the
+    image, GPS gives it in the world.
 
     Args:
         before, now: tracks of two exposures.
-        baseline_world: (3,) m, GPS position of `now` less that of `before`.
+        way_world: (2,) m east and north, GPS position of `now` less that of `before`.
+        way_sigma: m, 1-sigma of each component.
         body_from_cam: of the camera.
     """
+    way = float(np.hypot(way_world[0], way_world[1]))
+    shift = _ground_shift(before, now) if way >= _MIN_GPS_BASELINE else None
+    if shift is None:
+        return None
+    size = abs(shift.value)
+    by_tilt = abs(shift.scale - 1.0) * _TILT_SIGMA / size
+    heading = float(np.linalg.norm([_MIN_HEADING_SIGMA, way_sigma / way, shift.sigma / size, by_tilt]))
+    x_axis = np.arctan2(way_world[1], way_world[0]) + np.angle(-shift.value)  # of the image, from east
+    c, s = np.cos(x_axis), np.sin(x_axis)
+    world_from_cam = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+    R = np.asarray(world_from_cam @ body_from_cam.rotation.T)
+    return CourseAttitude(R, np.array([_TILT_SIGMA, _TILT_SIGMA, heading]))
+
+
+def _ground_shift(before: Tracks, now: Tracks) -> _Shift | None:
+    """Return the motion of the ground between two exposures; None: no clear one."""
     _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
     a, b = (_complex(t.normalised[k, 0]) for t, k in ((before, i), (now, j)))
     both = np.isfinite(a) & np.isfinite(b)
-    shift = _robust_shift(a[both], b[both]) if both.sum() >= _MIN_FEATURES else None
-    if shift is None or np.hypot(baseline_world[0], baseline_world[1]) < MIN_GPS_BASELINE:
-        return None
-    x_axis = np.arctan2(baseline_world[1], baseline_world[0]) + np.angle(-shift)  # of the image, from east
-    c, s = np.cos(x_axis), np.sin(x_axis)
-    world_from_cam = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
-    return np.asarray(world_from_cam @ body_from_cam.rotation.T)
+    return _robust_shift(a[both], b[both]) if both.sum() >= _MIN_FEATURES else None
 
 
 def _complex(z: F64) -> NDArray[np.complex128]:
@@ -44,19 +111,42 @@ def _complex(z: F64) -> NDArray[np.complex128]:
     return np.asarray(z[:, 0] + 1j * z[:, 1])
 
 
-def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> complex | None:
-    """Return the shift t of the similarity b = c a + t, by least squares without outliers; None: no clear motion.
+def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shift | None:
+    """Return the shift t of the map b (1 + h . a) = c a + t, by least squares without outliers; None: no clear motion.
 
-    It starts from the pair of features with the most inliers, since the images may be rotated by any angle.
+    A change of the tilt shifts the image like a flight over ground, by -h turned as the image has turned. So it is told
+    by h and taken out: at 30 m it changed the direction by 0.2 rad. The fit starts from the pair of features with the
+    most inliers by a similarity, since the images may be rotated by any angle.
     """
     i, j = np.random.default_rng(0).integers(0, len(a), (2, _PAIRS))
     c = (b[j] - b[i]) / np.where(i == j, 1.0, a[j] - a[i])
     residual = np.abs(c[:, None] * a + (b[i] - c * a[i])[:, None] - b)
     used = residual[int(np.argmax((residual < 3.0 * _INLIER).sum(axis=1)))] < 3.0 * _INLIER
+    J = _by_map(a, b)
+    x, rows = np.zeros(6), J[:0].reshape(0, 6)
     for _ in range(_ROUNDS):
         if used.sum() < _MIN_FEATURES:
             return None
-        (c, t), *_ = np.linalg.lstsq(np.column_stack([a[used], np.ones(int(used.sum()))]), b[used], rcond=None)
-        residual = np.abs(c * a + t - b)
+        rows, seen = J[used].reshape(-1, 6), np.column_stack([b[used].real, b[used].imag]).ravel()
+        x, _, rank, _ = np.linalg.lstsq(rows, seen)
+        if rank < 6:
+            return None
+        variance = float(((rows @ x - seen) ** 2).sum()) / max(len(seen) - 6, 1)
+        residual = np.abs(_complex(J @ x) - b)
         used = residual < max(_INLIER, 3.0 * float(np.median(residual[used])))
-    return complex(t) if abs(t) > _INLIER else None
+    turn = np.array([[x[0], -x[1]], [x[1], x[0]]]) / np.hypot(x[0], x[1])
+    value = complex(*(x[2:4] + turn @ x[4:6]))
+    if abs(value) <= _INLIER:
+        return None
+    across = np.array([-value.imag, value.real]) / abs(value)
+    by_map = np.concatenate([np.zeros(2), across, across @ turn])
+    sigma = float(np.sqrt(variance * (by_map @ np.linalg.solve(rows.T @ rows, by_map))))
+    return _Shift(value, sigma, float(np.hypot(x[0], x[1])))
+
+
+def _by_map(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> F64:
+    """(N, 2, 6) derivatives of b by the real and imaginary parts of c, t and h."""
+    x, y, u, v = a.real, a.imag, b.real, b.imag
+    zero, one = np.zeros(len(a)), np.ones(len(a))
+    rows = np.array([[x, -y, one, zero, -u * x, -u * y], [y, x, zero, one, -v * x, -v * y]])
+    return np.asarray(rows.transpose(2, 0, 1))

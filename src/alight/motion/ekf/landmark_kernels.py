@@ -1,19 +1,11 @@
 """Landmarks measured from the last clone: their rows, gates and the innovation of those that pass: kernels (M11)."""
 
-import math
-
 import numpy as np
 
 from alight.arrays import F64, I64
 from alight.compiled import kernel
-
-
-@kernel
-def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
-    """Write a world point in the frame of a camera, `R` and `origin` its world_from_cam."""
-    a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
-    for i in range(3):
-        q[i] = R[0, i] * a + R[1, i] * b + R[2, i] * c
+from alight.motion.ekf.state_kernels import unit_noise_distance
+from alight.motion.point_kernels import to_camera
 
 
 @kernel
@@ -40,8 +32,8 @@ def linearise_points(
         for c in range(normalised.shape[1]):
             if not np.isfinite(normalised[n, c, 0]):
                 continue
-            _to_camera(R[c], origin[c], x[n], q)
-            _to_camera(first_R[c], first_origin[c], first_x[n], f)
+            to_camera(R[c], origin[c], x[n], q)
+            to_camera(first_R[c], first_origin[c], first_x[n], f)
             if q[2] <= near or f[2] <= near:
                 continue
             count[n] += 2
@@ -99,21 +91,12 @@ def gate_distances(HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64,
     Arguments as in `project_covariance`; `residual` (N, m).
     """
     m = residual.shape[1]
-    L, y = np.zeros((m, m)), np.empty(m)
+    S, L, y = np.zeros((m, m)), np.zeros((m, m)), np.empty(m)
     for k in range(residual.shape[0]):
-        out[k] = 0.0
         for r in range(m):
-            e = residual[k, r]
             for s in range(r + 1):
-                value = _covariance_with(HP[k, r], pose, points[k], by_pose[k, s], by_point[k, s])
-                value += 1.0 if r == s else 0.0
-                for i in range(s):
-                    value -= L[r, i] * L[s, i]
-                L[r, s] = math.sqrt(value) if r == s else value / L[s, s]
-            for i in range(r):
-                e -= L[r, i] * y[i]
-            y[r] = e / L[r, r]
-            out[k] += y[r] * y[r]
+                S[r, s] = _covariance_with(HP[k, r], pose, points[k], by_pose[k, s], by_point[k, s])
+        out[k] = unit_noise_distance(residual[k], S, L, y)
 
 
 @kernel

@@ -10,9 +10,10 @@ import numpy as np
 from alight.arrays import F64
 from alight.motion.dynamics import Step
 from alight.motion.ekf.health import NEVER_NS, Health
+from alight.motion.ekf.initial_attitude import PositionedExposure
 from alight.motion.ekf.state import FilterState
 from alight.motion.ekf.visual_update import VisualUpdate
-from alight.records import NavSample, Tracks
+from alight.records import NavSample
 
 
 @dataclass(eq=False)
@@ -30,7 +31,7 @@ class FilterMemory:
     map_number: int = 0
     lost: bool = False
     last_nav: NavSample | None = None
-    last_positioned: tuple[Tracks, F64] | None = None  # last exposure with a GPS position (m) and no attitude
+    last_positioned: PositionedExposure | None = None  # first exposure of the pair that M26 looks for
 
     def copy(self) -> FilterMemory:
         """Return an independent copy; records and arrays that are only replaced, never changed, are shared."""

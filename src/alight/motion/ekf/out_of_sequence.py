@@ -106,7 +106,7 @@ class RollbackFilter:
         return self._filter.predictor()
 
     def keyframes(self) -> KeyframeWindow | None:
-        """Return the keyframe window by value (M23); None without keyframes."""
+        """Return the keyframe window by value (M23); None before any exposure."""
         return self._filter.keyframes()
 
     def smoothed(self) -> list[Motion]:

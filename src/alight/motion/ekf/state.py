@@ -126,11 +126,6 @@ class FilterState:
         start = CORE + CLONE * index
         return slice(start, start + CLONE)
 
-    def landmark_slice(self, index: int) -> slice:
-        """Rows of a landmark in `P`."""
-        start = self.landmark_start + LANDMARK * index
-        return slice(start, start + LANDMARK)
-
     @property
     def landmark_start(self) -> int:
         """Row of the first landmark in `P`."""

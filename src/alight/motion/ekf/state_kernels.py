@@ -89,11 +89,10 @@ def mirror_lower(P: F64) -> None:
 
 
 @kernel
-def squared_distance(residual: F64, S: F64) -> float:
-    """Squared Mahalanobis distance of an (m,) residual with unit noise and a covariance (m, m) without it."""
-    m, out = len(residual), 0.0
-    L, y = np.empty((m, m)), np.empty(m)
-    for r in range(m):
+def unit_noise_distance(residual: F64, S: F64, L: F64, y: F64) -> float:
+    """Squared Mahalanobis distance as in `squared_distance`, of the lower half of `S`; L (m, m), y (m,) are scratch."""
+    out = 0.0
+    for r in range(len(residual)):
         e = residual[r]
         for s in range(r + 1):
             value = S[r, s] + (1.0 if r == s else 0.0)
@@ -105,3 +104,10 @@ def squared_distance(residual: F64, S: F64) -> float:
         y[r] = e / L[r, r]
         out += y[r] * y[r]
     return out
+
+
+@kernel
+def squared_distance(residual: F64, S: F64) -> float:
+    """Squared Mahalanobis distance of an (m,) residual with unit noise and a covariance (m, m) without it."""
+    m = len(residual)
+    return float(unit_noise_distance(residual, S, np.empty((m, m)), np.empty(m)))

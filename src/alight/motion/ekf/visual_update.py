@@ -44,8 +44,14 @@ class VisualUpdate:
         """Return an independent copy."""
         return copy(self)  # attributes are replaced, never changed in place
 
-    def window(self, state: FilterState, map_number: int) -> KeyframeWindow:
-        """Return the clones with the unused observations, from which their posterior follows (M23)."""
+    def window(self, state: FilterState, exposure_ns: int, map_number: int) -> KeyframeWindow:
+        """Return the clones with the unused observations, from which their posterior follows (M23).
+
+        Without clones, as after a reset, the window has the present pose alone, as that of the exposure.
+        """
+        if not len(state.clones):
+            state = state.copy()
+            state.add_clone(exposure_ns)
         return KeyframeWindow.of(state, self._unused, self._cams, self._settings, map_number)
 
     def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:

@@ -95,11 +95,15 @@ class TrackSegments:
         return float(np.sqrt(total / max(2 * self.weights.sum(), 1e-12)))
 
     def median_misfit(self, R: F64, p: F64) -> float:
-        """Median over the segments of the squared residual, in sigmas, per degree of freedom."""
+        """Median over the segments of the squared residual, in sigmas, per degree of freedom; 0 without any.
+
+        Segments with a point behind a camera count as the worst; where most are such, it is the largest of the others.
+        """
         square = ((self.residuals(R, p) / self.sigma[:, None]) ** 2).sum(axis=1)
         freedom = np.maximum(2 * np.diff(self.starts) - 3, 1)
         misfit = np.bincount(self.segment, np.nan_to_num(square, nan=np.inf), self.count) / freedom
-        return float(np.median(misfit)) if self.count else 0.0
+        median = float(np.median(misfit)) if self.count else 0.0
+        return median if np.isfinite(median) else float(misfit[np.isfinite(misfit)].max(initial=0.0))
 
     def linearise(self, R: F64, p: F64) -> LinearisedSegments:
         """Linearise the weighted observations at the present poses and points."""

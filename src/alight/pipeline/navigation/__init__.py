@@ -40,4 +40,4 @@ def navigation_lane(
         return GivenLane(rig, poses, settings.motion, history)
     if all_at_end(kind, settings, poses):
         return BundleLane(rig, settings.motion.bundle, jobs)
-    return FilterLane(rig, settings, history)
+    return FilterLane(rig, settings, history, photos=kind == "photos")

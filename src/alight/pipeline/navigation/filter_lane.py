@@ -17,15 +17,16 @@ from alight.motion import RollbackFilter
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
+from alight.motion.smoother.smoother import LEAST_EXPOSURES
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
-from alight.settings import StageSettings
+from alight.settings import FilterSettings, StageSettings
 from alight.tracks import Tracker
 
 _STAMPS = 256  # of exposures that are remembered, to find repeated ones
 _MOST_ROWS = 1000  # rows that wait for an exposure; 5 s of them
-_IMU_NS = 2_000_000_000  # ns of inertial measurements that a prediction may need
+_IMU_NS = 2_000_000_000  # ns of inertial measurements that the next prediction may need
 Row = NavSample | ImuSample
 
 
@@ -123,7 +124,8 @@ class TrackingHalf:
             if isinstance(row, ImuSample):
                 self._imu.append(row)
         if len(self._imu):
-            self._imu.forget_before(self._imu.last_ns - _IMU_NS)
+            oldest = self._imu.last_ns - _IMU_NS
+            self._imu.forget_before(min(oldest, self._prediction.t_ns) if self._prediction else oldest)
         if batch.frame is None:
             return None
         while self._known < prediction_for(self._exposure):
@@ -139,10 +141,8 @@ class TrackingHalf:
 class FilterHalf:
     """The filter, its output, and the number of exposures at which it was lost."""
 
-    def __init__(self, rig: Rig, settings: StageSettings, handover: Handover, history: bool, frame_id: int) -> None:
-        self._settings = settings.motion.filter
-        if not history:
-            self._settings = self._settings.model_copy(update={"smooth": False})
+    def __init__(self, rig: Rig, settings: FilterSettings, handover: Handover, history: bool, frame_id: int) -> None:
+        self._settings = settings if history else settings.model_copy(update={"smooth": False})
         self._filter = RollbackFilter(rig, self._settings, frame_id)
         self._handover, self._begun = handover, False
         self.attitude = False  # one was measured
@@ -194,7 +194,10 @@ class FilterHalf:
         if anew := max((m.frame_id for m in motions), default=0):
             out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
         if self._settings.smooth and motions and not smoothed:
-            out.append("motion: the exposures could not be refined together; the poses are those of the flight")
+            cause = "they are too few" if len(motions) < LEAST_EXPOSURES else "their equations have no solution"
+            out.append(
+                f"motion: the exposures could not be refined together ({cause}); the poses are those of the flight"
+            )
         return out
 
 
@@ -210,6 +213,7 @@ class FilterLane:
             nothing is smoothed.
         handover: queue of predictions from the filter to the tracker, where the halves run on two threads.
         frame_id: of the first motion; a lane that replaces another one goes on with its `next_frame`.
+        photos: the exposures are photos with tags of a gimbal, not a flight.
     """
 
     def __init__(
@@ -219,12 +223,16 @@ class FilterLane:
         history: bool = True,
         handover: Handover | None = None,
         frame_id: int = 0,
+        photos: bool = False,
     ) -> None:
         self._rig = rig
         between = handover or HandoverInTurn()
         self._batcher = EventBatcher()
         self._tracking = TrackingHalf(rig, settings, between)
-        self._filtering = FilterHalf(rig, settings, between, history, frame_id)
+        noise = settings.motion.filter
+        if noise.mounting_sigma is None and not photos:
+            noise = noise.model_copy(update={"mounting_sigma": 0.0})
+        self._filtering = FilterHalf(rig, noise, between, history, frame_id)
 
     def feed(self, event: Event) -> Navigation | None:
         """Take one event; an exposure gives its motion and the keyframes."""

@@ -34,8 +34,10 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
     """The scenes of a campaign, each once; `all` stands for all kinds of worlds.
 
     Raises:
-        InputError: no such scene, or its file cannot be used.
+        InputError: no scene is named, no such scene, or its file cannot be used.
     """
+    if not names:
+        raise InputError("a campaign without scenes; name some, or 'all'")
     known = campaign_worlds()
     scenes = tuple(dict.fromkeys(s for name in names for s in (known if name == "all" else (name,))))
     for scene in scenes:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from alight import __version__
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
-from alight.records import InputError
+from alight.records import AlightError, InputError
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, LandingRecord
 from alight.report.campaign import CampaignNumbers, campaign_numbers, render_campaign
 from alight.report.canvas import embedded
@@ -87,15 +87,17 @@ class Campaign:
 
 
 def wanted_landings(out: Path, asked: int | None) -> int:
-    """Number of landings of a campaign of named scenes: `asked`, else that of the folder's campaign, else `USUAL`.
+    """Number of landings of a campaign: `asked`, else that of the folder's campaign, else `USUAL`.
 
     Raises:
-        InputError: the folder's campaign.json is damaged.
+        InputError: the folder's campaign.json is damaged, or its campaign has more landings than `asked`.
     """
-    if asked is not None:
-        return asked
     head = CampaignFolder(out).head()
-    return USUAL if head is None else head.landings
+    if head is None:
+        return USUAL if asked is None else asked
+    if asked is not None and asked < head.landings:
+        raise InputError(f"{out}: its campaign has {head.landings} landings; ask for as many or more, not for {asked}")
+    return head.landings if asked is None else asked
 
 
 def continued(out: Path, landings: int | None = None) -> Campaign:
@@ -106,7 +108,8 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
         landings: new number of landings; None: the number that it was begun with.
 
     Raises:
-        InputError: the folder holds no campaign, or one of scenes or settings that cannot be used any more.
+        InputError: the folder holds no campaign, one of scenes or settings that cannot be used any more, or one of
+            more landings.
     """
     folder = CampaignFolder(out)
     head = folder.head()
@@ -116,7 +119,7 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
         settings = settings_of_run(head.settings)
     except ValueError as e:
         raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
-    return Campaign.of(head.scenes, head.landings if landings is None else landings, head.seed, settings)
+    return Campaign.of(head.scenes, wanted_landings(out, landings), head.seed, settings)
 
 
 def fly_campaign(
@@ -175,8 +178,11 @@ def _go_on(
             folder.append(record, picture)
             each = (time.monotonic() - begun) / n
             tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
-    except (KeyboardInterrupt, InputError):
-        _report(folder, head, beside)
+    except BaseException:  # Ctrl-C, a full disk, a worker that cannot be had
+        try:
+            _report(folder, head, beside)
+        except AlightError as e:
+            log.warning("the report is not written: %s", e)
         raise
     return _report(folder, head, beside)
 

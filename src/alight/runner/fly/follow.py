@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -103,7 +104,7 @@ def follow_vehicle(
     try:
         pictures = CameraFolder(folder, cameras.rig, cameras.rate_hz)
         try:
-            say(f"ready: alight fly --link LINK --camera {folder} --out OUT --take-off 30")
+            say(f"ready: alight fly --link LINK --camera {shlex.quote(str(folder))} --out OUT --take-off 30")
             return _follow(opened, VehicleFollower(cameras, pictures), seconds, say)
         finally:
             pictures.close()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from alight import compiled
 from alight.outputs import prepare_folder
-from alight.outputs.recorder import Recorder
+from alight.outputs.recorder import Recorder, make_room
 from alight.pipeline import Verdict
 from alight.records import AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
@@ -42,6 +42,7 @@ def fly_live(
     overwrite: bool = False,
     tell: Tell = lambda health: None,
     listener: Listener = SILENT,
+    inputs: Sequence[Path] = (),
 ) -> RunResult:
     """Run the lanes on events as they come, until there are no more or Ctrl-C is pressed.
 
@@ -53,11 +54,12 @@ def fly_live(
         real_time: the events come from sensors: late ones and clocks that jump are found by the time of arrival.
         tell: called with the health of the lanes, about twice a second.
         listener: called with motions and verdicts.
+        inputs: files that the source reads; they may not lie in `out`.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
-    run = LiveRun(source, out, settings, record, real_time, overwrite, listener)
+    run = LiveRun(source, out, settings, record, real_time, overwrite, listener, inputs)
     try:
         run.live.posts[NAVIGATION].worker.wait_until_ready()
         _feed(run.live, events, tell)
@@ -69,8 +71,11 @@ def fly_live(
 class LiveRun:
     """The lanes with their recording, from the start to the result. Feed `live`, then `finish`; `close` in any case.
 
+    A recording in the folder is replaced with the finished run that it is of. That of a run that did not end is kept
+    under another name.
+
     Args:
-        source, out, settings, record, real_time, overwrite, listener: as of `fly_live`.
+        source, out, settings, record, real_time, overwrite, listener, inputs: as of `fly_live`.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
@@ -78,14 +83,16 @@ class LiveRun:
 
     def __init__(
         self, source: Source, out: Path, settings: Settings, record: bool = True, real_time: bool = False,
-        overwrite: bool = False, listener: Listener = SILENT,
+        overwrite: bool = False, listener: Listener = SILENT, inputs: Sequence[Path] = (),
     ) -> None:  # fmt: skip
-        prepare_folder(out, overwrite)
+        prepare_folder(out, overwrite, inputs)
         if not compiled.is_warm():  # a lane that compiles does not answer
             log.warning("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
             compile_kernels(lambda stage, share: None)
         self._source, self._settings = source, (settings := for_flight(settings))
         head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
+        if (kept := make_room(out / RECORDING)) is not None:
+            log.warning("%s: the recording of a run that did not end is kept as %s", out, kept.name)
         self.recorder = Recorder(out / RECORDING, head) if record else None
         told = _Told(listener, self.recorder)
         self.live = Live(
