@@ -178,6 +178,18 @@ def test_a_rectangle_grows_while_its_rim_is_urgent() -> None:
     assert (held[urgency >= 1] == 1).all()
 
 
+def test_no_two_rectangles_share_a_block() -> None:
+    """A block that is refined twice in a step starts twice from the same height, and the first result is lost."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        shape = rng.integers(6, 30, 2)
+        urgency = np.where(rng.random(shape) < 0.5, rng.integers(1, 6, shape), 0).astype(np.float64)
+        held = np.zeros(shape, int)
+        for b in cover(urgency, rng.random(shape), float(SIDE**2 * urgency.size)):
+            held[b.top : b.bottom, b.left : b.right] += 1
+        assert held.max() == 1
+
+
 def test_counts_are_of_the_cells_of_each_block() -> None:
     blocks = Blocks(TUNING)
     blocks.move_to(WINDOW)

@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from alight.geometry import Grid
 from alight.parallax import Images, batch, ground_sampling, match_tile
 from alight.parallax import plane_sweep as sweeps
-from alight.parallax.plane_sweep import Spans, narrowed
+from alight.parallax.plane_sweep import Spans, narrowed, upright
 from alight.pipeline.mapping.batch_map import MARGIN, BatchMap
 from alight.records import is_trusted
 from alight.settings import ParallaxSettings, load_settings
@@ -126,3 +126,13 @@ def test_tiles_are_matched_in_blocks_where_the_pictures_are_large() -> None:
         corners = {(round(g.east / g.cell), round(g.north / g.cell)) for g in grids}
         assert len(corners) == len(grids)
         assert all((a - b) % size == 0 for a, _ in corners for b, _ in corners)
+
+
+def test_every_swept_height_has_a_cost_ratio() -> None:
+    """A recursive map sweeps cells without one anew: those behind a wall would never be refined."""
+    rays, about = Grid(0.0, 0.0, 0.1, 40, 60), np.array([-8.0, -2.0, 30.0])
+    found = np.zeros(rays.shape, np.float32)
+    found[10:30, 20:30] = 1.2
+    height, ratio = upright(found, np.full(rays.shape, 0.5, np.float32), rays, 0.0, about, rays, 2)
+    assert (ratio == 1.0).sum() > 40  # the ground that the wall hides
+    assert_array_equal(np.isfinite(ratio), np.isfinite(height))

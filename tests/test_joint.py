@@ -16,6 +16,7 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, ground_projection, plane_on, so3_exp
 from alight.parallax import RecursiveParallax
 from alight.parallax.pose_refinement import kernels
+from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, between, corrected_pose, regress_on
 from alight.parallax.pose_refinement.solve import thinning
 from alight.pipeline.navigation import GivenLane
@@ -374,3 +375,33 @@ def test_the_map_leans_where_it_is_held() -> None:
     known = np.isfinite(before)
     assert_allclose(after.height[known], (before + plane_on(*GRID.xy(), by, about))[known], atol=1e-5)
     assert np.isnan(after.height[~known]).all()
+
+
+# -- the plane of the map, from keyframe to keyframe
+
+
+def at(place: F64) -> KeyframePosterior:
+    """The posterior of one keyframe."""
+    pose = Pose(np.diag([1.0, -1.0, -1.0]), place)
+    return KeyframePosterior((Motion(0, pose, (pose,), 1e-8 * np.eye(6)),), 1e-8 * np.eye(6))
+
+
+def known_plane(posterior: KeyframePosterior) -> Alignment:
+    """An alignment that knows its map's plane exactly."""
+    out = Alignment(7, ParallaxSettings().poses)
+    out.update_posterior(posterior, {0}, UP)
+    assert out.state is not None
+    out.state, out._mapped = replace(out.state, covariance=np.zeros_like(out.state.covariance)), True
+    return out
+
+
+@pytest.mark.parametrize("away", [0.0, 100.0, 1000.0])
+def test_new_ground_is_as_near_to_the_plane_of_the_map_however_far_the_flight_has_come(away: float) -> None:
+    """Its tilt wanders about the vehicle. About the first keyframe, 2e-4 rad would be 0.2 m of height 1 km away."""
+    lane, here = known_plane(at(np.array([3.0, -2.0, UP]))), np.array([3.0 + away, -2.0 + 0.5 * away])
+    lane.state = lane._prior(UP, here)
+    gauge = lane.gauge(Grid(here[0] - 1.9, here[1] + 1.9, 0.2, 20, 20))
+    assert gauge is not None
+    wander = ParallaxSettings().poses.wander
+    assert gauge.offset_sigma == pytest.approx(wander[0] * UP, rel=1e-3)
+    assert gauge.tilt_sigma == pytest.approx(wander[1], rel=1e-6)

@@ -13,11 +13,13 @@ from length import first
 from numpy.testing import assert_allclose, assert_array_equal
 from parts import nothing_known, with_parts
 
-from alight.geometry import Grid, Pose, so3_exp
+from alight.geometry import Camera, Grid, Pose, so3_exp
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
-from alight.parallax.gauss_newton import Skyline
+from alight.parallax.batch import picture_at
+from alight.parallax.gauss_newton import Fit, Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.sparse_points import _Features, _pair, triangulate_pair
+from alight.parallax.uncertainty import pooled
 from alight.parallax.views import choose_views, may_see, prepare_view
 from alight.records import REFUSED, Flag, Heights, View, is_trusted
 from alight.settings import ParallaxSettings
@@ -166,6 +168,25 @@ def test_a_view_that_stands_no_higher_than_the_ground_can_still_be_made_ready(gr
     assert np.isfinite(ready.norm).all()
 
 
+@pytest.mark.parametrize(("width", "height", "times"), [(641, 481, 2), (643, 483, 2), (500, 375, 4)])
+def test_a_picture_with_odd_sides_is_made_coarser_without_a_shift(width: int, height: int, times: int) -> None:
+    """Resized to half the pixels of an odd side, its far end would lie up to half a pixel beside the camera's."""
+    camera = Camera(width, height, 400.0, 400.0, (width - 1) / 2, (height - 1) / 2)
+    far = np.array([width - 24.0, height - 24.0])
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    dot = (250.0 * np.exp(-0.5 * ((u - far[0]) ** 2 + (v - far[1]) ** 2) / 25.0)).round().astype(np.uint8)
+    ready = prepare_view(View(0, 0, dot, camera, Pose(DOWN, np.array([0.0, 0.0, UP]))), times * UP / 400.0, 0.0)
+    assert ready.grey.shape == (ready.camera.height, ready.camera.width) == (height // times, width // times)
+    at = (far - [camera.cu, camera.cv]) / 400.0 * ready.camera.fu + [ready.camera.cu, ready.camera.cv]
+    rows, cols = np.indices(ready.grey.shape)
+    found = np.array([(ready.grey * i).sum() for i in (cols, rows)]) / ready.grey.sum()
+    assert_allclose(found, at, atol=0.05)
+    picture = np.repeat(np.minimum(u, 255)[..., None], 3, axis=2).astype(np.uint8)
+    mapx, mapy = np.float32([[20.0, 50.0]]), np.float32([[10.0, 10.0]])
+    ramp = picture_at(picture, camera, ready, mapx, mapy)[0, :, 0]
+    assert_allclose(ramp, times * mapx[0] + 0.5 * (times - 1), atol=0.51)
+
+
 def test_views_are_chosen_for_their_baseline() -> None:
     """Of thirty views three are chosen: both ends, and one about the middle."""
     first = level_views()[0]
@@ -177,6 +198,25 @@ def test_views_are_chosen_for_their_baseline() -> None:
 
 
 # -- refused heights
+
+
+@pytest.mark.parametrize("slope", [0.05, 0.2])
+def test_ground_beside_a_hole_is_as_sure_on_a_slope_as_elsewhere(slope: float) -> None:
+    """Where nothing is known, the nearest height stands in; the middle of the map would be a step there."""
+    n, tuning = 200, ParallaxSettings().uncertainty
+    height = np.tile((slope * 0.05 * np.arange(n)).astype(np.float32), (n, 1))
+    height[80:120, 150:190] = np.nan
+    one = {k: np.full((n, n), v, np.float32) for k, v in (("precision", 50.0), ("noise", 0.02), ("px", 0.1))}
+    mean, seen = np.random.default_rng(0).normal(0, 1, (n, n)).astype(np.float32), np.full((n, n), 7, np.uint8)
+    fit = Fit(height, one["precision"], one["noise"], mean, seen, seen, one["px"])
+    found = pooled(fit, 0.05, tuning)
+    beside = np.zeros((n // 2, n // 2), bool)
+    beside[34:66, 69:101] = True
+    beside &= np.isfinite(height[::2, ::2])
+    away = float(np.median(found.sigma2_px[5:25, 5:25]))
+    assert np.sqrt(found.sigma2_px[beside].max() / away) < 3.0
+    steps = np.maximum(found.high - found.lowest, found.highest - found.low)[beside]
+    assert steps.max() <= slope * 0.05 * (2 * tuning.step_cells * 2 + 2)
 
 
 @pytest.mark.parametrize("places", first(1, [10, 40]))

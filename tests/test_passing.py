@@ -109,6 +109,24 @@ def test_specks_are_noise() -> None:
     assert not len(NOWHERE.with_seen(cells(), 0).cells)
 
 
+def test_only_what_is_seen_to_move_anew_is_remembered_anew() -> None:
+    """A part of the map that a step leaves out keeps its flags: its traffic was seen before, not now."""
+    e = road((4.0, 8.0, 8.0, 10.0))
+    anew = np.broadcast_to(e.grid.xy()[0] < 6.0, e.grid.shape)
+    whole, part = what_moves(e.grid, e.flags), what_moves(e.grid, e.flags, anew)
+    np.testing.assert_array_equal(part, whole[whole[:, 0] < 12])
+    assert 0 < len(part) < len(whole)
+
+
+def test_places_far_away_cost_no_memory() -> None:
+    """Roofs of a whole flight are remembered: a raster of it would not fit."""
+    far = NOWHERE.with_seen(np.array([[8, 18], [10**9, 10**9], [-(10**9), 3]]), 0)
+    e = road()
+    np.testing.assert_array_equal(far.on(e.grid), NOWHERE.with_seen(np.array([[8, 18]]), 0).on(e.grid))
+    assert far.on(e.grid).any()
+    assert not NOWHERE.with_seen(np.array([[10**9, 10**9]]), 0).on(e.grid).any()
+
+
 @pytest.mark.parametrize(("side", "kept"), [(0.2, 0), (0.4, 4)])
 def test_a_person_is_enough_to_be_remembered(side: float, kept: int) -> None:
     """All cells that a person reaches into are remembered; less is noise."""

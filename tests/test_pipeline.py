@@ -315,7 +315,7 @@ def test_the_end_of_a_flight_knows_what_moved_and_who_came(monkeypatch: pytest.M
     settings = settings_of("parallax.method=ring", "sites.every=0", "sites.margin=0", "terrain.enabled=false")
 
     def end(moves: I64) -> Decision:
-        monkeypatch.setattr(recursive_map, "what_moves", lambda grid, flags: moves)
+        monkeypatch.setattr(recursive_map, "what_moves", lambda grid, flags, anew: moves)
         p = Pipeline(f.rig, "flight", settings, f.truth_trajectory)
         for e in events:
             p.feed(e)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from alight.arrays import F32, U8, U16
+from alight.arrays import F32, F64, U8, U16
 from alight.geometry import Camera, Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
@@ -49,18 +49,18 @@ class Images:
     Several threads may use it.
     """
 
-    def __init__(self, views: Sequence[View], cell: float, height: float, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, views: Sequence[View], cell: float, height: float | F64, most_bytes: int = MOST_BYTES) -> None:
         self.views = views
         self.cell = cell
-        self.height = height  # metres, of the ground in general: for the ground sampling distance
+        self.heights = np.broadcast_to(height, len(views))  # metres, of the ground in each: for its sampling distance
         self._ready: OrderedDict[Hashable, list[Prepared]] = OrderedDict()
         self._most_bytes = most_bytes
         self._lock = Lock()
 
-    def of(self, views: Sequence[View]) -> Images:
-        """Other views of the recording, with the same store of prepared views."""
+    def of(self, views: Sequence[View], heights: F64) -> Images:
+        """Other views of the recording, (N,) ground heights, with the same store of prepared views."""
         other = copy(self)
-        other.views = views
+        other.views, other.heights = views, heights
         return other
 
     def get(self, index: int, halved: int = 0) -> Prepared:
@@ -68,7 +68,7 @@ class Images:
         key = self.views[index].key
         with self._lock:
             if key not in self._ready:
-                self._ready[key] = [prepare_view(self.views[index], self.cell, self.height)]
+                self._ready[key] = [prepare_view(self.views[index], self.cell, float(self.heights[index]))]
                 each = PYRAMID * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)
                 while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                     self._ready.popitem(last=False)
@@ -102,7 +102,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     if len(chosen) < 2:
         return None
     fine = [images.get(i) for i in chosen]
-    ground = min(max(images.height, low), high)
+    ground = min(max(float(np.median(images.heights[chosen])), low), high)
     views = [images.views[i] for i in chosen]
     few, of = (
         choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (plan.views, plan.references)
@@ -183,6 +183,6 @@ def colour(
 
 def picture_at(picture: U8, camera: Camera, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
     """The picture (H, W, 3) of a view's camera at maps of its prepared image, (R, C, 3)."""
-    scale = np.float32(camera.width / prepared.camera.width)
+    scale = np.float32(camera.fu / prepared.camera.fu)
     offset = np.float32(0.5) * scale - np.float32(0.5)
     return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

@@ -25,7 +25,7 @@ NEVER = -(1 << 30)
 DEAR = 8192  # cells whose refinement costs as much as one rectangle more
 MOST_URGENT = 4.0
 WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
-TAKEN = -8.0
+TAKEN = -1e9  # urgency of a block that no further rectangle may hold
 ROUGH = 8  # times less work at half the resolution
 MOST_NEW = 0.5  # of the blocks that are seen, from which the map begins
 AT_START = 3  # factor by which a step may refine more then
@@ -109,6 +109,11 @@ class Blocks:
         """Make all blocks new; their colours are coarse where the cells became smaller (`sharper`)."""
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
         self.recolour = sharper
+
+    def begin_anew(self) -> None:
+        """Make all blocks new, and the map one that begins."""
+        self.forget(self.recolour)
+        self._begins = True
 
     def move_to(self, grid: Grid) -> None:
         """Begin a step over this window."""

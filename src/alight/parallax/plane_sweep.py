@@ -350,13 +350,18 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
 
 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
-    """Move heights found along the rays to `about` to the world grid: of several in one cell, the highest."""
+    """Move heights found along the rays to `about` to the world grid: of several in one cell, the highest.
+
+    Small gaps are filled. No cost belongs to their heights, so their ratio is 1: another height may be as good.
+    """
     height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     to = np.array(
         [rays.east - grid.east, rays.north - grid.north, about[0] - grid.east, about[1] - grid.north, about[2]]
     )
     kernels.splat(found, ratio, ground, rays.cell, to, height, which)
-    return close_gaps(height, gap), which
+    height = close_gaps(height, gap)
+    np.copyto(which, np.float32(1), where=np.isnan(which) & np.isfinite(height))
+    return height, which
 
 
 def close_gaps(height: F32, reach: int) -> F32:

@@ -81,8 +81,9 @@ class RecursiveParallax:
             self._kept = [[Kept.of(k.view, cell, ground) for k in exposure] for exposure in self._kept]
 
     def look_anew(self) -> None:
-        """Sweep every cell again before its height is used."""
+        """Sweep every cell again before its height is used, as at the beginning."""
         self._ratio, self._unknown = None, np.float32(np.nan)
+        self._blocks.begin_anew()
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
         """Add the images of one exposure, out of sequence or not; the keyframe that leaves the smallest gap is dropped.

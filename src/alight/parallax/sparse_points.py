@@ -73,15 +73,16 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
 
 
 def _pair(a: _Features, b: _Features, tuning: PointsTuning) -> tuple[F64, float]:
-    """Points of a pair of views and the median angle between its matched rays.
+    """Points of a pair of views, below both cameras, and the median angle between its matched rays.
 
-    None where most rays meet at too small an angle: the others are wrong matches, and all of them too near.
+    No points (`NO_POINTS`) where most rays meet at too small an angle: the others are wrong matches, all too near.
     """
     m = _matches(a, b, tuning.descriptor_ratio)
     if len(m) < 12:
         return NO_POINTS, np.inf
     points, angle, miss = triangulate_pair(a.centre, a.rays[m[:, 0]], b.centre, b.rays[m[:, 1]])
     good, median = (angle > tuning.least_angle) & (miss < 0.01), float(np.median(angle))
+    good &= points[:, 2] < min(a.centre[2], b.centre[2])
     return (points[good] if good.sum() >= 8 and median > tuning.least_angle else NO_POINTS), median
 
 
@@ -135,6 +136,8 @@ def height_range(
 ) -> tuple[float, float]:
     """The heights to search: the span of the points, with a margin for places without points (tree tops, holes).
 
+    The margin ends a fifth of the height below the camera; points above that are in the span all the same.
+
     Args:
         points: (N, 3) metres.
         height_of_camera: metres, to scale the margins.
@@ -146,4 +149,5 @@ def height_range(
         z = z[close] if close.sum() >= 40 else z
     low, middle, high = np.percentile(z, [0.5, 50, 99.5])
     drop = max(height_of_camera - middle, 1.0)
-    return float(low - 0.02 * drop - 0.3), float(min(high + 0.05 * drop + 0.5, height_of_camera - 0.2 * drop))
+    above = max(min(high + 0.05 * drop + 0.5, height_of_camera - 0.2 * drop), high)
+    return float(low - 0.02 * drop - 0.3), float(above)

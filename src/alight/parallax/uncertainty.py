@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from alight.arrays import F32, U16
 from alight.geometry import Grid
 from alight.parallax import uncertainty_kernels as kernels
-from alight.parallax.gauss_newton import Fit, median_height
+from alight.parallax.gauss_newton import Fit
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
-from alight.raster import whole_blocks
+from alight.raster import nearest_known, upsample, whole_blocks
 from alight.records import Flag
 from alight.settings.tuning.parallax import UncertaintyTuning
 
@@ -28,7 +28,7 @@ LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
 class Pooled:
     """A fit at half resolution; all (R / 2, C / 2)."""
 
-    low: F32  # metres, of 2 x 2 cells; the middle of the map where unknown
+    low: F32  # metres, of 2 x 2 cells; the nearest known height where unknown
     high: F32
     lowest: F32  # metres, of the cells within `step_cells`
     highest: F32
@@ -46,7 +46,7 @@ def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
         whole_blocks(a, 2) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
     )
     out = np.empty((8, height.shape[0] // 2, height.shape[1] // 2), np.float32)
-    kernels.pool(height, mean, noise, precision, per_px, median_height(height), out)
+    kernels.pool(_filled(height), mean, noise, precision, per_px, 0.0, out)
     low, high, mid, uneven, mean, square, s2, fitted = out
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
     per_px = np.ascontiguousarray(per_px[::2, ::2])
@@ -56,6 +56,19 @@ def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
     share = s2 / np.maximum(texture + s2, 1e-6)
     return Pooled(low, high, lowest, highest, texture, share, s2, hidden2, sigma2, per_px)
+
+
+def _filled(height: F32) -> F32:
+    """Heights (R, C), of an even number of rows and columns, with the nearest known ones where they are unknown.
+
+    Anything else beside them, such as the middle of the map, would stand out as a step where the ground slopes.
+    """
+    known = np.isfinite(height)
+    if known.all():
+        return height
+    share = half_resolution(known.astype(np.float32))
+    level = half_resolution(np.where(known, height, np.float32(0))) / np.maximum(share, np.float32(0.25))
+    return np.where(known, height, upsample(nearest_known(level, share > 0), 2))
 
 
 def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyTuning) -> F32:

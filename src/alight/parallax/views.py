@@ -86,11 +86,21 @@ def ground_sampling(view: View, height: float) -> float:
     return float(drop / tilt / view.camera.fu)
 
 
+def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
+    """An image at half the resolution, and its camera: means of 2 x 2 pixels, without an odd last row or column.
+
+    Resized to half of an odd side, the image would end up to half a pixel beside its camera.
+    """
+    rows, cols = (n // 2 for n in grey.shape)
+    half = cv2.resize(grey[: 2 * rows, : 2 * cols], (cols, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(half, np.float32), replace(camera.scaled(0.5), width=cols, height=rows)
+
+
 def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, float]:
     """Halve while a cell spans two pixels, then blur for the rest; returns pixels a cell as well."""
     while ratio >= 1.9:
-        grey = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
-        camera, ratio = camera.scaled(0.5), ratio / 2
+        grey, camera = halved(grey, camera)
+        ratio /= 2
     sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling is then even in its phase
     return cv2.GaussianBlur(grey, (0, 0), sigma), camera, ratio
 
@@ -121,8 +131,8 @@ def _normalised(grey: F32, ratio: float) -> F32:
 
 def coarser(fine: Prepared) -> Prepared:
     """Return the same view for cells of twice the size, at half the pixels."""
-    grey = cv2.resize(fine.grey, (fine.grey.shape[1] // 2, fine.grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=fine.camera.scaled(0.5))
+    grey, camera = halved(fine.grey, fine.camera)
+    return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=camera)
 
 
 class Kept(NamedTuple):

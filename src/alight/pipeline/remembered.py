@@ -61,10 +61,10 @@ class Remembered:
         if not len(self.cells):
             return np.zeros(grid.shape, np.bool_)
         columns, rows = _numbers(grid)
-        low = np.minimum(self.cells.min(axis=0), [columns.min(), rows.min()])
-        high = np.maximum(self.cells.max(axis=0), [columns.max(), rows.max()])
+        low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
+        inside = self.cells[((self.cells >= low) & (self.cells <= high)).all(axis=1)]  # others may be kilometres away
         seen = np.zeros(high - low + 1, np.bool_)
-        seen[tuple((self.cells - low).T)] = True
+        seen[tuple((inside - low).T)] = True
         touched = seen[np.ix_(columns - low[0], rows - low[1])].T
         return np.asarray(cells_as_blocks(touched, _across(grid)).any(axis=(1, 3)))
 

@@ -33,7 +33,7 @@ class Alignment:
     plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane found at the last step
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
     _mapped: bool = False
-    _offset2: float = 0.0  # m^2, variance of the height of the map in the world, not observable by pictures
+    _offset2: float = 0.0  # m^2, variance of the map's place in the world, of its height; pictures do not show it
 
     def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
         """Adopt the posterior of the keyframes; exposures that are neither in it nor `held` are dropped."""
@@ -62,7 +62,7 @@ class Alignment:
         drop = max(float(newest.centre[2]) - ground, 1e-2)
         if self.state is None or any(k[0].view.t_ns not in self.state.times for k in exposures):
             return exposures
-        prior = self._prior(drop)
+        prior = self._prior(drop, newest.centre[:2])
         linearisations = self._linearisations(exposures, prior, self._ground(grid, known, old, ground, drop), drop)
         pixel = grid.cell / drop
         self.state, plane = refine_poses(prior, linearisations, pixel, drop, self.ring, self.tuning)
@@ -71,14 +71,23 @@ class Alignment:
         poses = dict(zip(self.state.times, self.state.poses, strict=True))
         return [[self._moved(k, poses[k.view.t_ns]) for k in e] for e in exposures]
 
-    def _prior(self, drop: float) -> PoseGaussian:
+    def _prior(self, drop: float, here: F64) -> PoseGaussian:
+        """The state, with a plane that may have wandered about `here`, (2,) east and north; before a map, any plane."""
         assert self.state is not None
         scale = np.array([drop, 1.0, 1.0])
         if not self._mapped:
             return self.state.with_plane(np.array(self.tuning.plane_sigma) * scale)
+        wander = self._moved_by(self.about - here) * (np.array(self.tuning.wander) * scale)
         P = self.state.covariance.copy()
-        P[range(PLANE), range(PLANE)] += (np.array(self.tuning.wander) * scale) ** 2
+        P[:PLANE, :PLANE] += wander @ wander.T
         return replace(self.state, covariance=P)
+
+    @staticmethod
+    def _moved_by(way: F64) -> F64:
+        """Transition (3, 3) of a plane to the reference point that lies `way` (2,) metres east and north of its own."""
+        out = np.eye(PLANE)
+        out[0, 1:] = way
+        return out
 
     def _moved(self, kept: Kept, world_from_body: Pose) -> Kept:
         view = kept.view
@@ -124,8 +133,7 @@ class Alignment:
         if self.state is None or not self._mapped:
             return None
         east, north = (float(v.mean()) for v in grid.xy())
-        move = np.eye(PLANE)
-        move[0, 1:] = east - self.about[0], north - self.about[1]
+        move = self._moved_by(np.array([east, north]) - self.about)
         covariance = move @ self.state.covariance[:PLANE, :PLANE] @ move.T
         covariance[0, 0] += self._offset2
         return Datum(east, north, covariance)

@@ -8,7 +8,6 @@ from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.geometry import Grid
 from alight.jobs import Jobs
-from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
 from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
@@ -63,14 +62,16 @@ class BatchMapper:
         """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
 
         Tiles that the newer half sees as well are matched again later, and the better height of each cell stays.
+        Before the ground is found, every second keyframe is forgotten instead.
         """
-        half, newest = len(self.store) // 2, self.store.keyframes[-1].motion
-        assert newest is not None
-        keyframes = in_world(self.store.keyframes, MapFrame.of(newest))  # as at the end: the map is one
+        keyframes, half = in_world(self.store.keyframes), len(self.store) // 2  # as at the end: the map is one
         views, older = views_of(keyframes, self._rig), looking_down(views_of(keyframes[:half], self._rig))
-        self._map.find_ground(views)
-        if self._map.ground is not None and older:
-            low, high = bounds(older, self._map.ground)
+        if not self._map.find_ground(views) and self._map.ground is None:
+            self.store.thin()
+            log.warning("frame store full: %s; every second keyframe is forgotten", self._map.reason)
+            return
+        if older:
+            low, high = bounds(older, self._map.ground_under(older))
 
             def leaving(grid: Grid) -> bool:
                 e, n = grid.xy()

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
 
 import numpy as np
 
-from alight.arrays import I64
+from alight.arrays import F64, I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
 from alight.parallax import (
+    NO_POINTS,
     Images,
     Matched,
     choose_views,
@@ -25,7 +26,7 @@ from alight.parallax import (
 )
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
-from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
+from alight.pipeline.mapping.view_geometry import bounds, ground_in, level_for, looking_down
 from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
 from alight.settings import ParallaxSettings
 from alight.spread import nmad
@@ -38,6 +39,7 @@ QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
 ENOUGH = 40  # points or cells, least to estimate a height from
 BLANK = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
+MOST_POINTS = 2000  # by which the ground in a view is found
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
 Progress = Callable[[float], None]
@@ -50,6 +52,8 @@ class TileBlock:
     grid: Grid
     searched: tuple[float, float]  # lowest and highest ground, metres
     views: list[View]
+    grounds: F64  # (N,) metres, height of the ground in each view
+    above: float  # metres, of the views above the ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +68,17 @@ def match_block(
     images: Images,
     views: Sequence[View],
     pixels: Sequence[Pixels],
+    grounds: F64,
     grid: Grid,
     searched: tuple[float, float],
     settings: ParallaxSettings,
 ) -> MatchedBlock | None:
-    """Match one grid with views whose pictures are passed apart; None where fewer than two see it."""
+    """Match one grid with views whose pictures are passed apart; None where fewer than two see it.
+
+    `grounds`: (N,) metres, height of the ground in each view.
+    """
     whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
-    found = match_tile(images.of(whole), grid, *searched, settings)
+    found = match_tile(images.of(whole, grounds), grid, *searched, settings)
     if found is None:
         return None
     number = {id(v): k for k, v in enumerate(whole)}
@@ -96,6 +104,7 @@ class BatchMap(GroundMap):
     jobs: Jobs = field(default_factory=InTurn)
     prior: PriorHeights | None = None  # heights from elsewhere, with which the search begins
     _matched: list[Matched] = field(default_factory=list)  # each tile with its views
+    _grounds: dict[Hashable, float] = field(default_factory=dict)  # by the key of a view, metres
     _step: int = 0  # number of times that tiles were matched
 
     def match_tiles(
@@ -105,7 +114,7 @@ class BatchMap(GroundMap):
         views = looking_down(views)
         if self.elevation is None or self.ground is None or not views:
             return 0
-        levels = list(self._levels(views, self.ground))
+        levels = list(self._levels(views))
         done = 0
         for n, (level, asking, beside) in enumerate(levels):
             done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
@@ -117,11 +126,25 @@ class BatchMap(GroundMap):
         finest = least * self.settings.lander.judging_cell / self.settings.mapping.cell_over_pixel
         return max(pixels * ground_sampling(view, ground), finest)
 
-    def _levels(self, views: Sequence[View], ground: float) -> Iterator[tuple[int, list[View], list[View]]]:
+    def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
+        """As for any map; the ground in each view is then that of the new points."""
+        self._grounds.clear()
+        return super().find_ground(views, least, points)
+
+    def ground_under(self, views: Sequence[View]) -> F64:
+        """(N,) height of the ground in each view, metres: of the points in its picture, else that of the whole map."""
+        assert self.ground is not None
+        points = self._points[:: -(-len(self._points) // MOST_POINTS) or 1]
+        for v in views:
+            if v.key not in self._grounds:
+                self._grounds[v.key] = ground_in(v, points, self.ground)
+        return np.array([self._grounds[v.key] for v in views])
+
+    def _levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
         """Levels from coarse to fine: a level, its views, and these with those of the levels beside it."""
         assert self.elevation is not None
         level, of = 0, []
-        for v in views:
+        for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
             if self.settings.parallax.cell is None:
                 level = level_for(self.sampling_of(v, ground), self.elevation.cell, level, self.settings.mapping)
             of.append(level)
@@ -134,18 +157,17 @@ class BatchMap(GroundMap):
     ) -> int:
         assert self.elevation is not None
         assert self.ground is not None
-        (west, south), (east, north) = bounds(asking, self.ground)
+        (west, south), (east, north) = bounds(asking, self.ground_under(asking))
         refuse_too_large((west, south), (east, north), self.elevation.cell_at(level), BYTES_A_CELL)
-        camera = float(np.median([v.centre[2] for v in asking]))
         grids = [g for g in self._grids(asking, (west, east), (south, north), level) if only(g)]
         self._step += 1
         images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
-        seen = [self._seen(grid, self._range(grid, camera), views) for grid in grids]
+        seen = [self._seen(grid, asking, views) for grid in grids]
         done = 0
         matched = self.jobs.run((self._task(images, b) for b in seen), at_once=True)
         for n, (block, found) in enumerate(zip(seen, matched, strict=True)):
             if found is not None:
-                heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)
+                heights = core(self._without_doubtful(found.heights, block.above), MARGIN)
                 self.elevation.add(heights)
                 self._matched.append(Matched.of(heights.grid, [block.views[k] for k in found.chosen.tolist()]))
                 self.elevation.roll(
@@ -191,8 +213,7 @@ class BatchMap(GroundMap):
 
     def against_prior(self) -> PriorComparison | None:
         """Comparison of the map, where its heights are given out, with the prior; None where they do not overlap."""
-        found = self.snapshot()
-        if self.prior is None or found is None:
+        if self.prior is None or (found := self.snapshot()) is None:
             return None
         off = (found.height - self.prior.over(found.grid))[found.trusted]
         off = off[np.isfinite(off)]
@@ -200,22 +221,31 @@ class BatchMap(GroundMap):
             return None
         return PriorComparison(self.prior.name, float(np.median(off)), nmad(off), len(off) * found.grid.cell**2)
 
-    def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> TileBlock:
+    def _seen(self, grid: Grid, asking: list[View], views: Sequence[View]) -> TileBlock:
         """A grid with the views that it will be matched with, and those of the same moments."""
-        s, middle = self.settings.parallax, 0.5 * (searched[0] + searched[1])
+        camera, above = self._over(grid, asking)
+        searched, s = self._range(grid, camera), self.settings.parallax
+        middle = 0.5 * (searched[0] + searched[1])
         near = [views[k] for k in may_see(views, grid, middle, middle)]
         at = {near[k].t_ns for k in choose_views(near, grid, middle, s.views, s.sweep.max_tangent)}
-        return TileBlock(grid, searched, [v for v in views if v.t_ns in at])
+        seen = [v for v in views if v.t_ns in at]
+        return TileBlock(grid, searched, seen, self.ground_under(seen), above)
+
+    def _over(self, grid: Grid, views: list[View]) -> tuple[float, float]:
+        """Median height of the views that may see a grid, and above the ground in them, metres; of all if none may."""
+        up, ground = np.array([v.centre[2] for v in views]), self.ground_under(views)
+        here = may_see(views, grid, *super()._range(grid, float(np.median(up)))) or slice(None)
+        return float(np.median(up[here])), float(np.median((up - ground)[here]))
 
     def _task(self, images: KeptHere, block: TileBlock) -> Task:
         """Task to match a block; the pixels are sent apart, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
         views = tuple(replace(v, image=BLANK) for v in block.views)
-        about = blake2b(repr((block.grid, block.searched)).encode())
+        about = blake2b(repr((block.grid, block.searched, block.grounds.tolist())).encode())
         for v in views:
             about.update(repr(v.key).encode())
-        arguments = images, views, pixels, block.grid, block.searched, self.settings.parallax
+        arguments = images, views, pixels, block.grounds, block.grid, block.searched, self.settings.parallax
         return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
     def _grids(
@@ -226,7 +256,8 @@ class BatchMap(GroundMap):
         assert self.ground is not None
         keys = list(self.elevation.cover(east, north, level))
         tile = self.elevation.tile_grid(keys[0], 0, level)
-        side = np.median([min(v.camera.width, v.camera.height) * ground_sampling(v, self.ground) for v in asking])
+        pixels = map(ground_sampling, asking, self.ground_under(asking).tolist())
+        side = np.median([min(v.camera.width, v.camera.height) * p for v, p in zip(asking, pixels, strict=True)])
         block = BLOCK if BLOCK * tile.rows * tile.cell <= SHARE * side else 1
         size = block * tile.rows + 2 * MARGIN
         out = []

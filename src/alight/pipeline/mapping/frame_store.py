@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +43,8 @@ class FrameStore:
 
     def keep(self, frame: Frame, motion: Motion | None = None) -> None:
         """Keep a frame, however near it is to the last one."""
-        self._set([*self.keyframes, Keyframe(frame, motion)])
+        self.keyframes.append(Keyframe(frame, motion))
+        self.bytes += self.keyframes[-1].bytes
         self.taken += 1
         self._last = motion or self._last
 
@@ -95,6 +96,7 @@ def with_motions(keyframes: Iterable[Keyframe], motions: Mapping[int, Motion]) -
     return [Keyframe(k.frame, motions[k.frame.t_ns]) for k in keyframes if k.frame.t_ns in motions]
 
 
-def in_world(keyframes: Iterable[Keyframe], frame: MapFrame) -> list[Keyframe]:
-    """Keyframes of a map frame with their motion in the world."""
-    return [Keyframe(k.frame, k.motion and frame.motion(k.motion)) for k in keyframes]
+def in_world(keyframes: Sequence[Keyframe]) -> list[Keyframe]:
+    """Keyframes with their motion in the world: each map frame is placed by the newest of its keyframes."""
+    frames = {k.motion.frame_id: MapFrame.of(k.motion) for k in keyframes if k.motion is not None}
+    return [Keyframe(k.frame, k.motion and frames[k.motion.frame_id].motion(k.motion)) for k in keyframes]

@@ -57,6 +57,8 @@ class GroundMap:
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """Find the ground height and the cell size; False (see `reason`) when nothing can be measured.
 
+        The points found replace those of an earlier search, whose views may have had other poses.
+
         Args:
             views: all views so far.
             least: baseline over height, at least; over a short one, errors of the poses decide.
@@ -74,7 +76,7 @@ class GroundMap:
             points = find_points(down, tuning)
         else:
             points = supported(points, float(np.median([v.centre[2] for v in down])), tuning)
-        below = points[points[:, 2] < min(v.centre[2] for v in down)]
+        below = points[points[:, 2] < max(v.centre[2] for v in down)]
         if len(below) < self.settings.mapping.least_points:
             self.reason = NO_PARALLAX
             return False
@@ -82,8 +84,7 @@ class GroundMap:
         if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
             self.reason = "the aircraft hardly moved for its height, so no height can be measured"
             return False
-        self._points = np.concatenate([self._points, below])
-        self._points = self._points[:: -(-len(self._points) // self.settings.mapping.most_points)]
+        self._points = below[:: -(-len(below) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
             sampling = float(np.median([self.sampling_of(v, self.ground) for v in down]))

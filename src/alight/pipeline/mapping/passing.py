@@ -19,13 +19,19 @@ LEAST_AREA = 2.0  # m^2 side by side, less is noise: a car with its rim covers 8
 LEAST_CAME = 0.08  # m^2 side by side: the shoulders of a person, seen from above
 
 
-def what_moves(grid: Grid, flags: U16) -> I64:
-    """Cells (N, 2) of `CELL` to remember: `SHARE` of each is MOVING by the flags (R, C), with enough side by side."""
+def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
+    """Cells (N, 2) of `CELL` to remember: `SHARE` of each is MOVING by the flags (R, C), with enough side by side.
+
+    `anew`: (R, C), of the cells whose flags are new; the others were remembered before.
+    """
     moves = (flags & np.uint16(Flag.MOVING)) != 0
     if not moves.any():
         return np.zeros((0, 2), np.int64)
     there, low = shown(grid, moves)
-    return np.asarray(np.argwhere(without_specks(there, CELL, LEAST_AREA, neighbours=4)) + low, np.int64)
+    there = without_specks(there, CELL, LEAST_AREA, neighbours=4)
+    if anew is not None:
+        there &= shown(grid, anew)[0]
+    return np.asarray(np.argwhere(there) + low, np.int64)
 
 
 def who_came(grid: Grid, came: Mask) -> I64:

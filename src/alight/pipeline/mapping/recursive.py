@@ -128,12 +128,14 @@ class RecursiveMapper:
         )
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
-        """The map as the last keyframe left it."""
+        """The map as the last keyframe left it; that of all keyframes where they end before the ground is found."""
         views = self._views_now(self._most)
-        with self._timings.of("ground"):
-            found = self._map.elevation is not None or self._map.find_ground(views)
-        if not found:
-            return FinishedMap(None, self._map.reason, tuple(self._warnings))
+        if self._map.elevation is None:
+            with self._timings.of("ground"):
+                found = self._map.find_ground(views)
+            if not found or self._newest is None:
+                return FinishedMap(None, self._map.reason, tuple(self._warnings))
+            self._advance(self.store.keyframes, self._newest, 0)
         with self._timings.of("map"):
             elevation = self._map.snapshot()
         if elevation is None or self._frame is None:

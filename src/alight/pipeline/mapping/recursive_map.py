@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight.arrays import F64, U16
+from alight.arrays import F64, I64
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
-from alight.parallax import NO_POINTS, RecursiveParallax, ground_sampling
+from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
 from alight.pipeline.mapping.size import BYTES_A_CELL, BYTES_A_STEP, refuse_too_large
@@ -38,12 +38,11 @@ class RecursiveMap(GroundMap):
         return self.ground if self.ground_here is None else self.ground_here
 
     def find_ground_again(self, views: Sequence[View], least: float) -> None:
-        """Find the ground if it lies beyond the searched heights; all cells are then swept anew."""
-        known, self._points = self._points, NO_POINTS
-        if not self.find_ground(views, least):
-            self._points = known
-        elif self._ring is not None:
-            self._ring.look_anew()
+        """Find the ground if it lies beyond the searched heights; then the map begins anew, from the heights it has."""
+        if self.find_ground(views, least):
+            self.ground_here = self.ground
+            if self._ring is not None:
+                self._ring.look_anew()
         self.out_of_range = False
 
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
@@ -105,16 +104,16 @@ class RecursiveMap(GroundMap):
             return False
         self.gauge = parts[0].gauge
         height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags.copy()
-        given = is_trusted(known.flags)
+        given, anew = is_trusted(known.flags), np.zeros(grid.shape, np.bool_)
         for part in parts:
             where = box_in(grid, part.grid)
             found = self._without_doubtful(part, up - ground, Surroundings(given, where))
             rows, cols = (slice(-s.start % COARSE, None, COARSE) for s in where)
             at = tuple(slice(-(-s.start // COARSE), -(-s.stop // COARSE)) for s in where)
             height[at] = found.height[rows, cols]
-            flags[where] = found.flags
+            flags[where], anew[where] = found.flags, True
             self.elevation.add(changed(found, known, where), replace_all=True)
-        self._note_traffic(grid, flags, down[0].t_ns, up - ground)
+        self._note_traffic(what_moves(grid, flags, anew), down[0].t_ns, up - ground)
         self._note_who_came(ring, down[0].t_ns)
         at_an_end = ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean()
         self.out_of_range = bool(at_an_end > self.settings.mapping.beyond or not is_trusted(flags).any())
@@ -124,12 +123,12 @@ class RecursiveMap(GroundMap):
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
 
-    def _note_traffic(self, grid: Grid, flags: U16, t_ns: int, height: float) -> None:
-        """Remember moving places, seen from a `height` above ground (metres) that shows enough of them (G6b)."""
+    def _note_traffic(self, cells: I64, t_ns: int, height: float) -> None:
+        """Remember moving places (N, 2), seen from a `height` above ground (metres) that shows enough of them (G6b)."""
         keys = self.settings.hazards
         self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
         if height >= keys.traffic_height and keys.traffic_memory > 0:
-            self.passed = self.passed.with_seen(what_moves(grid, flags), t_ns)
+            self.passed = self.passed.with_seen(cells, t_ns)
 
     def _note_who_came(self, ring: RecursiveParallax, t_ns: int) -> None:
         """Remember the places where somebody came to stand (G6c)."""

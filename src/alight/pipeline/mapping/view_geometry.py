@@ -10,10 +10,12 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Camera
+from alight.parallax.views import radius2_limit
 from alight.records import View
 from alight.settings.tuning import MappingTuning
 
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
+ENOUGH = 40  # points in a picture that show its ground
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 
@@ -50,7 +52,21 @@ def footprint(view: View, height: float) -> F64:
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
 
 
-def bounds(views: Sequence[View], height: float) -> tuple[F64, F64]:
-    """The rectangle about all footprints of the views on level ground: south-west and north-east corner, (2,) m."""
-    corners = np.concatenate([footprint(v, height) for v in views])
+def bounds(views: Sequence[View], height: float | F64) -> tuple[F64, F64]:
+    """The rectangle about all footprints of the views on level ground: south-west and north-east corner, (2,) metres.
+
+    `height`: metres, of the ground; one for all views, or (N,) of each.
+    """
+    corners = np.concatenate([footprint(v, h) for v, h in zip(views, np.broadcast_to(height, len(views)), strict=True)])
     return corners.min(axis=0), corners.max(axis=0)
+
+
+def ground_in(view: View, points: F64, otherwise: float) -> float:
+    """Median height of the points (N, 3) in the picture of a view, metres; `otherwise` where there are too few."""
+    place = view.world_from_cam.inverse.apply(points)
+    ahead = place[:, 2] > 0
+    points, place = points[ahead], place[ahead]
+    uv = view.camera.project(place)
+    inside = ((uv >= 0) & (uv <= [view.camera.width - 1, view.camera.height - 1])).all(axis=1)
+    inside &= ((place[:, :2] / place[:, 2:]) ** 2).sum(axis=1) < radius2_limit(view.camera)
+    return float(np.median(points[inside, 2])) if inside.sum() >= ENOUGH else otherwise
