@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from some_run import CELL, GRID, candidate, elevation, hazards, site, some_run
 
-from alight.records import Flag, Hazard, NextView, RunResult, Sites
+from alight.records import Flag, Hazard, NextView, RunResult, Sites, p_safe_text
 from alight.records.executive import FlightDiary, LookPicture, LookRecord
 from alight.report import canvas, facts, figures, maps, paint, render, words
 from alight.report.film import film
@@ -349,7 +349,7 @@ def test_no_chance_is_certain() -> None:
 
 @pytest.mark.parametrize(("p", "text"), [(0.62, "0.620"), (0.9994, "0.999"), (0.9996, "> 0.999"), (1.0, "> 0.999")])
 def test_p_safe_is_never_rounded_up_to_1(p: float, text: str) -> None:
-    assert words.p_safe(p) == text
+    assert p_safe_text(p) == text
 
 
 def test_a_look_of_the_film_is_never_certain() -> None:

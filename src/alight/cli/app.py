@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from alight import __version__, memory
 from alight.documents import DocumentError, read_text
-from alight.records import AlightError, OutputError, SettingsError, Site, Sites
+from alight.records import AlightError, OutputError, SettingsError, Site, Sites, p_safe_text
 from alight.settings import Settings, load_settings
 
 SPEED_OVER = 300.0  # s of progress from which the time left is estimated: a tile may take a minute
@@ -197,11 +197,10 @@ def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str
 
 
 def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
-    from alight.report import words
 
     return (
         f"{place([site.east, site.north, site.up])}  slope {site.slope * 57.29578:.1f} deg  "
-        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {words.p_safe(site.p_safe)}"
+        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {p_safe_text(site.p_safe)}"
     )
 
 

@@ -17,7 +17,7 @@ from alight.cli.app import (
     read_settings,
     say,
 )
-from alight.records import InputError
+from alight.records import InputError, p_safe_text
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS
 
 if TYPE_CHECKING:
@@ -92,13 +92,11 @@ def _again(planned: Campaign, out: Path, only: int) -> None:
 
 def _tell(ended: Ended) -> None:
     """Print a line on stderr for a landing that has ended."""
-    from alight.report.words import p_safe
-
     r = ended.record
     told = [
         f"#{r.number} {r.conditions.scene}: {r.outcome}",
         r.error or r.why if r.outcome != "landed safely" else "",
-        "" if r.p_at_commit is None else f"P(safe) {p_safe(r.p_at_commit)}",
+        "" if r.p_at_commit is None else f"P(safe) {p_safe_text(r.p_at_commit)}",
         *(f"with {f.what}" for f in r.conditions.faults if f.happened is not None),
         f"{r.seconds:.0f} s",
         f"{r.cpu_s:.0f} s of CPU",

@@ -37,7 +37,7 @@ from alight.cli.app import (
 from alight.cli.check import WRONG
 from alight.cli.live import refuse_unused
 from alight.cli.runs import leave_result
-from alight.records import InputError
+from alight.records import InputError, p_safe_text
 from alight.records.executive import FlightState
 
 if TYPE_CHECKING:
@@ -238,8 +238,6 @@ def _unwell(checks: Sequence[CheckResult]) -> list[str]:
 
 def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
     """Name and value of each fact of the status for a person."""
-    from alight.report.words import p_safe
-
     view, heard = status.view, status.telemetry
     yield "state", status.phase if view is None else view.state.value
     if view is not None:
@@ -247,7 +245,10 @@ def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
         yield "order", view.order
         if view.place is not None:
             east, north, _ = view.place
-            yield "place", f"{view.kind} at east {east:.1f} m north {north:.1f} m, P(safe) {p_safe(view.p_safe or 0.0)}"
+            yield (
+                "place",
+                f"{view.kind} at east {east:.1f} m north {north:.1f} m, P(safe) {p_safe_text(view.p_safe or 0.0)}",
+            )
         if view.height is not None:
             yield "height", f"{view.height:.1f} m above {'it' if view.place is not None else 'the ground'}"
         yield "motion", f"{view.situation.state.name.lower()}, newest picture {view.situation.picture_age:.1f} s old"

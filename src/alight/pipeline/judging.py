@@ -30,6 +30,7 @@ from alight.records import (
     Site,
     Sites,
     TerrainMap,
+    p_safe_text,
 )
 from alight.settings import Lander, StageSettings, TerrainSettings
 
@@ -222,7 +223,7 @@ class JudgingLane:
 
 def reserve_notes(sites: Sequence[Site]) -> dict[str, object]:
     """Notes of a run on sites in reserve, in the world."""
-    lines = [f"east {s.east:.1f} north {s.north:.1f} m, P {min(s.p_safe, 0.999):.3f}" for s in sites]
+    lines = [f"east {s.east:.1f} north {s.north:.1f} m, P {p_safe_text(s.p_safe)}" for s in sites]
     return {"sites in reserve": lines} if lines else {}
 
 

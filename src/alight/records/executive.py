@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from alight.arrays import F32, F64, U8
-from alight.records.landing import HazardMap, Sites
+from alight.records.landing import HazardMap, Sites, p_safe_text
 from alight.records.motion import MotionState
 from alight.records.surface import ElevationMap
 
@@ -142,8 +142,8 @@ class LookRecord:
     def line(self) -> str:
         """The look as one line of text."""
         doubt = f", {self.doubt}" if self.doubt else ""
-        p = min(self.p_safe, 0.999)  # never called certain
-        return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {p:.3f}{doubt}"
+        p = p_safe_text(self.p_safe)
+        return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {p}{doubt}"
 
     def as_tree(self) -> dict[str, object]:
         """The look as a tree of JSON."""

@@ -154,3 +154,8 @@ class Route:
     waypoints: tuple[Waypoint, ...]
     warnings: tuple[str, ...] = field(default=())
     frame_id: int = 0  # of the map that it was planned on
+
+
+def p_safe_text(p: float) -> str:
+    """P(safe) with three figures, 0.620, 0.987; never rounded up to 1."""
+    return "> 0.999" if p > 0.9995 else f"{p:.3f}"

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from alight.arrays import U8
-from alight.records import RunResult
+from alight.records import RunResult, p_safe_text
 from alight.records.executive import LookPicture
-from alight.report import canvas, paint, words
+from alight.report import canvas, paint
 from alight.report.figures import Figure
 
 GAP = 6  # pixels between the photo and P(safe) below it
@@ -35,7 +35,7 @@ def _frame(number: int, p: LookPicture, result: RunResult) -> Figure:
         alt=f"Look {number}: photo and P(safe) of {2 * p.reach:.0f} m about the place",
         uri=canvas.data_uri(both),
         height=round(canvas.WIDTH * both.shape[0] / side, 1),
-        caption=f"at {p.look.t:.0f} s: {p.look.verdict}, P(safe) {words.p_safe(p.look.p_safe)}{doubt}",
+        caption=f"at {p.look.t:.0f} s: {p.look.verdict}, P(safe) {p_safe_text(p.look.p_safe)}{doubt}",
         classes=("film",),
     )
 

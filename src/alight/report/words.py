@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from alight.records import Doubt, Flag, Hazard, RunResult, Site
+from alight.records import Doubt, Flag, Hazard, RunResult, Site, p_safe_text
 
 UNKNOWN = "unknown"
 # of names and texts from outside: characters that steer a terminal, are no HTML, or turn the direction of a line
@@ -98,12 +98,7 @@ def probability(p: float) -> str:
     """0.93, 0.987; never rounded up to 1."""
     if not math.isfinite(p):
         return UNKNOWN
-    return f"{p:.2f}" if p < 0.985 else p_safe(p)
-
-
-def p_safe(p: float) -> str:
-    """P(safe) with three figures, 0.620, 0.987; never rounded up to 1."""
-    return "> 0.999" if p > 0.9995 else f"{p:.3f}"
+    return f"{p:.2f}" if p < 0.985 else p_safe_text(p)
 
 
 def factors(site: Site) -> str:

@@ -26,7 +26,7 @@ from alight.landing.executive.opinion import Opinion, Standing, opinion
 from alight.landing.executive.search import SearchLanes
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
 from alight.landing.wind import ground_speed, is_from_behind
-from alight.records import MotionState, Site
+from alight.records import MotionState, Site, p_safe_text
 from alight.records.executive import (
     FlightDiary,
     FlightEvent,
@@ -223,7 +223,7 @@ class Executive:
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
         """Event of a look, which is over when a verdict includes the whole leg."""
         if not self._keys.look_again and self.target is not None:
-            return E.CONFIRMED, f"P(safe) {self.target.p_safe:.3f}, not looked at again"
+            return E.CONFIRMED, f"P(safe) {p_safe_text(self.target.p_safe)}, not looked at again"
         if self._across is not None:
             if self._reached(now, self._across):
                 self._across, self._leg_done = None, now.t
@@ -240,7 +240,7 @@ class Executive:
             return E.REFUSED, f"P(safe) {said.p_safe:.2f} from {self._height:.1f} m, and {better.p_safe:.2f} elsewhere"
         lowest = self._height <= self._keys.commit_height * 1.05
         if said.standing is Standing.SITE and lowest:
-            return E.CONFIRMED, f"P(safe) {said.p_safe:.3f} from {self._height:.1f} m"
+            return E.CONFIRMED, f"P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
         if said.standing in (Standing.SITE, Standing.CANDIDATE) and not lowest:
             return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
         if candidate and self._height > self._keys.nearest * 1.05:

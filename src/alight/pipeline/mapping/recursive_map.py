@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight.arrays import F64, I64
+from alight.arrays import F64, U16, Mask
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
@@ -113,7 +113,7 @@ class RecursiveMap(GroundMap):
             height[at] = found.height[rows, cols]
             flags[where], anew[where] = found.flags, True
             self.elevation.add(changed(found, known, where), replace_all=True)
-        self._note_traffic(what_moves(grid, flags, anew), down[0].t_ns, up - ground)
+        self._note_traffic(grid, flags, anew, down[0].t_ns, up - ground)
         self._note_who_came(ring, down[0].t_ns)
         at_an_end = ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean()
         self.out_of_range = bool(at_an_end > self.settings.mapping.beyond or not is_trusted(flags).any())
@@ -123,12 +123,15 @@ class RecursiveMap(GroundMap):
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
 
-    def _note_traffic(self, cells: I64, t_ns: int, height: float) -> None:
-        """Remember moving places (N, 2), seen from a `height` above ground (metres) that shows enough of them (G6b)."""
+    def _note_traffic(self, grid: Grid, flags: U16, anew: Mask, t_ns: int, height: float) -> None:
+        """Remember moving places, seen from a `height` above ground (metres) that shows enough of them (G6b).
+
+        `flags`, `anew`: (R, C), as in `what_moves`.
+        """
         keys = self.settings.hazards
         self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
         if height >= keys.traffic_height and keys.traffic_memory > 0:
-            self.passed = self.passed.with_seen(cells, t_ns)
+            self.passed = self.passed.with_seen(what_moves(grid, flags, anew), t_ns)
 
     def _note_who_came(self, ring: RecursiveParallax, t_ns: int) -> None:
         """Remember the places where somebody came to stand (G6c)."""
