@@ -14,11 +14,16 @@ from typing import TypeVar
 import numba
 import pytest
 from damage import write_flight, write_photos
+from hypothesis import settings
 
 from alight import compiled
 from alight.runner.demo import compile_kernels
 
 T = TypeVar("T")
+
+# the same examples in each run, whichever tests run beside them
+settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=60)
+settings.load_profile("fixed")
 
 
 @pytest.fixture(scope="session")

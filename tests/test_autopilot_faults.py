@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
-from length import first
+from length import BOTH, EITHER, first
 from pilot_rig import PilotRig
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from test_autopilot_protocol import long_mission, met, place, sent, stored
@@ -23,7 +23,6 @@ from alight.records import FlightMode, NoticeKind
 from alight.records.executive import FlightState
 from alight_sim.autopilot.dialects import Doing
 
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 S = 1_000_000_000
 
 
@@ -380,7 +379,7 @@ def lie(r: Rig, numbers: tuple[int, int, int, int]) -> Callable[[], None]:
     return lambda: make.__setitem__(33, true)
 
 
-@BOTH
+@EITHER
 @pytest.mark.parametrize("wild", first(2, reversed(WILD.values())), ids=reversed(WILD))
 def test_no_setpoint_is_made_of_a_place_that_cannot_be(dialect: str, wild: tuple[int, int, int, int]) -> None:
     r = flying(dialect)

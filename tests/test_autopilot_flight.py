@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
-from length import first
+from length import BOTH, first
 from numpy.testing import assert_allclose
 
 from alight.autopilot import EstimateTie, Setpoint, mission_of
@@ -15,7 +15,6 @@ from alight.records import FlightMode, Landed, NoticeKind, Route, Waypoint
 from alight_sim.autopilot import EstimateError, FlightLimits, PointMass, Wanted
 from alight_sim.autopilot.dialects import Doing
 
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 WRONG = (3.0, -2.0, 1.5)  # metres
 TARGET = np.array([12.0, 9.0, 0.0])
 

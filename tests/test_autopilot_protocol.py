@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
-from length import first
+from length import BOTH, first
 
 from alight.autopilot import EstimateTie, MissionItem, Setpoint, mission_of
 from alight.autopilot.firmware import ArduPilotFirmware
@@ -15,7 +15,6 @@ from alight.autopilot.mission_item import MissionItem as Item
 from alight.records import FlightMode, ImuSample, NoticeKind, Place, Route, Telemetry, Waypoint
 from alight_sim.autopilot.dialects import Doing
 
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 BAD = {"loss": 0.3, "delay": 0.05, "jitter": 0.1, "double": 0.2}
 
 

@@ -463,7 +463,7 @@ def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
 
 
 def test_the_posterior_follows_from_the_window_alone() -> None:
-    """The posterior has the same bits if computed at once, after the filter has gone on, or in another process."""
+    """The posterior has the same bits if computed at once, after the filter has gone on, or on a pickled copy."""
     events = PointFlight(seed=4, seconds=2.0, count=40).events
     half = len(events) // 2
     estimator, _ = run(events[:half])

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from length import long
+from length import BOTH, EITHER, long
 from pilot_rig import VERDICT, PilotRig
 from test_executive import Ground, clearer_from_below
 
@@ -19,7 +19,6 @@ from alight_sim.autopilot.dialects import Doing
 
 S, E = FlightState, FlightEvent
 PLACE = (10.0, 5.0)
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 
 
 def rig(dialect: str = "ardupilot", *settings: str, ground: Ground | None = None) -> PilotRig:
@@ -63,7 +62,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
     assert not r.moving_since(t + 0.1)
 
 
-@BOTH
+@EITHER
 def test_a_wait_between_two_looks_is_flown_under_guidance(dialect: str) -> None:
     """While no verdict comes, the vehicle stays in place, in guided mode."""
     r = rig(dialect)
@@ -173,7 +172,7 @@ def test_a_fault_leads_to_the_right_state(fault: Callable[[PilotRig], None], whe
     assert state(r) is S.HANDED_OVER
 
 
-@BOTH
+@EITHER
 def test_the_autopilot_holds_while_something_is_missing_and_goes_on_after_it(dialect: str) -> None:
     r = rig(dialect)
     assert r.fly(S.APPROACH)
@@ -199,7 +198,7 @@ def test_gps_that_stays_away_ends_in_a_hold_of_the_autopilot(dialect: str) -> No
     assert r.sim.logic.doing is Doing.HOLD
 
 
-@BOTH
+@EITHER
 def test_a_filter_that_begins_anew_gives_the_place_up_and_searches_on(dialect: str) -> None:
     ground = Ground({PLACE: clearer_from_below})
     r = rig(dialect, ground=ground)
@@ -210,7 +209,7 @@ def test_a_filter_that_begins_anew_gives_the_place_up_and_searches_on(dialect: s
     assert r.fly(S.LANDED)
 
 
-@BOTH
+@EITHER
 def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
     """After two verdicts that refuse the place the vehicle climbs; there is no other place, so that it returns home."""
     ground = Ground({PLACE: clearer_from_below})
@@ -225,7 +224,7 @@ def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
     assert r.sim.logic.doing is Doing.RETURN
 
 
-@BOTH
+@EITHER
 def test_a_vehicle_that_is_blown_off_the_place_is_led_back_above_it(dialect: str) -> None:
     r = rig(dialect)
     assert r.fly(S.COMMIT)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import first
+from length import BOTH, EITHER, first, first_rows
 from pilot_rig import PilotRig
 from test_executive import Ground, clearer_from_below
 from test_fly_hands import PLACE, pilot_of, raised, rig
@@ -20,7 +20,6 @@ from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 
 S = FlightState
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 SECOND = 1_000_000_000
 
 
@@ -52,8 +51,9 @@ def sent_since(r: PilotRig, t: float, kind: str) -> list[Any]:
 
 
 @BOTH
-@pytest.mark.parametrize("up", [0.0, 15.0])
-@pytest.mark.parametrize("what", ["lost", "new frame"])
+@pytest.mark.parametrize(
+    ("up", "what"), first_rows(2, [(0.0, "lost"), (15.0, "new frame"), (0.0, "new frame"), (15.0, "lost")])
+)
 def test_it_comes_straight_down_where_the_place_is_not_known_any_more(dialect: str, up: float, what: str) -> None:
     """Near the ground a landing is not broken off: a motion that is lost or of another frame must not steer it."""
     r = high_rig(dialect, up)
@@ -198,7 +198,7 @@ def test_motors_that_turn_on_after_a_landing_are_ordered_to_stop(dialect: str) -
     assert not r.vehicle.telemetry.armed
 
 
-@BOTH
+@EITHER
 def test_a_person_is_told_when_the_motors_do_not_stop(dialect: str, monkeypatch: pytest.MonkeyPatch) -> None:
     r = rig(dialect)
     r.sim.logic.disarms = False

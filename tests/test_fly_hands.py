@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import first
+from length import BOTH, EITHER, first
 from pilot_rig import PilotRig, See
 from test_executive import Ground, clearer_from_below
 
@@ -28,7 +28,6 @@ from alight_sim.point_mass import PointMass, Wanted
 
 S, E = FlightState, FlightEvent
 PLACE = (10.0, 5.0)
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 SET_MODE = 176
 
 
@@ -239,7 +238,7 @@ def test_every_order_of_a_mode_waits_for_a_heartbeat_of_its_own() -> None:
 # -- a refused landing
 
 
-@BOTH
+@EITHER
 def test_a_landing_that_is_refused_is_asked_for_again(dialect: str) -> None:
     r, refused = rig(dialect), list[float]()
     enter = r.sim.logic.enter
@@ -357,7 +356,7 @@ def targets_since(r: PilotRig, t: float) -> list[np.ndarray]:
     return [r.sim.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt) for m in sent]
 
 
-@BOTH
+@EITHER
 @pytest.mark.parametrize("jump", first(1, [[1000.0, 0.0, 0.0], [0.0, 0.0, 400.0], [-30.0, 20.0, 0.0]]))
 def test_a_jump_of_the_autopilots_position_makes_no_far_target(dialect: str, jump: list[float]) -> None:
     r = rig(dialect)

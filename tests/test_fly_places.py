@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import first
+from length import BOTH, EITHER, first, first_rows
 from pilot_rig import PilotRig, seldom
 from test_autopilot_faults import HERE, report, told
 from test_executive import Ground, clearer_from_below
@@ -18,7 +18,6 @@ from alight_sim.autopilot.dialects import Doing
 
 S = FlightState
 PLACE = (10.0, 5.0)
-BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 
 
 def rig(dialect: str, **more: Any) -> PilotRig:
@@ -46,8 +45,9 @@ def said(r: PilotRig, word: str) -> int:
     return sum(word in line for line in r.orders)
 
 
-@BOTH
-@pytest.mark.parametrize("slow", ["late", "rare"])
+@pytest.mark.parametrize(
+    ("dialect", "slow"), first_rows(2, [("px4", "late"), ("ardupilot", "rare"), ("ardupilot", "late"), ("px4", "rare")])
+)
 def test_positions_that_are_late_or_rare_land_like_others(dialect: str, slow: str) -> None:
     """With positions 0.4 s late or one a second, the vehicle never holds, and no jump is detected."""
     r = rig(dialect, link={"delay": 0.4} if slow == "late" else None)
@@ -88,7 +88,7 @@ def test_a_position_is_carried_on_for_a_while() -> None:
 # -- holding a place
 
 
-@BOTH
+@EITHER
 @pytest.mark.parametrize("jump", first(1, [[25.0, 0.0, 0.0], [0.0, -8.0, 0.0], [0.0, 0.0, 12.0]]))
 def test_a_place_that_is_kept_is_forgotten_when_the_estimate_jumps(dialect: str, jump: list[float]) -> None:
     """Below 55 m a jump is accepted at once: then the old latitude and longitude are another place."""

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
+from length import EITHER
 
 from alight.autopilot import Setpoint
 from alight.cli import call
@@ -64,7 +65,7 @@ def test_the_printed_commands_can_be_pasted(
     assert f"--camera '{folder}' --out OUT\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+@EITHER
 def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> None:
     """Pictures drawn from telemetry agree with the view of a camera at the true pose."""
     cameras = FollowedCameras("concrete", 3, size=SIZE, rate_hz=RATE, start=(-20.0, -12.0))

@@ -13,7 +13,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 import rasterio
-from length import first
+from length import first, long
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -41,6 +41,7 @@ def test_a_short_run_finds_nothing(tmp_path: Path, kinds: str) -> None:
     assert not (tmp_path / "kept").exists()
 
 
+@long
 def test_a_fault_is_found_shrunk_and_kept(tmp_path: Path) -> None:
     """A source raises an error at its first loss."""
     fault = """

@@ -29,9 +29,6 @@ from alight.geometry import (
     so3_log,
 )
 
-settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=60)
-settings.load_profile("fixed")
-
 number = st.floats(-1.0, 1.0, allow_subnormal=False)
 vector = st.tuples(number, number, number).map(np.array)
 axis = vector.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v / np.linalg.norm(v))

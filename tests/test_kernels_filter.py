@@ -37,6 +37,12 @@ from alight.tracks.transfer_kernels import carry_points
 RNG = np.random.default_rng(0)
 
 
+@pytest.fixture(autouse=True)
+def same_numbers() -> None:
+    """Each test draws the same numbers, alone or after others."""
+    RNG.bit_generator.state = np.random.default_rng(0).bit_generator.state
+
+
 def covariance(n: int) -> F64:
     J = RNG.normal(size=(n, n))
     return J @ J.T

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from faulty_lanes import Fault, FaultyJudging, FaultyMapping, FaultyNavigation, IdleOrBusy
-from length import first
+from length import first, long
 from numpy.testing import assert_allclose
 from waiting import wait_until
 
@@ -256,11 +256,10 @@ def test_what_was_used_flies_again_bit_for_bit(nursery: Nursery) -> None:
     heard = Heard()
     slow = Fault("slow", frozenset(flight()[0].frame_times.tolist()), 0.3)
     run = live(nursery, heard, Capacity(tracking=1, mapping=1, schedule=None), makers=faulty("mapping", slow))
-    for k, e in enumerate(flight()[1]):
+    for e in flight()[1]:
         if isinstance(e, Frame):
             time.sleep(0.0 if stamp(20) < e.t_ns < stamp(24) else 0.15)
         run.feed(e)
-        assert k >= 0
     decision = run.finish()
     schedule = run.schedule
     assert len(schedule.tracked) < 31
@@ -293,7 +292,7 @@ def test_verdicts_about_a_place_fly_again_bit_for_bit(nursery: Nursery) -> None:
 # -- lanes that fail
 
 
-@pytest.mark.parametrize("kind", first(2, ["raise", "hang", "die"]))
+@pytest.mark.parametrize("kind", first(1, ["raise", "hang", "die"]))
 def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
     """The exposure is lost, the motion has another frame number, and the map is dropped; the replay does the same."""
     heard, lost = Heard(), list[tuple[str, float]]()
@@ -507,6 +506,7 @@ def test_effort_falls_with_late_steps_and_rises_with_fast_ones() -> None:
     assert found[-1] == 0
 
 
+@long
 def test_less_effort_flies_again_bit_for_bit(nursery: Nursery) -> None:
     """Every step is late, so that all levels of effort are used; the schedule records them."""
     heard = Heard()

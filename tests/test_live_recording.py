@@ -83,7 +83,9 @@ def assignments() -> list[str]:
 
 
 def test_every_event_comes_back_bit_for_bit() -> None:
-    for event in (*flight()[1][:40], Frame(7, (None, np.arange(12, dtype=np.uint8).reshape(3, 4)), "a picture")):
+    events = (*flight()[1][:40], Frame(7, (None, np.arange(12, dtype=np.uint8).reshape(3, 4)), "a picture"))
+    assert {type(event) for event in events} == {NavSample, ImuSample, Frame}
+    for event in events:
         topic, parts = pack(event)
         again = unpack(topic, b"".join(parts))
         assert type(again) is type(event)

@@ -13,3 +13,13 @@ long = pytest.mark.long
 def first(count: int, values: Iterable[Any]) -> Sequence[Any]:
     """Parameters of a test; all but the first `count` are marked long."""
     return [pytest.param(v, marks=() if k < count else long) for k, v in enumerate(values)]
+
+
+def first_rows(count: int, values: Iterable[Sequence[Any]]) -> Sequence[Any]:
+    """As `first`, of a test with several parameters."""
+    return [pytest.param(*row, marks=() if k < count else long) for k, row in enumerate(values)]
+
+
+# both autopilots; and one of them where the code under test is the same for both, the other in the long tests
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+EITHER = pytest.mark.parametrize("dialect", first(1, ["ardupilot", "px4"]))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, insort
 from collections import deque
 from itertools import pairwise
+from operator import attrgetter
 
 from alight.autopilot.clock import VehicleClock
 from alight.autopilot.place_watch import PlaceReport, PlaceWatch
@@ -14,13 +16,14 @@ _REMEMBERED = 300  # positions
 _CARRIED_NS = 1_500_000_000  # extrapolation of a report by its velocity, where reports are late or few
 _BACK_NS = 400_000_000  # before a report
 _WINDOW_NS = 5_000_000_000  # in which the greatest age is looked for
+_stamp = attrgetter("boot_ns")
 
 
 class PlaceLog:
     """Accepted reports in order of time."""
 
     def __init__(self) -> None:
-        self._places: deque[PlaceReport] = deque(maxlen=_REMEMBERED)
+        self._places: list[PlaceReport] = []
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)  # our clock, and the autopilot's stamp
         self._watch = PlaceWatch()
 
@@ -36,13 +39,16 @@ class PlaceLog:
             return False
         if self._watch.jumps != jumps:
             self._places.clear()  # they are of another estimate
-        self._places.append(report)
+        insort(self._places, report, key=_stamp)  # the link may reorder them
+        del self._places[:-_REMEMBERED]
         self._arrivals.append((now_ns, report.boot_ns))
         return True
 
     def at(self, boot_ns: int) -> Place | None:
         """As `VehicleState.place_at`."""
-        near = [r for r in self._places if -_BACK_NS <= boot_ns - r.boot_ns <= _CARRIED_NS]
+        after = bisect_left(self._places, boot_ns, key=_stamp)
+        beside = self._places[max(after - 1, 0) : after + 1]
+        near = [r for r in beside if -_BACK_NS <= boot_ns - r.boot_ns <= _CARRIED_NS]
         if not near or self.doubted:
             return None
         return min(near, key=lambda report: abs(report.boot_ns - boot_ns)).at(boot_ns)

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from scipy.spatial.transform import Rotation
 
 from alight.arrays import F64
+from alight.geometry import quaternion_from_matrix
 from alight_sim.autopilot.dialects import Dialect
 from alight_sim.autopilot.flight_logic import FlightLogic
 
@@ -141,9 +142,9 @@ class Reports:
         return mavlink.MAVLink_attitude_message(now.boot_ms, roll, pitch, yaw, *rates)
 
     def _quaternion(self, now: SimulatedState) -> Any:
-        x, y, z, w = Rotation.from_matrix(now.ned_from_frd).as_quat()
+        rates = _FLIP @ now.vehicle.angular_velocity_body
         return mavlink.MAVLink_attitude_quaternion_message(
-            now.boot_ms, w, x, y, z, *(_FLIP @ now.vehicle.angular_velocity_body)
+            now.boot_ms, *quaternion_from_matrix(now.ned_from_frd), *rates
         )
 
     def _local(self, now: SimulatedState) -> Any:
