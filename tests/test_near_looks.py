@@ -80,6 +80,23 @@ def test_even_ground_that_hardly_bears_is_no_site_from_near_by_and_a_footprint_o
     assert ground_of[0] < ground_of[1] < 0.95 < ground_of[2] <= ground_of[3]
 
 
+@pytest.mark.parametrize(("bears", "low", "high"), [(0.9, 0.95, 1.0), (0.65, 0.7, 0.95), (0.5, 0.3, 0.8)])
+def test_a_patch_that_bears_less_than_the_ground_about_it_is_in_doubt(bears: float, low: float, high: float) -> None:
+    """A puddle of 1.2 m on asphalt, where the land cover is not sure."""
+    cover = plants(0.98)
+    assert cover.bears is not None
+    rows, cols = np.indices((81, 81)) - 40
+    cover.bears[np.hypot(rows, cols) * cover.grid.cell < 0.6] = bears
+    p = looked_at(np.zeros((81, 81)), 0.02, cover=cover).p_ground[MID]
+    assert low < p <= high
+
+
+def test_ground_that_is_alike_all_over_is_no_patch() -> None:
+    p = [looked_at(np.zeros((81, 81)), 0.02, cover=plants(b)).p_ground[MID] for b in (0.6, 0.9)]
+    assert p[0] > 0.95
+    assert p[1] > 0.95
+
+
 def test_what_hardly_bears_all_over_counts_more_than_one_cell_of_it() -> None:
     one = plants(0.9)
     assert one.bears is not None

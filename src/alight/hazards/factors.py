@@ -41,6 +41,9 @@ RIDGES = 0.9, 1.0, 1.1  # broad deviations over the limit
 RIDGES_EXPECTED = 0.0, 0.39, 0.78  # expected hazards from these alone: they are as high as measured
 SOFT = 0.0, 1.1, 1.39  # log odds against ground that bears: probabilities of 0.5, 0.25 and 0.2
 SOFT_EXPECTED = 0.0, 0.2, 0.7  # expected hazards from these alone, near by
+PATCH = -1.6, -1.0, 0.0  # the same of a patch that bears less than the ground about it: 0.83, 0.73 and 0.5
+PATCH_EXPECTED = 0.0, 0.1, 0.3  # expected hazards from these alone, near by
+UNLIKE = 1.2, 2.0  # log odds of a patch over those of the ground about it: none, and all of the above counts
 RIDGE = 0.032, 0.04  # metres, relief of a straight ridge: natural ground has little more, a kerb of 0.1 m has 0.045
 RIDGE_EXPECTED = 0.0, 0.7  # expected hazards from these alone, near by
 BROAD_TO_NARROW = 0.5, 1.0  # log of the deviation over that of smoothed heights
@@ -197,9 +200,14 @@ def deviation_hazards(near: Mapping[str, F32]) -> F32:
 def soft_ground_hazards(ground: Mapping[str, F32]) -> F32:
     """Expected hazards from the 0.2 m of a footprint that bear least probably, alone, by its terms (G7h).
 
-    Near by, the fit relies on heights: where they are even, ground mostly bears. Tops of tall plants are even too.
+    Near by, the fit relies on heights: where they are even, ground mostly bears. Tops of tall plants are even too, and
+    so are puddles: a patch that bears less than the ground about it counts sooner than ground that is alike all over.
     """
-    return np.asarray(np.interp(ground[GroundTerm.WORST_SMOOTH], SOFT, SOFT_EXPECTED), np.float32)
+    worst = ground[GroundTerm.WORST_SMOOTH]
+    about = np.minimum(ground[GroundTerm.MEAN], ground[GroundTerm.MEAN_BEYOND])
+    unlike = np.interp(worst - about, UNLIKE, (0.0, 1.0))
+    patch = unlike * np.interp(worst, PATCH, PATCH_EXPECTED)
+    return np.asarray(np.maximum(patch, np.interp(worst, SOFT, SOFT_EXPECTED)), np.float32)
 
 
 def ridge_hazards(ridge: F32) -> F32:
