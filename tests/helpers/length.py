@@ -12,7 +12,7 @@ long = pytest.mark.long
 
 def first(count: int, values: Iterable[Any]) -> Sequence[Any]:
     """Parameters of a test; all but the first `count` are marked long."""
-    return [pytest.param(v, marks=() if k < count else long) for k, v in enumerate(values)]
+    return first_rows(count, ((value,) for value in values))
 
 
 def first_rows(count: int, values: Iterable[Sequence[Any]]) -> Sequence[Any]:

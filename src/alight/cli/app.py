@@ -197,7 +197,6 @@ def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str
 
 
 def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
-
     return (
         f"{place([site.east, site.north, site.up])}  slope {site.slope * 57.29578:.1f} deg  "
         f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {p_safe_text(site.p_safe)}"

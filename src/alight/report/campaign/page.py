@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import jinja2
 import yaml
 
+from alight.records import p_safe_text
 from alight.records.campaign import OUTCOMES, CampaignHead, LandingRecord
 from alight.report import words
 from alight.report.campaign.numbers import CampaignNumbers, Counts, Spread
@@ -100,7 +101,7 @@ def _unsafe(r: LandingRecord, uri: str | None) -> Unsafe:
         f" Tilt {math.degrees(d.tilt):.1f}°, roughness {words.metres(d.roughness)}, sink {d.sink:.2f} m/s, "
         f"drift {d.drift:.2f} m/s, at {d.east:.1f} m east, {d.north:.1f} m north."
     )  # fmt: skip
-    p = "" if r.p_at_commit is None else f" P(safe) at commit {r.p_at_commit:.3f}."
+    p = "" if r.p_at_commit is None else f" P(safe) at commit {p_safe_text(r.p_at_commit)}."
     return Unsafe(
         f"Landing {r.number}, {r.conditions.scene}", f"{r.why}.{struck}{measured}{p} {_faults(r)}".strip(), uri
     )
