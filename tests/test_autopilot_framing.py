@@ -11,9 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.autopilot import Autopilot, MissionItem, TelemetryEvents
+from alight.autopilot import Autopilot, EstimateTie, MissionItem, Setpoint, TelemetryEvents, metres_between
 from alight.autopilot.framing import Framing
-from alight.records import NoticeKind, Place
+from alight.geometry import LocalFrame
+from alight.records import FlightMode, NoticeKind, Place
 
 SECOND = 1_000_000_000
 
@@ -260,3 +261,59 @@ def test_whatever_numbers_a_vehicle_sends_nothing_raises(messages: list[tuple[st
     sent = Framing(1, 1).decode(b"".join(ours.pending()), len(messages) * SECOND)
     assert {"HEARTBEAT"} <= {h.name for h in sent} <= QUIET  # never a movement: nobody has ordered one
     assert {h.message.command for h in sent if h.name == "COMMAND_LONG"} <= {511, 512}
+
+
+HERE = Place(47.6, 13.4, 530.0, 30.0)
+
+
+def guided(autopilot: int) -> tuple[Autopilot, Any, int]:
+    """Return our side of a vehicle that it guides to a place 7 m away, the vehicle's talker, and the time in ns."""
+    ours, talker, now = Autopilot(events=TelemetryEvents()), mavlink.MAVLink(None, srcSystem=1, srcComponent=1), 0
+    mode = 4 if autopilot == 3 else 6 << 16
+    for k in range(12):
+        now = k * SECOND // 10
+        said = [mavlink.MAVLink_heartbeat_message(2, autopilot, 129, mode, 4, 3)]
+        said += [mavlink.MAVLink_global_position_int_message(100 * k, 476000000, 134000000, 530000, 30000, 0, 0, 0, 0)]
+        for m in said:
+            ours.receive(bytes(m.pack(talker)), now)
+            talker.seq = (talker.seq + 1) % 256
+        if k == 2:
+            assert ours.vehicle is not None
+            ours.vehicle.set_mode(FlightMode.GUIDED)
+            tie = EstimateTie(LocalFrame(47.6, 13.4, 500.0), np.zeros(3), HERE)
+            ours.vehicle.guide(Setpoint(np.array([5.0, 5.0, 0.0]), heading=0.1, speed=2.0), tie)
+        ours.tick(now)
+    return ours, talker, now
+
+
+def targets(ours: Autopilot, now: int) -> list[float]:
+    """Distance, metres, from where the vehicle was to each place that it is sent to by what is pending."""
+    sent = Framing(1, 1).decode(b"".join(ours.pending()), now)
+    assert {h.name for h in sent} <= QUIET | {"SET_POSITION_TARGET_GLOBAL_INT"}
+    assert {h.message.command for h in sent if h.name == "COMMAND_LONG"} <= {176, 178, 511, 512}
+    places = [h.message for h in sent if h.name == "SET_POSITION_TARGET_GLOBAL_INT"]
+    return [metres_between(HERE, Place(p.lat_int * 1e-7, p.lon_int * 1e-7, p.alt, 30.0)) for p in places]
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(HANDLED.split()), st.binary(min_size=255, max_size=255)), min_size=1, max_size=8
+    ),
+    st.sampled_from([3, 12]),
+)
+def test_whatever_a_guided_vehicle_sends_it_is_sent_nowhere_else(
+    messages: list[tuple[str, bytes]], autopilot: int
+) -> None:
+    """As above, while set-points are sent: they stay near the one that was ordered, or end."""
+    ours, talker, now = guided(autopilot)
+    before = targets(ours, now)
+    assert before
+    assert max(before) < 15.0
+    for name, data in messages:
+        now += SECOND // 10
+        kind = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+        ours.receive(packed(kind, talker, data[: kind.unpacker.size]), now)
+        talker.seq = (talker.seq + 1) % 256
+        ours.tick(now)
+    assert max(targets(ours, now), default=0.0) < 15.0

@@ -332,14 +332,20 @@ def test_a_link_that_is_closed_and_written_by_others_never_raises(monkeypatch: p
     assert not raised
 
 
-def parameters(binary: Path, folder: Path) -> str:
-    """Return files of parameters: those of ArduPilot's own tree, if the binary lies in it, and a precision landing."""
-    own = folder / "alight.parm"
-    own.write_text(
-        "FRAME_CLASS 1\nPLND_ENABLED 1\nPLND_TYPE 1\nPLND_STRICT 0\nINS_GYRO_FILTER 80\nINS_ACCEL_FILTER 80\n"
-    )
-    trees = [p / "Tools/autotest/default_params/copter.parm" for p in binary.resolve().parents]
-    return ",".join(str(p) for p in (*trees, own) if p.exists())
+PARAMETERS = Path(__file__).parents[1] / "docs/sitl.parm"
+
+
+def test_the_parameters_of_a_sitl_let_it_be_armed_and_land_on_a_target() -> None:
+    """A fresh one without them says that nothing is calibrated, and is never ready."""
+    rows = [line.split() for line in PARAMETERS.read_text().splitlines() if not line.startswith("#")]
+    found = {name: float(value) for name, value in rows}
+    assert len(found) == len(rows)
+    assert all(len(name) <= 16 for name in found)  # as MAVLink's
+    assert all(found[f"INS_ACC{k}OFFS_{axis}"] for k in ("", "2") for axis in "XYZ")
+    assert (found["PLND_ENABLED"], found["PLND_TYPE"], found["PLND_STRICT"]) == (1, 1, 0)
+    assert found["FRAME_CLASS"] == 1
+    said = (PARAMETERS.parent / "autopilot.md").read_text()
+    assert f"--defaults docs/{PARAMETERS.name}" in said
 
 
 @pytest.fixture
@@ -349,7 +355,7 @@ def sitl(tmp_path: Path) -> Any:
     if not binary:
         pytest.skip("no ArduPilot SITL: set ALIGHT_SITL to its arducopter binary")
     command = [binary, "--model", "quad", "--speedup", "1", "--home", "47.6,13.4,500,0", "--wipe", "-I0"]
-    command += ["--defaults", parameters(Path(binary), tmp_path)]
+    command += ["--defaults", str(PARAMETERS)]
     with (
         (tmp_path / "sitl.log").open("wb") as log,
         subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log) as run,

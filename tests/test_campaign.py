@@ -24,7 +24,8 @@ from alight.records.campaign import Conditions, FaultRecord, LandingRecord, Ligh
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.report.campaign import campaign_numbers, unsafe_bound
 from alight.runner import campaign as runner
-from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
+from alight.runner import dask_client
+from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings, workers
 from alight.runner.campaign.faults import FAULTS, Happenings
 from alight.runner.campaign.flying import fly_conditions
 from alight.runner.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
@@ -584,6 +585,21 @@ def test_a_real_landing_on_concrete() -> None:
     assert [x.after for x in record.transitions][-2:] == ["commit", "landed"]
 
 
+@long
+def test_a_real_car_on_the_place_breaks_the_landing_off() -> None:
+    """It is seen in the pictures alone: P(safe) falls, the vehicle climbs, and lands safely elsewhere or later."""
+    fault = FaultRecord(what="car", after=0.5, state="commit", numbers={"direction": 1.0, "from": 28.0, "speed": 7.0})
+    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
+    record = fly_conditions(given, Settings()).record
+    came = record.conditions.faults[0].happened
+    assert came is not None
+    broken_off = next(x for x in record.transitions if x.t > came)
+    assert (broken_off.before, broken_off.after) == ("commit", "abort")
+    assert "P(safe) has fallen" in broken_off.reason
+    assert broken_off.t - came < 6.0
+    assert record.outcome == "landed safely", record
+
+
 # -- workers
 
 
@@ -643,6 +659,20 @@ def test_a_cluster_that_loses_a_landing_time_and_again_is_told_and_keeps_what_th
     assert [r.outcome for r in CampaignFolder(out).read().values()] == ["landed safely"] * 3
 
 
+@pytest.mark.filterwarnings("ignore")  # the cluster's own
+def test_a_worker_with_another_program_flies_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    with distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:
+        monkeypatch.setattr(dask_client, "sources_digest", lambda: "0123456789abcdef")  # in this process alone
+        with pytest.raises(InputError, match="has another Alight than this program"):
+            fly_campaign(small([scene(tmp_path)], 1), tmp_path / "out", scheduler=cluster.scheduler_address, fly=lands)
+
+
+def test_a_worker_that_comes_later_is_compared_as_well() -> None:
+    with pytest.raises(InputError, match="install the same everywhere"):
+        workers._alone(lambda c: pytest.fail("flown"), conditions("demo"), "0123456789abcdef")
+
+
 # -- the report
 
 
@@ -696,6 +726,16 @@ def test_the_numbers_hold_p_safe_against_what_happened() -> None:
     assert n.seconds.median == 10.0
 
 
+def test_the_dearest_landing_and_the_share_that_is_cheap_are_told() -> None:
+    cost = [20.0, 59.0, 61.0, 300.0]
+    n = campaign_numbers([made(k, "landed safely", None, None).model_copy(update={"cpu_s": c})
+                          for k, c in enumerate(cost)])  # fmt: skip
+    assert (n.cpu_most, n.cpu_within) == (300.0, 0.5)
+    none = campaign_numbers([])
+    assert none.cpu_most is None
+    assert none.cpu_within is None
+
+
 def test_the_page_tells_outcomes_pictures_looks_and_another_campaign(tmp_path: Path) -> None:
     names = [scene(tmp_path), scene(tmp_path, "wet", "water")]
     fly_campaign(small(names), tmp_path / "first", fly=lands)
@@ -705,7 +745,8 @@ def test_the_page_tells_outcomes_pictures_looks_and_another_campaign(tmp_path: P
     assert page.count("data:image/webp;base64,") == 2
     assert len(list((tmp_path / "second").glob("landing-*.webp"))) == 2
     for title in ("Outcomes by world", "What the looks changed", "P(safe) at commit", "Beside another campaign",
-                  "of it simulator, s"):  # fmt: skip
+                  "of it simulator, s", "100 % took no more than 60 s of it, the dearest",
+                  "CPU time, most s"):  # fmt: skip
         assert title in page
     assert "http" not in page.replace("http://www.w3.org", "")
     told = json.loads((tmp_path / "second" / "campaign.json").read_text())

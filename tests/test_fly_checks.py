@@ -12,9 +12,10 @@ from test_executive import Ground
 
 from alight.checks import CheckResult, Judged
 from alight.geometry import Pose
-from alight.records import InputError, Motion, MotionState
+from alight.records import Frame, InputError, Motion, MotionState
 from alight.runner.fly import FlightRequest, fly_vehicle
 from alight.runner.fly import preflight as p
+from alight.runner.fly.arrivals import Arrivals
 from alight.settings import Settings
 from alight_sim import default_rig
 
@@ -96,6 +97,62 @@ def test_a_stream_that_dries_up_is_named() -> None:
     streams = vehicle_checks(r)["streams"]
     assert streams.verdict is BAD
     assert "GLOBAL_POSITION_INT" in streams.evidence
+
+
+def test_a_stream_that_somebody_else_slows_down_is_requested_again_and_named() -> None:
+    """MAVProxy asks for all streams at 4 Hz, time and again; what we ask for is obeyed until then."""
+    r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
+    r.up_and_flying(20.0)
+    r.run(6.0)
+    assert p.judge_imu(r.vehicle, 50.0).verdict is GOOD
+    reports = r.sim.reports
+    for message in (31, 105):
+        reports._interval[message] = 0.25
+    r.run(4.0)
+    assert reports._interval[105] == pytest.approx(1 / 50)
+    assert reports._interval[31] == pytest.approx(1 / 20)
+    ask = reports.ask
+    reports.ask = lambda message, interval: ask(message, 250_000.0)  # type: ignore[method-assign]
+    for message in (31, 105):
+        reports._interval[message] = 0.25
+    asked = []
+    submit = r.vehicle._commands.submit
+    r.vehicle._commands.submit = lambda name, *more, **words: (  # type: ignore[method-assign]
+        asked.append((r.now_ns, name)), submit(name, *more, **words))[1]  # fmt: skip
+    r.run(40.0)
+    times = [1e-9 * (t - asked[0][0]) for t, name in asked if name == "stream HIGHRES_IMU"]
+    assert 3 <= len(times) <= 5  # at growing intervals
+    assert times[-1] - times[-2] > 10.0
+    imu = p.judge_imu(r.vehicle, 50.0)
+    assert imu.verdict is BAD
+    assert "HIGHRES_IMU: 4.0 a second, 50 wanted" in imu.evidence
+    streams = vehicle_checks(r)["streams"]
+    assert streams.verdict is WARNING
+    assert "ATTITUDE_QUATERNION: 4.0 a second, 20 wanted" in streams.evidence
+    assert "MAVProxy" in streams.mend
+
+
+def test_a_flight_without_imu_is_told_what_it_costs() -> None:
+    r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
+    r.sim.reports.silent |= {105, 27}
+    r.up_and_flying(20.0)
+    r.run(6.0)
+    assert p.judge_imu(r.vehicle, 50.0).verdict is BAD
+    assert vehicle_checks(r)["streams"].verdict is GOOD
+    none = p.judge_imu(r.vehicle, 0.0)
+    assert none.verdict is WARNING
+    assert "no height was measured" in none.evidence
+    assert p.judge_imu(r.vehicle, 10.0).verdict is BAD
+
+
+def test_pictures_of_an_earlier_flight_are_not_used() -> None:
+    """They come all at once, and a gap between them would look like a jump of the camera's clock."""
+    s, pixels = 1_000_000_000, np.zeros((2, 2), np.uint8)
+    arrivals, now = Arrivals(), 1_000 * s
+    stamps = [now - 60 * s, now - 59 * s, now - 40 * s, now - s // 10]
+    assert [arrivals.saw(Frame(t, (pixels,), "x"), now) for t in stamps] == [False, False, False, True]
+    assert arrivals.saw(Frame(now - 3 * s, (pixels,), "x"), now)  # one that is late is for the clocks to judge
+    assert arrivals.facts(now, 0).frames == 5
 
 
 def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:

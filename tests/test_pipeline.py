@@ -306,6 +306,7 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
     earlier = p.reserve.sites[len(end.sites.sites) :]
     assert len(end.notes.get("sites in reserve", [])) == len(earlier)
     given_up = [why for r in [*reserves, p.reserve] for _, why in r.lost]
+    assert given_up
     assert [line.split(": ")[1] for line in end.notes.get("sites given up", [])] == given_up
 
 

@@ -6,6 +6,7 @@ from alight.autopilot.links import Link, open_link
 from alight.autopilot.mission_item import MissionItem, mission_of
 from alight.autopilot.remote_vehicle import RemoteVehicle
 from alight.autopilot.setpoints import Setpoint
+from alight.autopilot.streams import StreamRate
 from alight.autopilot.telemetry_events import TelemetryEvents
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "MissionItem",
     "RemoteVehicle",
     "Setpoint",
+    "StreamRate",
     "TelemetryEvents",
     "metres_between",
     "mission_of",

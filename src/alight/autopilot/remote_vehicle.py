@@ -20,7 +20,7 @@ from alight.autopilot.pymavlink_dialect import message
 from alight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
 from alight.autopilot.speeds import SpeedKeeper
 from alight.autopilot.status_text import SpokenText, TextJoiner
-from alight.autopilot.streams import StreamKeeper
+from alight.autopilot.streams import StreamKeeper, StreamRate
 from alight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
@@ -43,15 +43,9 @@ class RemoteVehicle:
     """
 
     def __init__(
-        self,
-        firmware: Firmware,
-        system: int,
-        us: tuple[int, int],
-        rates: Mapping[str, float],
-        send: Callable[[Any], None],
-        note: Callable[..., None],
-        kind: int = 0,
-    ) -> None:
+        self, firmware: Firmware, system: int, us: tuple[int, int], rates: Mapping[str, float],
+        send: Callable[[Any], None], note: Callable[..., None], kind: int = 0,
+    ) -> None:  # fmt: skip
         self.firmware, self.system, self._us = firmware, system, us
         self.helicopter = kind == _HELICOPTER
         self._send, self._note = send, note
@@ -150,6 +144,11 @@ class RemoteVehicle:
     def missing_streams(self) -> list[str]:
         """Names of messages that were requested and do not come."""
         return self._streams.dry(self._pace.t_ns)
+
+    @property
+    def slow_streams(self) -> dict[str, StreamRate]:
+        """Messages that come less than 0.3 times as often as requested, by name."""
+        return self._streams.slow(self._pace.t_ns)
 
     # orders
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from alight import __version__
 from alight.records import InputError, MissingExtraError
+from alight.runner.program import sources_digest
 
 WAIT = "20s"  # for the scheduler to answer, and for its first worker
 
@@ -36,23 +37,33 @@ def dask_client(scheduler: str) -> Iterator[Any]:
 
 @contextmanager
 def dask_workers(scheduler: str) -> Iterator[Any]:
-    """Connect as `dask_client`, and see that there are workers with the same Alight.
+    """Connect as `dask_client`, and see that there are workers; none may have another Alight. `check_program` is for
+    workers that come later.
 
     Raises:
         MissingExtraError: Dask is not installed.
-        InputError: no scheduler answers there, it has no worker, or a worker has another version of Alight.
+        InputError: no scheduler answers there, it has no worker, or a worker has another state of Alight.
     """
     with dask_client(scheduler) as client:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as e:
             raise InputError(f"--scheduler {scheduler}: has no worker; start one with 'dask worker {scheduler}'") from e
-        for worker, version in client.run(alight_version).items():
-            if version != __version__:
-                raise InputError(f"{worker}: has Alight {version}, this is {__version__}; install the same everywhere")
+        client.run(check_program, sources_digest())
         yield client
 
 
-def alight_version() -> str:
-    """Return the version of Alight where this runs: on a worker."""
-    return __version__
+def check_program(digest: str) -> None:
+    """Compare the Alight of this process, a worker's, with that of the sender of the work.
+
+    Args:
+        digest: `sources_digest()` of the sender.
+
+    Raises:
+        InputError: they differ: the results would, too.
+    """
+    if digest != sources_digest():
+        raise InputError(
+            f"a worker on {platform.node()} has another Alight than this program; install the same everywhere, and "
+            "start the workers again"
+        )

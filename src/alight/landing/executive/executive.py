@@ -182,7 +182,7 @@ class Executive:
 
     def _found(self, place: Site) -> tuple[FlightEvent, str]:
         self.target = place
-        return E.FOUND, f"{place.kind}, P(safe) {place.p_safe:.2f}"
+        return E.FOUND, f"{place.kind}, P(safe) {p_safe_text(place.p_safe)}"
 
     def _aborting(self, now: Situation) -> tuple[FlightEvent | None, str]:
         waited = now.t - self._since
@@ -199,7 +199,7 @@ class Executive:
         said = self._opinion(now) if self._keys.look_again else None
         if said is not None and self._refusals >= self._keys.sure:
             judged = self.state is S.COMMIT and said.standing is not Standing.NOT_SEEN
-            fallen = f"P(safe) has fallen to {said.p_safe:.2f}" if judged else ""
+            fallen = f"P(safe) has fallen to {p_safe_text(said.p_safe)}" if judged else ""
             return E.REFUSED, ": ".join(filter(None, (fallen, said.why)))
         if said is not None and said.standing in (Standing.SITE, Standing.CANDIDATE):
             landing = self.state is S.COMMIT  # it comes down where it was begun: no step to the side near the ground
@@ -237,14 +237,15 @@ class Executive:
         self._note_look(now, said)
         candidate = said.standing is Standing.CANDIDATE
         if candidate and (better := self._places.better(said.place, self._is_open(now))) is not None:
-            return E.REFUSED, f"P(safe) {said.p_safe:.2f} from {self._height:.1f} m, and {better.p_safe:.2f} elsewhere"
+            there = f"{p_safe_text(better.p_safe)} elsewhere"
+            return E.REFUSED, f"P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m, and {there}"
         lowest = self._height <= self._keys.commit_height * 1.05
         if said.standing is Standing.SITE and lowest:
             return E.CONFIRMED, f"P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
         if said.standing in (Standing.SITE, Standing.CANDIDATE) and not lowest:
-            return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
+            return E.LOWER, f"{said.standing.value}, P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
         if candidate and self._height > self._keys.nearest * 1.05:
-            return E.LOWER, f"in doubt, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
+            return E.LOWER, f"in doubt, P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
         self._doubts += candidate
         if candidate and self._doubts < self._keys.patience:
             self._leg_done = None

@@ -17,6 +17,7 @@ CONFIDENCE = 0.95
 SUN_EDGES = (0.0, 25.0, 40.0, 55.0, 90.0)  # degrees above the horizon
 FAINT_SUN = 0.5  # strength of the sun below which its position has no effect
 P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
+CPU_LIMIT = 60.0  # s of CPU that a landing may take
 WIND_EDGES = (0.0, 2.0, 4.0, 6.0)  # m/s
 NO_FAULT = "none"
 NEVER = "planned, and never happened"
@@ -85,6 +86,8 @@ class CampaignNumbers:
     distance: Spread  # metres, of the same
     cpu_s: Spread  # of all that did not fail
     cpu_of: dict[str, Spread]  # of its parts
+    cpu_most: float | None  # s, of the dearest landing
+    cpu_within: float | None  # share of landings that took no more than `CPU_LIMIT`
 
     def as_json(self) -> dict[str, Any]:
         """Return the numbers as a tree for campaign.json."""
@@ -105,6 +108,7 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
     ground = sum(r.touchdown is not None and r.touchdown.bad_ground for r in down)
     n, unsafe = len(records), outcomes["landed unsafely"]
     known = n - outcomes["failed"]  # the end of the others is unknown
+    cpu = [r.cpu_s for r in records if r.outcome != "failed"]
     return CampaignNumbers(
         landings=n, outcomes=outcomes, right=sum(outcomes[p] for p in PLACES) / n if n else None,
         touchdowns=len(down), unsafe_ground=ground,
@@ -117,7 +121,8 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
         p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
         looks_each=float(np.mean([len(r.looks) for r in records])) if n else None,
         seconds=Spread.of(r.seconds for r in down), distance=Spread.of(r.distance for r in down),
-        cpu_s=Spread.of(r.cpu_s for r in records if r.outcome != "failed"), cpu_of=_parts(records),
+        cpu_s=Spread.of(cpu), cpu_of=_parts(records), cpu_most=max(cpu, default=None),
+        cpu_within=sum(c <= CPU_LIMIT for c in cpu) / len(cpu) if cpu else None,
     )  # fmt: skip
 
 

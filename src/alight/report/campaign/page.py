@@ -12,7 +12,7 @@ import yaml
 from alight.records import p_safe_text
 from alight.records.campaign import OUTCOMES, CampaignHead, LandingRecord
 from alight.report import words
-from alight.report.campaign.numbers import CampaignNumbers, Counts, Spread
+from alight.report.campaign.numbers import CPU_LIMIT, CampaignNumbers, Counts, Spread
 
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("alight", "report"),
@@ -140,7 +140,7 @@ def _tables(
     yield CampaignTable(
         "What the looks changed",
         ("first look", "last look", "places", "mean P(safe), first", "mean P(safe), last"),
-        [(c.first, c.last, str(c.places), f"{c.first_p:.2f}", f"{c.last_p:.2f}") for c in n.looks],
+        [(c.first, c.last, str(c.places), p_safe_text(c.first_p), p_safe_text(c.last_p)) for c in n.looks],
         "Every place that was looked at, by what the first look and what the last look said of it.",
     )
     yield CampaignTable(
@@ -152,7 +152,9 @@ def _tables(
             ("CPU time of a landing, s", *_spread(n.cpu_s)),
             *((f"of it {name}, s", *_spread(s)) for name, s in n.cpu_of.items()),
         ],
-        "Time and distance are of the landings that touched down; CPU time is of all, with the simulator." + _near(n),
+        "Time and distance are of the landings that touched down; CPU time is of all, with the simulator."
+        + _cpu(n)
+        + _near(n),
     )
     yield CampaignTable(
         "Landings to look into",
@@ -164,6 +166,12 @@ def _tables(
         ],
         f"Fly one again with --only N, over the same scenes and with seed {head.seed}.",
     )
+
+
+def _cpu(n: CampaignNumbers) -> str:
+    if n.cpu_most is None or n.cpu_within is None:
+        return ""
+    return f" {100 * n.cpu_within:.0f} % took no more than {CPU_LIMIT:.0f} s of it, the dearest {n.cpu_most:.0f} s."
 
 
 def _near(n: CampaignNumbers) -> str:
@@ -203,6 +211,7 @@ def comparison(one: CampaignNumbers, two: CampaignNumbers) -> list[tuple[str, st
             "time of a landing, median s": _spread(n.seconds)[0],
             "distance, median m": _spread(n.distance)[0],
             "CPU time, median s": _spread(n.cpu_s)[0],
+            "CPU time, most s": "" if n.cpu_most is None else f"{n.cpu_most:.0f}",
         }
 
     a, b = facts(one), facts(two)

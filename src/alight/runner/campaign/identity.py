@@ -1,33 +1,17 @@
-"""Digests of the program and of the files that it reads, on which a campaign depends besides seed and settings."""
+"""Digests of the files that a campaign reads, on which it depends besides the program, seed and settings."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import alight
-import alight_sim
 from alight.records import InputError
+from alight.runner.program import DIGITS
 from alight.settings import Settings
 from alight_sim.campaign import campaign_worlds
 from alight_sim.scene import built_in, read_scene
-
-DIGITS = 16
-PARTS = (".py", ".npz", ".yaml")  # of the program: code, fitted tables, built-in scenes
-
-
-@cache
-def sources_digest() -> str:
-    """Digest of the program, so that landings of two states of it are not mixed."""
-    digest = hashlib.sha256()
-    for package in (alight, alight_sim):
-        root = Path(package.__file__ or "").parent
-        for path in sorted(p for p in root.rglob("*") if p.suffix in PARTS):
-            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:DIGITS]
 
 
 def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:

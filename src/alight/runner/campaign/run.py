@@ -19,10 +19,11 @@ from alight.report.campaign import CampaignNumbers, campaign_numbers, render_cam
 from alight.report.canvas import embedded
 from alight.runner.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
 from alight.runner.campaign.folder import HEAD, PAGE, CampaignFolder
-from alight.runner.campaign.identity import file_digests, sources_digest
+from alight.runner.campaign.identity import file_digests
 from alight.runner.campaign.plan import conditions_of, scenes_of
 from alight.runner.campaign.workers import fly_all
 from alight.runner.landing import fly_landing
+from alight.runner.program import sources_digest
 from alight.runner.replay import appearance_of
 from alight.settings import Settings, settings_of_run
 from alight_sim.campaign import campaign_worlds

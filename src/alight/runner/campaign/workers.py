@@ -13,7 +13,8 @@ from alight import compiled
 from alight.records import InputError
 from alight.records.campaign import Conditions
 from alight.runner.campaign.flying import Flown, failed
-from alight.runner.dask_client import dask_workers
+from alight.runner.dask_client import check_program, dask_workers
+from alight.runner.program import sources_digest
 
 Job = Callable[[Conditions], Flown]
 TRIES = 2  # of a landing whose process died
@@ -106,8 +107,9 @@ def _see_that_processes_start() -> None:
             ) from e
 
 
-def _alone(job: Job, conditions: Conditions) -> Flown:
-    """Fly a landing on a worker: on one thread, as a process of this machine does."""
+def _alone(job: Job, conditions: Conditions, digest: str) -> Flown:
+    """Fly a landing on a worker with the same program: on one thread, as a process of this machine does."""
+    check_program(digest)
     _one_thread()
     return job(conditions)
 
@@ -119,7 +121,7 @@ def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> I
         from distributed.client import FutureCancelledError
 
         def sent(c: Conditions) -> Any:
-            return client.submit(_alone, job, c, pure=False)
+            return client.submit(_alone, job, c, sources_digest(), pure=False)
 
         flying, tries = {sent(c): c for c in conditions}, Counter[int]()
         ended = distributed.as_completed(list(flying), loop=client.loop)

@@ -182,7 +182,8 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
         return found
     take_off, home = plan.take_off is not None, plan.home is not None
     missing = feed.events_of.missing
-    return [*found, *preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)]
+    checks = preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)
+    return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate)]
 
 
 class _Cabin:
@@ -242,8 +243,8 @@ class _Cabin:
                 fresh: Event | None = event
                 if isinstance(event, Frame):
                     now_ns = time.monotonic_ns()
-                    self._arrivals.saw(event, now_ns)
-                    fresh = self._pilot.saw(event, now_ns)
+                    known = self._arrivals.saw(event, now_ns)
+                    fresh = self._pilot.saw(event, now_ns) if known else None
                 if fresh is not None:
                     self._run.live.feed(fresh)
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up

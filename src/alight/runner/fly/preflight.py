@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from alight.autopilot import RemoteVehicle
+from alight.autopilot import RemoteVehicle, StreamRate
 from alight.checks import CheckResult
 from alight.checks.result import bad, good, unknown, warning
 from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
@@ -21,6 +21,9 @@ MOST_SIGMA = 0.02  # s, of the autopilot's clock
 LEAST_MB, SPARE = 200.0, 1.5  # free on the disk; and factor on the expected size of the recording
 LOW = 2.0  # times the height to commit from, above home: a search that begins lower gives a warning
 BATTERY_MARGIN = 0.1
+LEAST_IMU = 25.0  # samples a second; more than 0.05 s between two are a gap
+FASTER = "use a faster link, or one without a ground station that asks for less (MAVProxy: set streamrate -1)"
+INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
 
 
@@ -74,7 +77,8 @@ def judge_vehicle(
     """
     heard = vehicle.telemetry
     return [
-        _clock(vehicle), _streams(vehicle.missing_streams), _estimator(vehicle, missing), _home(heard, home_given),
+        _clock(vehicle), _streams(vehicle.missing_streams, vehicle.slow_streams), _estimator(vehicle, missing),
+        _home(heard, home_given),
         _battery(heard, settings.executive.least_battery), _wind(heard, settings.executive.most_wind),
         _place(heard, take_off, dry, LOW * settings.executive.commit_height),
     ]  # fmt: skip
@@ -89,16 +93,43 @@ def _clock(vehicle: RemoteVehicle) -> CheckResult:
     return good("clock", f"the autopilot's clock is known to {1e3 * vehicle.clock.sigma:.1f} ms")
 
 
-def _streams(missing: Sequence[str]) -> CheckResult:
+def _streams(missing: Sequence[str], slow: Mapping[str, StreamRate]) -> CheckResult:
     if needed := [n for n in missing if n in NEEDED]:
         return bad(
             "streams",
             f"{', '.join(needed)} do not come",
             "see that the link has room: 3 kB a second, 10 with IMU samples",
         )
-    if missing:
-        return warning("streams", f"{', '.join(missing)} do not come", "what they tell counts as fine")
-    return good("streams", "all come")
+    if others := [n for n in missing if n not in INERTIAL]:
+        return warning("streams", f"{', '.join(others)} do not come", "what they tell counts as fine")
+    if rare := {name: rate for name, rate in slow.items() if name not in INERTIAL}:
+        return warning("streams", _rates(rare), FASTER)
+    return good("streams", "all come" if not missing else "all others come")
+
+
+def _rates(slow: Mapping[str, StreamRate]) -> str:
+    return ", ".join(f"{name}: {r.measured:.1f} a second, {r.wanted:.0f} wanted" for name, r in slow.items())
+
+
+def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
+    """Check that IMU samples come, and often enough to be used.
+
+    Args:
+        vehicle: that was found.
+        wanted: samples a second that were requested; 0: none.
+    """
+    if wanted <= 0.0:
+        why = "none is requested: where this was tried, no height was measured"
+        return warning("IMU", why, "leave out --imu 0")
+    if wanted < LEAST_IMU:
+        return bad("IMU", f"{wanted:.0f} samples a second are requested", f"give --imu {LEAST_IMU:.0f} or more")
+    if missing := [n for n in vehicle.missing_streams if n in INERTIAL]:
+        why = f"{', '.join(missing)}: no sample has come for some seconds"
+        return bad("IMU", why, "see that the link has room for them; without any no height is measured")
+    if slow := {name: rate for name, rate in vehicle.slow_streams.items() if name in INERTIAL}:
+        rare = min(r.measured for r in slow.values()) < LEAST_IMU
+        return (bad if rare else warning)("IMU", _rates(slow), FASTER)
+    return good("IMU", "samples come")
 
 
 def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:
