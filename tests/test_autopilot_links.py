@@ -332,7 +332,7 @@ def test_a_link_that_is_closed_and_written_by_others_never_raises(monkeypatch: p
     assert not raised
 
 
-PARAMETERS = Path(__file__).parents[1] / "docs/sitl.parm"
+PARAMETERS = Path(__file__).parents[1] / "docs/sitl-parameters"
 
 
 def test_the_parameters_of_a_sitl_let_it_be_armed_and_land_on_a_target() -> None:

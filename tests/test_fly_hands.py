@@ -14,6 +14,7 @@ from pilot_rig import PilotRig, See
 from test_executive import Ground, clearer_from_below
 
 from alight.checks.result import bad
+from alight.cli import call
 from alight.cli.fly import facts
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
@@ -408,3 +409,31 @@ def test_a_motion_that_is_no_number_moves_nothing() -> None:
     assert pilot_of(r).state is S.HOLD
     assert r.sim.logic.doing is Doing.HOLD
     assert not targets_since(r, t)
+
+
+@pytest.mark.parametrize(
+    ("state", "why", "dry", "code", "word"),
+    [
+        (S.LANDED, "the autopilot says so", False, 0, "LANDED  the autopilot says so"),
+        (S.RETURN, "all was searched", False, 4, "RETURNED  all was searched"),
+        (S.HANDED_OVER, "by the switch", False, 4, "HANDED OVER  by the switch"),
+        (S.LOOK, "ended by the user", False, 4, "ENDED  ended by the user"),
+        (S.RETURN, "the time is over", True, 0, "DRY RUN  nothing was flown; the time is over"),
+        (None, "checks", False, 3, "NOT FLOWN  checks"),
+    ],
+)
+def test_a_script_learns_how_a_flight_ended(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], state: S | None, why: str, dry: bool,
+    code: int, word: str,
+) -> None:  # fmt: skip
+    from alight.cli import fly as command
+    from alight.runner import fly
+
+    left: list[object] = []
+    result: Any = None if state is None else SimpleNamespace()
+    monkeypatch.setattr(fly, "fly_vehicle", lambda *_: fly.FlightOutcome((), why, state, result))
+    monkeypatch.setattr(command, "leave_result", lambda *given: left.append(given[0]))
+    options = ["--link", "udp:127.0.0.1:9", "--camera", "x", "--out", "x", *(["--dry-run"] if dry else [])]
+    assert call(["fly", *options]) == code
+    assert capsys.readouterr().out.splitlines() == [word]
+    assert left == ([] if result is None else [result])  # results are kept however it ended

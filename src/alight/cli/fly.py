@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from alight_sim.oracle import Touchdown
 
 PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begins
+NOT_LANDED = 4  # exit code: a landing was begun, and the vehicle has not landed by it
 NOT_DOWN = "it has not touched the ground"
 PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
 BEHIND = 1.0  # s, from which a rehearsal reports that the machine is too slow
@@ -106,10 +107,12 @@ def fly(
         outcome = fly_vehicle(request, plain.tell, plain.say)
     for check in outcome.checks:
         say(check.line)
-    _answer(outcome)
+    _answer(outcome, dry_run)
     if outcome.result is None:
         raise typer.Exit(WRONG)
     leave_result(outcome.result, out, force)
+    if not dry_run and outcome.state is not FlightState.LANDED:
+        raise typer.Exit(NOT_LANDED)
 
 
 @app.command()
@@ -197,9 +200,11 @@ def _touchdown_words(found: Touchdown) -> str:
     return f"touchdown at east {found.east:.2f} m north {found.north:.2f} m: {verdict}"
 
 
-def _answer(outcome: FlightOutcome) -> None:
+def _answer(outcome: FlightOutcome, dry_run: bool) -> None:
     if outcome.state is None:
         say(f"NOT FLOWN  {outcome.why}")
+    elif dry_run:
+        say(f"DRY RUN  nothing was flown; {outcome.why}".removesuffix("; "))
     else:
         say(f"{ANSWERS.get(outcome.state, 'ENDED')}  {outcome.why}")
 
