@@ -127,7 +127,8 @@ class Flight:
             return
         left = order.position - self.position
         if order.what == "land":
-            left[2] = -self.position[2] - 0.1 if order.down else 0.0
+            kept = 0.0 if order.height is None else order.height - self.position[2]
+            left[2] = -self.position[2] - 0.1 if order.down else kept
         flat = np.linalg.norm(left[:2])
         self.position[:2] += left[:2] * min(1.0, order.speed * STEP / max(flat, 1e-9))
         self.position[2] += np.clip(left[2], -order.sink * STEP, 3.0 * STEP)
@@ -566,6 +567,205 @@ def test_after_the_commit_it_never_climbs_but_to_break_off() -> None:
     low = [(o, p) for s, o, p in f.orders if s is S.COMMIT]
     assert low
     assert all(o.what == "land" and o.position is not None and o.position[2] <= p[2] for o, p in low)
+    waits = [(o.height, p[2]) for o, p in low if not o.down]
+    assert waits  # until it is over the place
+    assert all(height is not None and height <= up + 0.3 for height, up in waits)
+
+
+def test_a_vehicle_that_turns_out_to_be_lower_is_not_sent_up_again() -> None:
+    """The estimate is corrected by a metre while it is beside the place: it keeps its new height."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    pushed = list[float]()
+
+    def correct(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and f.position[2] < 5.0 and len(pushed) < 2:
+            pushed.append(f.t)
+            f.position[0] += 0.8 if len(pushed) == 1 else 0.0
+            f.position[2] -= 0.0 if len(pushed) == 1 else 1.0
+            return replace(now, position=f.position.copy())
+        return now
+
+    f.change = correct
+    assert f.fly() is S.LANDED
+    waits = [(o.height, p[2]) for s, o, p in f.orders if s is S.COMMIT and not o.down and f.t > pushed[0]]
+    assert len(pushed) == 2
+    assert all(height is not None and height <= up + 0.3 for height, up in waits)
+
+
+@dataclass
+class Late:
+    """Verdicts that are old when they come."""
+
+    age: float  # s
+    waiting: list[Seen] = field(default_factory=list)
+    newest: Seen | None = None
+
+    def __call__(self, now: Situation, executive: Executive) -> Situation:
+        if now.seen is not None and (not self.waiting or now.seen is not self.waiting[-1]):
+            self.waiting.append(now.seen)
+        while self.waiting and self.waiting[0].t <= now.t - self.age + 1e-9:
+            self.newest = self.waiting[0]
+            if len(self.waiting) == 1:
+                break
+            self.waiting.pop(0)
+        return replace(now, seen=self.newest)
+
+
+@pytest.mark.parametrize(("every", "age"), [(0.4, 0.4), (1.0, 1.0), (2.0, 2.0), (3.0, 1.5)])
+@pytest.mark.parametrize("height", [5.5, 4.0, 3.6])
+def test_who_comes_is_seen_in_time_however_slow_the_verdicts_are(every: float, age: float, height: float) -> None:
+    """What comes while the vehicle is 3.5 m up or more is refused by two verdicts before it is too low to go round."""
+    ground = Ground({(10.0, 5.0): clearer_from_below})
+    f, late = Flight(ground, Executive(settings())), Late(age)
+
+    def comes(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and f.position[2] < height:
+            ground.places[10.0, 5.0] = lambda h: 0.0
+        return late(now, executive)
+
+    f.change = comes
+    f.fly(120.0, verdict_every=every)
+    assert f.states[f.states.index(S.COMMIT) + 1] is S.ABORT
+    first = next(x for x in f.executive.diary.transitions if x.after is S.ABORT)
+    low = min(p[2] for s, o, p in f.orders if s is S.COMMIT)
+    assert low > 1.4, (first, low)
+
+
+@pytest.mark.parametrize(("every", "age"), [(1.0, 1.0), (2.0, 2.0)])
+def test_slow_verdicts_make_a_landing_slow_and_do_not_end_it(every: float, age: float) -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), Late(age))
+    assert f.fly(verdict_every=every) is S.LANDED
+    assert S.ABORT not in f.states
+    took = f.t - next(x.t for x in f.executive.diary.transitions if x.after is S.COMMIT)
+    assert took < (16.0 if every == 1.0 else 30.0)
+
+
+def test_verdicts_that_are_too_old_are_none() -> None:
+    """They come every second, and tell what was there six seconds ago."""
+    late = Late(6.0)
+
+    def behind(now: Situation, executive: Executive) -> Situation:
+        seen = late(now, executive)
+        return seen if executive.state is S.COMMIT else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), behind)
+    f.fly(200.0)
+    k = f.states.index(S.COMMIT)
+    assert (f.events[k], f.states[k + 1]) == (E.WAITED, S.ABORT)
+    assert "no verdict for" in f.executive.diary.transitions[k].reason
+
+
+@pytest.mark.parametrize(("count", "ends"), [(1, S.LANDED), (2, S.ABORT)])
+def test_what_turns_out_to_stand_beside_the_way_down_breaks_the_landing_off(count: int, ends: FlightState) -> None:
+    """The map shows a tree of 12 m, 2.5 m beside the place, in so many verdicts after the landing has begun."""
+    ground, shown = Ground({(10.0, 5.0): clearer_from_below}), set[int]()
+
+    def tree(now: Situation, executive: Executive) -> Situation:
+        if executive.state is not S.COMMIT or now.seen is None or not (shown or f.position[2] < 5.5):
+            return now
+        shown.add(now.seen.number)
+        if not 1 < len(shown) < count + 2:  # the first was judged before
+            return now
+        ground.posts = ((12.0, 6.0, 12.0),)
+        with_tree = ground.map()
+        ground.posts = ()
+        return replace(now, seen=replace(now.seen, elevation=with_tree))
+
+    f = Flight(ground, Executive(settings()))
+    f.change = tree
+    f.fly(120.0)
+    k = f.states.index(S.COMMIT)
+    assert f.states[k + 1] is ends
+    assert ends is S.LANDED or f.executive.diary.transitions[k].reason == "something stands beside the way down"
+
+
+def test_one_verdict_with_something_beside_the_way_drops_no_place() -> None:
+    """The vehicle holds until the next verdict, which shows nothing there."""
+    ground, shown = Ground({(10.0, 5.0): clearer_from_below}), set[int]()
+
+    def once(now: Situation, executive: Executive) -> Situation:
+        if executive.state is not S.APPROACH or now.seen is None or len(shown | {now.seen.number}) > 2:
+            return now
+        shown.add(now.seen.number)
+        if len(shown) < 2:  # it was judged before
+            return now
+        ground.posts = tuple((10.0 + e, 5.0 + n, 12.0) for e in (-3, 0, 3) for n in (-3, 0, 3))
+        with_trees = ground.map()
+        ground.posts = ()
+        return replace(now, seen=replace(now.seen, elevation=with_trees))
+
+    f = Flight(ground, Executive(settings()), once)
+    assert f.fly() is S.LANDED
+    assert len(shown) == 2
+    assert E.REFUSED not in f.events
+    assert any(s is S.APPROACH and o.what == "hold" for s, o, _ in f.orders)
+
+
+def test_motion_that_flickers_ends_no_hold() -> None:
+    """It is there for 0.3 s in every 10 s, and the autopilot cannot hold: it is handed over as if there were none."""
+    lost_since = list[float]()
+
+    def flicker(now: Situation, executive: Executive) -> Situation:
+        if now.t < 5.0 or (now.t - 5.0) % 10.0 > 9.7:
+            return now
+        lost_since.append(now.t)
+        return replace(now, state=MotionState.LOST, position=None, holds=False)
+
+    f = Flight(Ground({}), Executive(settings()), flicker)
+    assert f.fly(100.0) is S.HANDED_OVER
+    assert f.t - lost_since[0] < 14.0
+
+
+@pytest.mark.parametrize("begin", [0.0, 100.0])
+def test_a_way_that_opens_late_is_not_taken_for_one_that_is_not_flown(begin: float) -> None:
+    """Trees stand about the place in the first look's verdict alone; the clock of the flight may say anything."""
+    ground, shown = Ground({(10.0, 5.0): clearer_from_below}), set[int]()
+
+    def trees(now: Situation, executive: Executive) -> Situation:
+        now = replace(now, t=now.t + begin, seen=None if now.seen is None else replace(now.seen, t=now.seen.t + begin))
+        if executive.state is S.DESCEND and now.seen is not None and (not shown or now.seen.number in shown):
+            shown.add(now.seen.number)
+            ground.posts = tuple((10.0 + e, 5.0 + n, 12.0) for e in (-3, 0, 3) for n in (-3, 0, 3))
+            with_trees = ground.map()
+            ground.posts = ()
+            return replace(now, seen=replace(now.seen, elevation=with_trees))
+        return now
+
+    f = Flight(ground, Executive(settings()), trees)
+    assert f.fly() is S.LANDED
+    assert shown
+    assert E.WAITED not in f.events
+
+
+def test_a_touchdown_that_nobody_reports_is_handed_over() -> None:
+    """It stands, and the autopilot does not say so: nothing is ordered any more, least of all a climb."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    f.change = lambda now, executive: replace(now, standing=False)
+    assert f.fly(400.0) is S.HANDED_OVER
+    last = f.executive.diary.transitions[-1]
+    assert (last.before, last.event) == (S.COMMIT, E.UNFELT)
+    assert f.orders[-1][1].what == "nothing"
+
+
+def test_a_landing_from_high_up_has_the_time_that_it_takes() -> None:
+    """From 35 m it sinks for more than a minute."""
+    high = settings("executive.commit_height=35", "executive.search_height=60")
+    f = Flight(Ground({(10.0, 5.0): lambda h: 0.97}), Executive(high))
+    assert f.fly() is S.LANDED
+    assert S.ABORT not in f.states
+
+
+@pytest.mark.parametrize("low", ["1.4", "2", "3.49"])
+def test_a_landing_that_could_not_be_broken_off_is_refused(low: str) -> None:
+    with pytest.raises(ValueError, match=r"executive.commit_height: from .* give 3.5 or more"):
+        settings(f"executive.commit_height={low}")
+
+
+def test_a_battery_that_is_reported_no_more_is_a_low_one() -> None:
+    silent = in_state(S.APPROACH, lambda now: replace(now, battery=float("nan")))
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), silent)
+    assert f.fly() is S.RETURN
+    assert f.executive.diary.end == (S.RETURN, "it is not reported any more")
 
 
 @pytest.mark.parametrize(

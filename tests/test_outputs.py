@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import resource
 import shutil
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from alight import outputs
 from alight.outputs import FILES, WorkFolder, prepare_folder, read_run, world_up, write_run
 from alight.outputs import atomic_write as whole
 from alight.outputs.verdict import write_judgement
-from alight.records import Datum, Flag, Hazard, HazardMap, Home, InputError, OutputError, Sites, Terrain
+from alight.records import Datum, Flag, Hazard, HazardMap, Home, InputError, OutputError, Route, Sites, Terrain
 from alight.settings import Settings
 
 
@@ -301,6 +302,35 @@ def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -
     ground = float(LOCAL.to_geodetic([5.0, -2.0, 2.12])[2])
     got = [LOCAL.to_enu(w.x, w.y, w.z + ground) for w in places]
     np.testing.assert_allclose(got, [w.position_world for w in some_run().route.waypoints], atol=2e-3)
+
+
+def test_an_independent_reader_finds_speeds_headings_and_holds(tmp_path: Path) -> None:
+    """The way-points face south-west; one is a look; the home lies 20 m below the site."""
+    mavwp = pytest.importorskip("pymavlink.mavwp")
+    start, approach, touchdown = some_run().route.waypoints
+    turned = [
+        replace(w, heading=math.radians(225.0)) for w in (start, replace(approach, look=True, speed=3.0), touchdown)
+    ]
+    home = Home.parse("48.1, 15.44, 250.12, 33.0")
+    write_run(some_run(home=home, route=Route(tuple(turned))), tmp_path)
+    rows = [
+        [i["doJumpId"] - 1, 0, i["frame"], i["command"], *i["params"], 1]
+        for i in loaded(tmp_path / "route.plan")["mission"]["items"]
+    ]
+    file = tmp_path / "plan.txt"
+    file.write_text("QGC WPL 110\n" + "".join("\t".join(map(str, row)) + "\n" for row in rows))
+    loader = mavwp.MAVWPLoader()
+    loader.load(str(file))
+    items = [loader.wp(k) for k in range(loader.count())]
+    speeds = [w.param2 for w in items if w.command == 178]
+    assert speeds == pytest.approx([3.0, 5.0])
+    assert [w.param1 for w in items if w.command == 115] == pytest.approx([225.0, 225.0])
+    holds = [w.param1 for w in items if w.command == 16]
+    assert holds[-1] == pytest.approx(3.0)  # at the look
+    assert sum(h > 0 for h in holds) == 1
+    assert items[-1].command == 21
+    assert items[-1].z == pytest.approx(20.0, abs=0.1)  # the site, above the home
+    assert {w.frame for w in items if w.command in (16, 21)} == {3}
 
 
 def test_route_line_has_times_and_speeds(out: Path) -> None:

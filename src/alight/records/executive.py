@@ -47,6 +47,7 @@ class FlightEvent(Enum):
     REFUSED = "the place is refused, or remains in doubt"
     NEW_FRAME = "the motion began anew, and the place is not known in the new frame"
     TOUCHED_DOWN = "the vehicle stands"
+    UNFELT = "no touchdown is reported"
     CLEAR = "the climb is done"
 
 
@@ -78,7 +79,7 @@ class Situation:
     link: bool = True  # the autopilot is heard
     pilot: bool = False  # somebody else flies
     standing: bool = False  # on the ground, motors off
-    battery: float = 1.0  # share that is left
+    battery: float = 1.0  # share that is left; NaN: it was known, and is not reported any more
     wind: F64 | None = None  # (2,) or (3,) m/s, where the air goes; None: not known
     holds: bool = True  # the autopilot has a position of its own, and can hold it
     offset: F64 | None = None  # (3,) metres from the map's frame to the world

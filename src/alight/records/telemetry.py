@@ -16,6 +16,8 @@ PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3
 HIGHEST = 10_000.0  # metres above or below the sea: no aircraft takes off there
 FARTHEST_FROM_SEA = 120.0  # metres, largest height of the geoid above or below the ellipsoid
+ESTIMATOR = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")  # messages with the estimator's flags
+OLD_REPORT = 10.0  # s, age of the estimator's flags from which they count as unknown
 _ABSOLUTE, _CONSTANT = 16, 128  # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share
 _DOUBTFUL = 1024 | 32768  # not initialised, or GPS glitches
 
@@ -147,8 +149,9 @@ class Telemetry:
 
     @property
     def has_position(self) -> bool:
-        """True if the estimator reports an absolute position that is not in doubt."""
-        return self.estimator_flags is not None and is_absolute(self.estimator_flags)
+        """True if the estimator has reported, some seconds ago at most, an absolute position that is not in doubt."""
+        age = min((self.ages[name] for name in ESTIMATOR if name in self.ages), default=0.0)
+        return self.estimator_flags is not None and age < OLD_REPORT and is_absolute(self.estimator_flags)
 
     @property
     def ready(self) -> bool:

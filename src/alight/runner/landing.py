@@ -184,12 +184,13 @@ class _Loop:
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t
+        seen = self.t if self._motion is None else (self._motion.t_ns - self._begin) * 1e-9  # as late as the pictures
         with self._costs.of("judging"):
             verdict = self._pipeline.judge_now(self.executive.about)
         if verdict is not None:
             self._number += 1
             self._landing.verdicts += 1
-            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, self.t))
+            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, seen))
 
     def _tie_to_autopilot(self, motion: Motion) -> None:
         """Tie commands to the autopilot's own estimate of the same instant: the error of GPS cancels."""

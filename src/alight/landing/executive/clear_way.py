@@ -10,6 +10,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.landing.executive.look_leg import LookLeg
 from alight.landing.route import Obstructions, along_way, way_below
+from alight.records import Site
 from alight.records.executive import Seen
 from alight.settings import StageSettings
 
@@ -86,6 +87,11 @@ class ClearWay:
         spare = min(self._clearance, LOW * (float(start[2]) - ground))
         highest = float(np.max(top[near & np.isfinite(top)], initial=-math.inf))
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
+
+    def is_free_down(self, place: Site, seen: Seen) -> bool:
+        """True if nothing tall stands beside the way down on a place, as beside the lowest look at it."""
+        above = np.array([place.east, place.north, place.up + self._keys.commit_height])
+        return self.is_free(above, above, place.up, seen)
 
     def _obstructions_of(self, seen: Seen) -> Obstructions:
         if self._obstructions is None or seen.number != self._number:

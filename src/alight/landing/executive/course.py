@@ -34,7 +34,8 @@ class Course:
         self._to = np.full(2, np.nan)  # and its end
         self._level: float | None = None  # metres up, kept while the vehicle is beside it
         self._next = np.full(3, np.inf)  # metres, last point that it was ordered to
-        self._nearest, self._nearer_at = math.inf, 0.0  # m, least distance from there, and s, when it last came nearer
+        self._nearest = math.inf  # m, least distance from there
+        self._nearer_at: float | None = None  # s, when it last came nearer; None: it was not ordered anywhere yet
 
     def next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
         """Next point to fly to, (3,) metres.
@@ -67,7 +68,7 @@ class Course:
             position: (3,) metres, of the vehicle.
         """
         left = float(np.linalg.norm(self._next - position))
-        if left < self._nearest - NEARER:
+        if self._nearer_at is None or left < self._nearest - NEARER:
             self._nearest, self._nearer_at = left, t
         return t - self._nearer_at > self._keys.hold
 

@@ -19,8 +19,9 @@ from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.course import Course
 from alight.landing.executive.descent import Descent
 from alight.landing.executive.known_places import KnownPlaces
-from alight.landing.executive.limits import AttemptLimits, held_enough, is_too_weak, patience
+from alight.landing.executive.limits import AttemptLimits, Recovery, held_enough, is_too_weak, patience
 from alight.landing.executive.look_leg import LookLeg
+from alight.landing.executive.look_outcome import look_outcome
 from alight.landing.executive.look_planner import LookPlanner
 from alight.landing.executive.opinion import Opinion, Standing, opinion
 from alight.landing.executive.search import SearchLanes
@@ -51,7 +52,8 @@ class Executive:
     """
 
     def __init__(self, settings: StageSettings) -> None:
-        self._limits, self._held = AttemptLimits(settings.executive), S.SEARCH  # and the state before HOLD
+        self._limits, self._recovery = AttemptLimits(settings.executive), Recovery(settings.executive)
+        self._held = S.SEARCH  # the state before HOLD
         self._keys, self._route, self._margin = settings.executive, settings.route, settings.sites.margin
         self._limit = settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
@@ -75,6 +77,7 @@ class Executive:
         self._leg_now: LookLeg | None = None  # the last one planned
         self._leg_done: float | None = None  # s, when the last leg ended
         self._refusals = self._doubts = self._judged = 0
+        self._crowded: list[float] = []  # s, verdicts in a row that show something beside the way
         self._places = KnownPlaces(settings)
 
     @property
@@ -125,8 +128,10 @@ class Executive:
             return E.PILOT, "the mode was changed, or the sticks were moved"
         if not now.link:
             return E.LINK_LOST, "no heartbeat"
-        if self.state is S.RETURN or (self.state is S.COMMIT and self._left < self._keys.abort_height):
+        if self.state is S.RETURN:
             return None, ""
+        if self.state is S.COMMIT and self._left < self._keys.abort_height:
+            return (E.UNFELT, late) if (late := self._descent.too_long(now.t, self._left)) else (None, "")
         if (trouble := self._trouble(now)) is not None:
             return trouble
         return self._progress(now)
@@ -141,6 +146,8 @@ class Executive:
         flown = self._held if self.state is S.HOLD else self.state
         weak = is_too_weak(now, flown, now.t - self._sound_at, self._left, k)
         if self.state is not S.ABORT:
+            if astray or weak or blind:
+                self._recovery.missing(now.t)
             if astray or weak:
                 lost = now.position is None and now.state not in (MotionState.LOST, MotionState.INITIALISING)
                 return E.NAVIGATION_LOST, "no position" if lost else f"the motion is {now.state.name.lower()}"
@@ -157,7 +164,7 @@ class Executive:
     def _progress(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert now.position is not None or self.state is S.ABORT
         if self.state is S.HOLD:
-            return E.RECOVERED, ""
+            return (E.RECOVERED, "") if self._recovery.over(now.t) else (None, "")
         if self.state is S.SEARCH:
             return self._searching(now)
         return self._aborting(now) if self.state is S.ABORT else self._at_place(now)
@@ -204,10 +211,13 @@ class Executive:
         if said is not None and said.standing in (Standing.SITE, Standing.CANDIDATE):
             landing = self.state is S.COMMIT  # it comes down where it was begun: no step to the side near the ground
             self.target = replace(self.target, p_safe=said.p_safe) if landing else said.place
-        if self.state is S.COMMIT:
+        if said is not None:
+            self._crowded = [*self._crowded, now.t] if self._beside(now) else []
+        where = "the way down" if self.state is S.COMMIT else "every way across it"
+        if len(self._crowded) >= self._keys.sure or (self._crowded and now.t - self._crowded[0] > self._keys.wait):
+            return E.REFUSED, f"something stands beside {where}"
+        if self.state is S.COMMIT or self._crowded:
             return None, ""
-        if said is not None and self._beside(now):
-            return E.REFUSED, "something stands beside every way across it"
         if self.state is S.LOOK:
             return self._looking(now, said)
         return (E.ARRIVED, "") if self._reached(now, self._way) else self._stuck(now, self._way)
@@ -236,16 +246,9 @@ class Executive:
             return (E.WAITED, "verdicts on it do not come") if waited > self._keys.wait else (None, "")
         self._note_look(now, said)
         candidate = said.standing is Standing.CANDIDATE
-        if candidate and (better := self._places.better(said.place, self._is_open(now))) is not None:
-            there = f"{p_safe_text(better.p_safe)} elsewhere"
-            return E.REFUSED, f"P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m, and {there}"
-        lowest = self._height <= self._keys.commit_height * 1.05
-        if said.standing is Standing.SITE and lowest:
-            return E.CONFIRMED, f"P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
-        if said.standing in (Standing.SITE, Standing.CANDIDATE) and not lowest:
-            return E.LOWER, f"{said.standing.value}, P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
-        if candidate and self._height > self._keys.nearest * 1.05:
-            return E.LOWER, f"in doubt, P(safe) {p_safe_text(said.p_safe)} from {self._height:.1f} m"
+        better = self._places.better(said.place, self._is_open(now)) if candidate else None
+        if (outcome := look_outcome(said, self._height, better, self._keys)) is not None:
+            return outcome
         self._doubts += candidate
         if candidate and self._doubts < self._keys.patience:
             self._leg_done = None
@@ -267,7 +270,7 @@ class Executive:
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
         said = opinion(self.target, seen, self._limit, same, least, may, self._margin)
-        if low and self._descent.judged(now.t, said, self._left):
+        if low and self._descent.judged(seen.t, said, self._left):
             self._refusals = self._keys.sure
         elif said.standing is not Standing.NOT_SEEN:
             fallen = said.standing is Standing.REFUSED or (low and said.p_safe < least)
@@ -287,6 +290,7 @@ class Executive:
         before, self.state, self._since = self.state, after, now.t
         self._held = before if after is S.HOLD else self._held
         self._way, self._across, self._leg_done = None, None, None
+        self._crowded = []
         self._course.begin()
         if after is S.APPROACH:
             self._begin_place(now)
@@ -339,7 +343,7 @@ class Executive:
         if self.state is S.COMMIT:
             assert self.target is not None
             return self._descent.order(now, self.target, self._left, now.frame_id == self._frame)
-        if self.state is S.HOLD or now.position is None:
+        if self.state is S.HOLD or now.position is None or self._crowded:
             return Order("hold")
         to = self._across if self.state is S.LOOK and self._across is not None else self._way
         if to is None:
@@ -372,6 +376,8 @@ class Executive:
         seen, t = self._seen(now), self.target
         if not self._keys.look_again or t is None or now.position is None or seen is None:
             return False
+        if self.state is S.COMMIT:
+            return self._left >= self._keys.degraded_height and not self._clear_way.is_free_down(t, seen)
         if self.state is S.LOOK and self._leg_now is not None:
             across = self._across
             return across is not None and not self._clear_way.is_free(now.position, across, t.up, seen)
@@ -385,11 +391,8 @@ class Executive:
         return None if now.seen is None or now.seen.frame_id != self._frame else now.seen
 
     def _reached(self, now: Situation, point: F64 | None) -> bool:
-        return (
-            now.position is not None
-            and point is not None
-            and float(np.linalg.norm(point - now.position)) < self._keys.arrived
-        )
+        left = None if now.position is None or point is None else point - now.position
+        return left is not None and float(np.linalg.norm(left)) < self._keys.arrived
 
     def _note_look(self, now: Situation, said: Opinion) -> None:
         p = said.place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from alight.records.executive import FlightEvent, FlightState, Situation
@@ -40,10 +41,27 @@ def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> Ite
     """
     if now.wind_speed > keys.most_wind:
         yield FlightEvent.WIND, f"{now.wind_speed:.1f} m/s, limit {keys.most_wind:.1f}"
+    if math.isnan(now.battery):
+        yield FlightEvent.BATTERY, "it is not reported any more"
     if now.battery < keys.least_battery:
         yield FlightEvent.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * keys.least_battery:.0f}"
     if begun is not None and now.t - begun > keys.time_budget:
         yield FlightEvent.TIME, f"{keys.time_budget:.0f} s"
+
+
+class Recovery:
+    """Time for which motion and pictures have been there again: a hold does not end at a flicker of them."""
+
+    def __init__(self, keys: ExecutiveSettings) -> None:
+        self._keys, self._missing_at = keys, -math.inf
+
+    def missing(self, t: float) -> None:
+        """Note that something is missing, at a time in seconds."""
+        self._missing_at = t
+
+    def over(self, t: float) -> bool:
+        """True if nothing has been missing for `executive.recovered` seconds."""
+        return t - self._missing_at >= self._keys.recovered
 
 
 def patience(now: Situation, keys: ExecutiveSettings) -> float:

@@ -28,6 +28,7 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
     out |= {(s, E.REFUSED): S.SEARCH for s in AT_A_PLACE} | {(S.COMMIT, E.REFUSED): S.ABORT}
     out |= {(s, E.WAITED): S.SEARCH for s in AT_A_PLACE}
     out |= {(s, E.NEW_FRAME): S.SEARCH for s in AT_A_PLACE} | {(S.COMMIT, E.NEW_FRAME): S.ABORT}
+    out |= {(S.COMMIT, E.UNFELT): S.HANDED_OVER}
     out |= {(S.COMMIT, E.TOUCHED_DOWN): S.LANDED, (S.RETURN, E.TOUCHED_DOWN): S.LANDED}
     out |= {(S.ABORT, E.CLEAR): S.SEARCH, (S.ABORT, E.WAITED): S.HANDED_OVER}
     return out

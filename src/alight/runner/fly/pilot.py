@@ -17,6 +17,7 @@ from alight.landing.executive import Executive
 from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
+from alight.runner.fly.battery import BatteryWatch
 from alight.runner.fly.motor_stop import MotorStop
 from alight.runner.fly.near import own_way
 from alight.runner.fly.order_taker import OrderTaker
@@ -82,7 +83,7 @@ class LandingPilot:
         farthest = FAR * k.search_side, k.search_height + FAR_UP
         self._sender = OrderSender(vehicle, hand, local, farthest, k.stale, lambda words: log.note("autopilot", words))
         self._motor_stop = MotorStop(hand, lambda words: log.note("autopilot", words))
-        self.pictures = PictureWatch()
+        self.pictures, self._battery = PictureWatch(), BatteryWatch()
         self.motion: Motion | None = None
         self._known: Motion | None = None  # that the newest situation's position is of; None: it has none
         self._seen: Seen | None = None
@@ -181,7 +182,7 @@ class LandingPilot:
             state = MotionState.LOST
         self._note_position(heard.has_position)
         known = state in (MotionState.GOOD, MotionState.DEGRADED)
-        share, wind = heard.battery.share, heard.wind_world
+        wind = heard.wind_world
         self._flying |= self._sender.hand.in_control
         if strayed := self._sender.strayed(now_ns):
             self._log.note("autopilot", strayed)
@@ -200,7 +201,7 @@ class LandingPilot:
             link=self._vehicle.alive and not rebooted,
             pilot=self._flying and not self._sender.hand.in_control and not rebooted,
             standing=heard.is_down,
-            battery=1.0 if math.isnan(share) else share,
+            battery=self._battery.share(heard, now_ns * 1e-9),
             wind=wind if np.isfinite(wind[:2]).all() else None,
             holds=heard.has_position,
         )

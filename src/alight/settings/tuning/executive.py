@@ -56,7 +56,13 @@ class ExecutiveTuning(FrozenModel):
     unseen: int = Field(
         3, ge=1, description="Verdicts in a row that do not see the place whole and end a landing above that height"
     )
-    unjudged: Positive = Field(5.0, description="Time without a verdict that breaks a landing off above that height, s")
+    unjudged: Positive = Field(
+        5.0, description="Age of what the newest verdict saw that breaks a landing off above that height, s"
+    )
+    unchecked: Positive = Field(
+        2.0, description="Way down at most below the height from which the last `sure` verdicts saw the place, m"
+    )
+    recovered: NonNegative = Field(1.0, description="Time with motion and pictures after which a hold ends, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
     over_site: Positive = Field(0.4, description="Distance from the site within which it begins to come down, m")
