@@ -26,7 +26,9 @@ from alight.landing.executive.search import SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
-from alight.settings import load_settings
+from alight.settings import Settings, load_settings
+from alight.settings.loading import settings_of_run
+from alight.settings.user import ExecutiveKeys
 
 S, E = FlightState, FlightEvent
 STEP = 0.2  # s
@@ -747,6 +749,44 @@ def test_a_touchdown_that_nobody_reports_is_handed_over() -> None:
     assert f.orders[-1][1].what == "nothing"
 
 
+@pytest.mark.parametrize("aside", [50.0, 57.0, 62.0])
+def test_a_landing_that_waited_long_is_let_touch_down(aside: float) -> None:
+    """A gust holds it beside the place; the minute for the touchdown begins on the last metres."""
+    f, since = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings())), list[float]()
+
+    def held(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT:
+            since.append(now.t)
+            if now.t - since[0] < aside:
+                f.position[0] = 11.0
+                return replace(now, position=f.position.copy())
+        return replace(now, standing=now.standing and now.t - since[0] > aside + 25.0) if since else now
+
+    f.change = held
+    assert f.fly() is S.LANDED
+
+
+@pytest.mark.parametrize("height", [3.4, 3.0, 2.2])
+def test_verdicts_that_end_low_down_break_the_landing_off_soon(height: float) -> None:
+    last: list[Seen | None] = []
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+
+    def stall(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and f.position[2] < height:
+            last.append(now.seen)
+        return replace(now, seen=last[0]) if last else now
+
+    f.change = stall
+    f.fly(120.0, verdict_every=0.6)
+    k = f.states.index(S.COMMIT)
+    begun = f.executive.diary.transitions[k - 1].t
+    if f.states[k + 1] is S.ABORT:
+        assert "no verdict for" in f.executive.diary.transitions[k].reason
+    else:
+        assert f.states[k + 1] is S.LANDED  # from 2.2 m it is down before
+    assert f.executive.diary.transitions[k].t - begun < 20.0
+
+
 def test_a_landing_from_high_up_has_the_time_that_it_takes() -> None:
     """From 35 m it sinks for more than a minute."""
     high = settings("executive.commit_height=35", "executive.search_height=60")
@@ -759,6 +799,8 @@ def test_a_landing_from_high_up_has_the_time_that_it_takes() -> None:
 def test_a_landing_that_could_not_be_broken_off_is_refused(low: str) -> None:
     with pytest.raises(ValueError, match=r"executive.commit_height: from .* give 3.5 or more"):
         settings(f"executive.commit_height={low}")
+    stored = Settings(executive=ExecutiveKeys(commit_height=float(low)))  # of an earlier flight: it can still be read
+    assert settings_of_run(stored.model_dump(mode="json")) == stored
 
 
 def test_a_battery_that_is_reported_no_more_is_a_low_one() -> None:

@@ -104,7 +104,7 @@ def test_a_stream_that_somebody_else_slows_down_is_requested_again_and_named() -
     r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
     r.up_and_flying(20.0)
     r.run(6.0)
-    assert p.judge_imu(r.vehicle, 50.0).verdict is GOOD
+    assert not r.vehicle.stream_rates["HIGHRES_IMU"].slow  # 20 a second come: a message a step of this rig
     reports = r.sim.reports
     for message in (31, 105):
         reports._interval[message] = 0.25
@@ -130,6 +130,15 @@ def test_a_stream_that_somebody_else_slows_down_is_requested_again_and_named() -
     assert streams.verdict is WARNING
     assert "ATTITUDE_QUATERNION: 4.0 a second, 20 wanted" in streams.evidence
     assert "MAVProxy" in streams.mend
+
+
+@pytest.mark.parametrize(("rate", "verdict"), [(24.0, BAD), (27.0, GOOD)])
+def test_samples_that_come_too_seldom_to_be_used_are_told(rate: float, verdict: Judged) -> None:
+    """Half of the 50 that are wanted is no reason to ask again, but no motion is made of fewer than 25."""
+    r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
+    r.up_and_flying(20.0)
+    r.vehicle._streams._streams["HIGHRES_IMU"].measured = rate
+    assert p.judge_imu(r.vehicle, 50.0).verdict is verdict
 
 
 def test_a_flight_without_imu_is_told_what_it_costs() -> None:

@@ -146,9 +146,9 @@ class RemoteVehicle:
         return self._streams.dry(self._pace.t_ns)
 
     @property
-    def slow_streams(self) -> dict[str, StreamRate]:
-        """Messages that come less than 0.3 times as often as requested, by name."""
-        return self._streams.slow(self._pace.t_ns)
+    def stream_rates(self) -> dict[str, StreamRate]:
+        """Rates of the messages that come, by name."""
+        return self._streams.rates(self._pace.t_ns)
 
     # orders
 

@@ -24,8 +24,13 @@ _COUNTED, _LEAST_NS = 10.0, 1_000_000_000  # periods, and time at least, over wh
 class StreamRate(NamedTuple):
     """Messages a second."""
 
-    measured: float
+    measured: float  # NaN: not counted yet
     wanted: float
+
+    @property
+    def slow(self) -> bool:
+        """True if so few come that they are requested again."""
+        return self.measured < _SLOW * self.wanted
 
 
 @dataclass
@@ -40,7 +45,7 @@ class _Stream:
 
     @property
     def slow(self) -> bool:
-        return self.measured < _SLOW * self.rate
+        return StreamRate(self.measured, self.rate).slow
 
     def hear(self, t_ns: int) -> None:
         self.heard_ns = t_ns
@@ -99,10 +104,9 @@ class StreamKeeper:
         """Return the names of the messages that were requested and have not come, or come no more."""
         return [n for n, s in self._streams.items() if s.heard_ns < 0 or self._late(s, t_ns)]
 
-    def slow(self, t_ns: int) -> dict[str, StreamRate]:
-        """Return the rates of the messages that come less than 0.3 times as often as requested, by name."""
-        coming = {n: s for n, s in self._streams.items() if not self._late(s, t_ns)}
-        return {n: StreamRate(s.measured, s.rate) for n, s in coming.items() if s.slow}
+    def rates(self, t_ns: int) -> dict[str, StreamRate]:
+        """Return the rates of the messages that come, by name."""
+        return {n: StreamRate(s.measured, s.rate) for n, s in self._streams.items() if not self._late(s, t_ns)}
 
     def _late(self, stream: _Stream, t_ns: int) -> bool:
         return t_ns - stream.heard_ns > _PATIENCE_NS + 3e9 / stream.rate

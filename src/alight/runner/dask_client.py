@@ -10,6 +10,7 @@ from typing import Any
 from alight.records import InputError, MissingExtraError
 from alight.runner.program import sources_digest
 
+OTHERS = "a worker has another Alight than this program; install the same everywhere, and start the workers again"
 WAIT = "20s"  # for the scheduler to answer, and for its first worker
 
 
@@ -49,7 +50,10 @@ def dask_workers(scheduler: str) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as e:
             raise InputError(f"--scheduler {scheduler}: has no worker; start one with 'dask worker {scheduler}'") from e
-        client.run(check_program, sources_digest())
+        try:
+            client.run(check_program, sources_digest())
+        except (AttributeError, ImportError) as e:  # it does not even know the question
+            raise InputError(f"--scheduler {scheduler}: {OTHERS}") from e
         yield client
 
 
@@ -63,7 +67,4 @@ def check_program(digest: str) -> None:
         InputError: they differ: the results would, too.
     """
     if digest != sources_digest():
-        raise InputError(
-            f"a worker on {platform.node()} has another Alight than this program; install the same everywhere, and "
-            "start the workers again"
-        )
+        raise InputError(f"{platform.node()}: {OTHERS}")

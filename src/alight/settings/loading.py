@@ -29,7 +29,7 @@ def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
             _assign(tree, a)
     except DocumentError as e:
         raise ValueError(f"settings: {e}") from e
-    return _validated(tree)
+    return _to_fly(tree)
 
 
 def settings_of_keys(given: Mapping[str, Any]) -> Settings:
@@ -41,7 +41,7 @@ def settings_of_keys(given: Mapping[str, Any]) -> Settings:
     tree = dict[str, Any]()
     for key, value in given.items():
         _put(tree, key.strip(), value)
-    return _validated(tree)
+    return _to_fly(tree)
 
 
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
@@ -56,6 +56,13 @@ def settings_of_run(stored: Mapping[str, Any]) -> Settings:
         if now in known:
             _put(tree, now, value)
     return _validated(tree)
+
+
+def _to_fly(tree: Tree) -> Settings:
+    settings = _validated(tree)
+    if settings.too_low:
+        raise ValueError(settings.too_low)
+    return settings
 
 
 def _validated(tree: Tree) -> Settings:

@@ -255,7 +255,7 @@ class RouteKeys(FrozenModel):
     clearance: Positive = Field(
         3.0,
         description="Least distance to everything above and beside the way, m. "
-        "Beside the way down to the site it is only warned of",
+        "Beside the way down a route only warns of it; a landing in flight is broken off",
     )
     cruise_speed: Positive = Field(5.0, description="Speed on the way to the site, m/s")
     descent_speed: Positive = Field(1.0, description="Speed of the descent, m/s")

@@ -34,6 +34,7 @@ class Descent:
         self._begun = t
         self._taken = deque([t] * self._keys.sure, self._keys.sure)  # s, newest exposures of the last verdicts
         self._flown, self._high = deque[tuple[float, float]](), 0.0  # s, and metres above the place; the most of them
+        self._low_at: float | None = None  # s, when it was first too low to break off
         self._over = False  # the vehicle is over the place, and comes down
         self._kept: float | None = None  # metres up, kept until it is over the place
         self._unseen = 0  # verdicts in a row that do not see the place whole
@@ -67,8 +68,13 @@ class Descent:
         if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
-        late = silent > self._keys.unjudged and left >= self._keys.degraded_height and self._keys.look_again
+        late = silent > self._keys.unjudged and left >= self._keys.abort_height and self._keys.look_again
         return f"no verdict for {silent:.1f} s" if late else ""
+
+    def unfelt(self, t: float) -> str:
+        """Reason, in words, if no touchdown is reported for too long on the last metres; empty: it may still come."""
+        waited = 0.0 if self._low_at is None else t - self._low_at
+        return f"for {waited:.0f} s on the last metres" if waited > self._keys.hold else ""
 
     def _is_checked(self, left: float) -> bool:
         """True if the last `sure` verdicts saw the place from no more than `unchecked` metres above this height.
@@ -96,6 +102,7 @@ class Descent:
         low, sink = left < self._keys.abort_height, self._keys.landing_speed
         self._flown.append((now.t, left))
         self._high = max(self._high, left)
+        self._low_at = now.t if low and self._low_at is None else self._low_at
         speed = self._keys.aside_speed * (LAST if low else 1.0)
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)

@@ -131,7 +131,7 @@ class Executive:
         if self.state is S.RETURN:
             return None, ""
         if self.state is S.COMMIT and self._left < self._keys.abort_height:
-            return (E.UNFELT, late) if (late := self._descent.too_long(now.t, self._left)) else (None, "")
+            return (E.UNFELT, unfelt) if (unfelt := self._descent.unfelt(now.t)) else (None, "")
         if (trouble := self._trouble(now)) is not None:
             return trouble
         return self._progress(now)

@@ -104,6 +104,8 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
             f"--take-off {plan.take_off:g}: the search begins where the climb ends, before a map tells what stands "
             f"there; give at least executive.search_height, {plan.settings.executive.search_height:g} m, or lower that"
         )
+    if plan.settings.too_low:
+        raise InputError(plan.settings.too_low)
     if not plan.settings.executive.look_again:
         raise InputError("executive.look_again=false lands without looking: it is for campaigns; leave it out")
     prepare_folder(plan.out, plan.overwrite)

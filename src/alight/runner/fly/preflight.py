@@ -77,7 +77,7 @@ def judge_vehicle(
     """
     heard = vehicle.telemetry
     return [
-        _clock(vehicle), _streams(vehicle.missing_streams, vehicle.slow_streams), _estimator(vehicle, missing),
+        _clock(vehicle), _streams(vehicle.missing_streams, vehicle.stream_rates), _estimator(vehicle, missing),
         _home(heard, home_given),
         _battery(heard, settings.executive.least_battery), _wind(heard, settings.executive.most_wind),
         _place(heard, take_off, dry, LOW * settings.executive.commit_height),
@@ -93,7 +93,7 @@ def _clock(vehicle: RemoteVehicle) -> CheckResult:
     return good("clock", f"the autopilot's clock is known to {1e3 * vehicle.clock.sigma:.1f} ms")
 
 
-def _streams(missing: Sequence[str], slow: Mapping[str, StreamRate]) -> CheckResult:
+def _streams(missing: Sequence[str], rates: Mapping[str, StreamRate]) -> CheckResult:
     if needed := [n for n in missing if n in NEEDED]:
         return bad(
             "streams",
@@ -102,13 +102,13 @@ def _streams(missing: Sequence[str], slow: Mapping[str, StreamRate]) -> CheckRes
         )
     if others := [n for n in missing if n not in INERTIAL]:
         return warning("streams", f"{', '.join(others)} do not come", "what they tell counts as fine")
-    if rare := {name: rate for name, rate in slow.items() if name not in INERTIAL}:
+    if rare := {name: rate for name, rate in rates.items() if rate.slow and name not in INERTIAL}:
         return warning("streams", _rates(rare), FASTER)
     return good("streams", "all come" if not missing else "all others come")
 
 
-def _rates(slow: Mapping[str, StreamRate]) -> str:
-    return ", ".join(f"{name}: {r.measured:.1f} a second, {r.wanted:.0f} wanted" for name, r in slow.items())
+def _rates(rates: Mapping[str, StreamRate]) -> str:
+    return ", ".join(f"{name}: {r.measured:.1f} a second, {r.wanted:.0f} wanted" for name, r in rates.items())
 
 
 def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
@@ -126,9 +126,11 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
     if missing := [n for n in vehicle.missing_streams if n in INERTIAL]:
         why = f"{', '.join(missing)}: no sample has come for some seconds"
         return bad("IMU", why, "see that the link has room for them; without any no height is measured")
-    if slow := {name: rate for name, rate in vehicle.slow_streams.items() if name in INERTIAL}:
-        rare = min(r.measured for r in slow.values()) < LEAST_IMU
-        return (bad if rare else warning)("IMU", _rates(slow), FASTER)
+    rates = {name: rate for name, rate in vehicle.stream_rates.items() if name in INERTIAL}
+    if any(r.measured < LEAST_IMU for r in rates.values()):
+        return bad("IMU", _rates(rates), FASTER)
+    if any(r.slow for r in rates.values()):
+        return warning("IMU", _rates(rates), FASTER)
     return good("IMU", "samples come")
 
 
