@@ -222,6 +222,10 @@ HANDLED = (  # messages that are used
     "EXTENDED_SYS_STATE STATUSTEXT COMMAND_ACK"
 )
 
+ANY_BITS = st.lists(
+    st.tuples(st.sampled_from(HANDLED.split()), st.binary(min_size=255, max_size=255)), min_size=1, max_size=8
+)
+
 QUIET = {  # messages that move nothing
     "HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_ITEM_INT", "MISSION_ACK",
 }  # fmt: skip
@@ -236,12 +240,7 @@ def packed(kind: Any, talker: Any, payload: bytes) -> bytes:
 
 
 @settings(max_examples=120, deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from(HANDLED.split()), st.binary(min_size=255, max_size=255)), min_size=1, max_size=8
-    ),
-    st.sampled_from([3, 12]),
-)
+@given(ANY_BITS, st.sampled_from([3, 12]))
 def test_whatever_numbers_a_vehicle_sends_nothing_raises(messages: list[tuple[str, bytes]], autopilot: int) -> None:
     """Every field of every message in use may have any value of its bits, NaN included."""
     ours = Autopilot(events=TelemetryEvents())
@@ -296,12 +295,7 @@ def targets(ours: Autopilot, now: int) -> list[float]:
 
 
 @settings(max_examples=80, deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from(HANDLED.split()), st.binary(min_size=255, max_size=255)), min_size=1, max_size=8
-    ),
-    st.sampled_from([3, 12]),
-)
+@given(ANY_BITS, st.sampled_from([3, 12]))
 def test_whatever_a_guided_vehicle_sends_it_is_sent_nowhere_else(
     messages: list[tuple[str, bytes]], autopilot: int
 ) -> None:

@@ -25,7 +25,7 @@ from alight.records.executive import FlightDiary, FlightEvent, FlightState, Look
 from alight.report.campaign import campaign_numbers, unsafe_bound
 from alight.runner import campaign as runner
 from alight.runner import dask_client
-from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings, workers
+from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
 from alight.runner.campaign.faults import FAULTS, Happenings
 from alight.runner.campaign.flying import fly_conditions
 from alight.runner.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
@@ -670,7 +670,7 @@ def test_a_worker_with_another_program_flies_nothing(tmp_path: Path, monkeypatch
 
 def test_a_worker_that_comes_later_is_compared_as_well() -> None:
     with pytest.raises(InputError, match="install the same everywhere"):
-        workers._alone(lambda c: pytest.fail("flown"), conditions("demo"), "0123456789abcdef")
+        dask_client.done_alike("0123456789abcdef", lambda c: pytest.fail("flown"), conditions("demo"))
 
 
 # -- the report

@@ -26,8 +26,7 @@ from alight.landing.executive.search import SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
-from alight.settings import Settings, load_settings
-from alight.settings.loading import settings_of_run
+from alight.settings import Settings, load_settings, settings_of_run
 from alight.settings.user import ExecutiveKeys
 
 S, E = FlightState, FlightEvent
@@ -589,7 +588,7 @@ def test_a_vehicle_that_turns_out_to_be_lower_is_not_sent_up_again() -> None:
 
     f.change = correct
     assert f.fly() is S.LANDED
-    waits = [(o.height, p[2]) for s, o, p in f.orders if s is S.COMMIT and not o.down and f.t > pushed[0]]
+    waits = [(o.height, p[2]) for s, o, p in f.orders if s is S.COMMIT and not o.down]
     assert len(pushed) == 2
     assert all(height is not None and height <= up + 0.3 for height, up in waits)
 
@@ -657,6 +656,15 @@ def test_verdicts_that_are_too_old_are_none() -> None:
     assert "no verdict for" in f.executive.diary.transitions[k].reason
 
 
+ALL_ABOUT = [(10.0 + e, 5.0 + n, 12.0) for e in (-3, 0, 3) for n in (-3, 0, 3)]  # trees about a place
+
+
+def shows(now: Situation, *posts: tuple[float, float, float]) -> Situation:
+    """The situation with these posts on the map of its verdict."""
+    assert now.seen is not None
+    return replace(now, seen=replace(now.seen, elevation=Ground({}, posts=posts).map()))
+
+
 @pytest.mark.parametrize(("count", "ends"), [(1, S.LANDED), (2, S.ABORT)])
 def test_what_turns_out_to_stand_beside_the_way_down_breaks_the_landing_off(count: int, ends: FlightState) -> None:
     """The map shows a tree of 12 m, 2.5 m beside the place, in so many verdicts after the landing has begun."""
@@ -668,10 +676,7 @@ def test_what_turns_out_to_stand_beside_the_way_down_breaks_the_landing_off(coun
         shown.add(now.seen.number)
         if not 1 < len(shown) < count + 2:  # the first was judged before
             return now
-        ground.posts = ((12.0, 6.0, 12.0),)
-        with_tree = ground.map()
-        ground.posts = ()
-        return replace(now, seen=replace(now.seen, elevation=with_tree))
+        return shows(now, (12.0, 6.0, 12.0))
 
     f = Flight(ground, Executive(settings()))
     f.change = tree
@@ -691,10 +696,7 @@ def test_one_verdict_with_something_beside_the_way_drops_no_place() -> None:
         shown.add(now.seen.number)
         if len(shown) < 2:  # it was judged before
             return now
-        ground.posts = tuple((10.0 + e, 5.0 + n, 12.0) for e in (-3, 0, 3) for n in (-3, 0, 3))
-        with_trees = ground.map()
-        ground.posts = ()
-        return replace(now, seen=replace(now.seen, elevation=with_trees))
+        return shows(now, *ALL_ABOUT)
 
     f = Flight(ground, Executive(settings()), once)
     assert f.fly() is S.LANDED
@@ -727,10 +729,7 @@ def test_a_way_that_opens_late_is_not_taken_for_one_that_is_not_flown(begin: flo
         now = replace(now, t=now.t + begin, seen=None if now.seen is None else replace(now.seen, t=now.seen.t + begin))
         if executive.state is S.DESCEND and now.seen is not None and (not shown or now.seen.number in shown):
             shown.add(now.seen.number)
-            ground.posts = tuple((10.0 + e, 5.0 + n, 12.0) for e in (-3, 0, 3) for n in (-3, 0, 3))
-            with_trees = ground.map()
-            ground.posts = ()
-            return replace(now, seen=replace(now.seen, elevation=with_trees))
+            return shows(now, *ALL_ABOUT)
         return now
 
     f = Flight(ground, Executive(settings()), trees)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -289,16 +290,19 @@ def test_a_plan_with_a_home_is_relative_to_it(tmp_path: Path) -> None:
     assert altitudes == pytest.approx([49.88, 30.0, 20.0], abs=2e-3)
 
 
-def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -> None:
-    """pymavlink's own loader reads the plan in QGroundControl's text format."""
+def read_by_others(plan: Path, text: Path) -> list[Any]:
+    """Items of a plan, by pymavlink's own loader from QGroundControl's text format, which is written to `text`."""
     mavwp = pytest.importorskip("pymavlink.mavwp")
-    items = loaded(out / "route.plan")["mission"]["items"]
+    items = loaded(plan)["mission"]["items"]
     rows = [[i["doJumpId"] - 1, 0, i["frame"], i["command"], *i["params"], 1] for i in items]
-    file = tmp_path / "plan.txt"
-    file.write_text("QGC WPL 110\n" + "".join("\t".join(map(str, row)) + "\n" for row in rows))
+    text.write_text("QGC WPL 110\n" + "".join("\t".join(map(str, row)) + "\n" for row in rows))
     loader = mavwp.MAVWPLoader()
-    assert loader.load(str(file)) == len(items)
-    places = [w for w in map(loader.wp, range(loader.count())) if w.command in (16, 21)]
+    assert loader.load(str(text)) == len(items)
+    return [loader.wp(k) for k in range(loader.count())]
+
+
+def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -> None:
+    places = [w for w in read_by_others(out / "route.plan", tmp_path / "plan.txt") if w.command in (16, 21)]
     ground = float(LOCAL.to_geodetic([5.0, -2.0, 2.12])[2])
     got = [LOCAL.to_enu(w.x, w.y, w.z + ground) for w in places]
     np.testing.assert_allclose(got, [w.position_world for w in some_run().route.waypoints], atol=2e-3)
@@ -306,22 +310,13 @@ def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -
 
 def test_an_independent_reader_finds_speeds_headings_and_holds(tmp_path: Path) -> None:
     """The way-points face south-west; one is a look; the home lies 20 m below the site."""
-    mavwp = pytest.importorskip("pymavlink.mavwp")
     start, approach, touchdown = some_run().route.waypoints
     turned = [
         replace(w, heading=math.radians(225.0)) for w in (start, replace(approach, look=True, speed=3.0), touchdown)
     ]
     home = Home.parse("48.1, 15.44, 250.12, 33.0")
     write_run(some_run(home=home, route=Route(tuple(turned))), tmp_path)
-    rows = [
-        [i["doJumpId"] - 1, 0, i["frame"], i["command"], *i["params"], 1]
-        for i in loaded(tmp_path / "route.plan")["mission"]["items"]
-    ]
-    file = tmp_path / "plan.txt"
-    file.write_text("QGC WPL 110\n" + "".join("\t".join(map(str, row)) + "\n" for row in rows))
-    loader = mavwp.MAVWPLoader()
-    loader.load(str(file))
-    items = [loader.wp(k) for k in range(loader.count())]
+    items = read_by_others(tmp_path / "route.plan", tmp_path / "plan.txt")
     speeds = [w.param2 for w in items if w.command == 178]
     assert speeds == pytest.approx([3.0, 5.0])
     assert [w.param1 for w in items if w.command == 115] == pytest.approx([225.0, 225.0])

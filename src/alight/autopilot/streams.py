@@ -44,8 +44,8 @@ class _Stream:
     measured: float = math.nan  # Hz, of the newest full count
 
     @property
-    def slow(self) -> bool:
-        return StreamRate(self.measured, self.rate).slow
+    def told(self) -> StreamRate:
+        return StreamRate(self.measured, self.rate)
 
     def hear(self, t_ns: int) -> None:
         self.heard_ns = t_ns
@@ -57,7 +57,7 @@ class _Stream:
         if took >= max(_LEAST_NS, _COUNTED * 1e9 / self.rate):
             self.measured = self.count * 1e9 / took
             self.begin_ns, self.count = t_ns, 0
-            self.wait_ns = self.wait_ns if self.slow else _FIRST_NS
+            self.wait_ns = self.wait_ns if self.told.slow else _FIRST_NS
 
     def ask(self, t_ns: int) -> None:
         self.wait_ns = _FIRST_NS if self.asked_ns is None else min(2 * self.wait_ns, _LONGEST_NS)
@@ -106,7 +106,7 @@ class StreamKeeper:
 
     def rates(self, t_ns: int) -> dict[str, StreamRate]:
         """Return the rates of the messages that come, by name."""
-        return {n: StreamRate(s.measured, s.rate) for n, s in self._streams.items() if not self._late(s, t_ns)}
+        return {n: s.told for n, s in self._streams.items() if not self._late(s, t_ns)}
 
     def _late(self, stream: _Stream, t_ns: int) -> bool:
         return t_ns - stream.heard_ns > _PATIENCE_NS + 3e9 / stream.rate
@@ -114,7 +114,7 @@ class StreamKeeper:
     def _missing(self, stream: _Stream, t_ns: int) -> bool:
         if stream.asked_ns is None:
             return True
-        wanting = stream.heard_ns < 0 or self._late(stream, t_ns) or stream.slow
+        wanting = stream.heard_ns < 0 or self._late(stream, t_ns) or stream.told.slow
         return wanting and t_ns - stream.asked_ns > stream.wait_ns
 
     def _ask(self, name: str, stream: _Stream, t_ns: int) -> None:

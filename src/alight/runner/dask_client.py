@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -38,8 +38,7 @@ def dask_client(scheduler: str) -> Iterator[Any]:
 
 @contextmanager
 def dask_workers(scheduler: str) -> Iterator[Any]:
-    """Connect as `dask_client`, and see that there are workers; none may have another Alight. `check_program` is for
-    workers that come later.
+    """Connect as `dask_client`, and see that there are workers with the same Alight; `submit` sees to later ones.
 
     Raises:
         MissingExtraError: Dask is not installed.
@@ -55,6 +54,26 @@ def dask_workers(scheduler: str) -> Iterator[Any]:
         except (AttributeError, ImportError) as e:  # it does not even know the question
             raise InputError(f"--scheduler {scheduler}: {OTHERS}") from e
         yield client
+
+
+def submit(client: Any, do: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Send a call to the workers of `dask_workers`; one with another Alight raises an InputError instead.
+
+    Args:
+        client: of `distributed`.
+        do: function that can be pickled, and its arguments.
+        options: of `client.submit`.
+
+    Returns:
+        The future.
+    """
+    return client.submit(done_alike, sources_digest(), do, *arguments, pure=False, **options)
+
+
+def done_alike(digest: str, do: Callable[..., Any], *arguments: Any) -> Any:
+    """On a worker: return what `do` returns. Raises and `digest` as of `check_program`."""
+    check_program(digest)
+    return do(*arguments)
 
 
 def check_program(digest: str) -> None:

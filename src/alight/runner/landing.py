@@ -184,7 +184,8 @@ class _Loop:
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t
-        seen = self.t if self._motion is None else (self._motion.t_ns - self._begin) * 1e-9  # as late as the pictures
+        assert self._motion is not None
+        seen = (self._motion.t_ns - self._begin) * 1e-9  # as late as the pictures
         with self._costs.of("judging"):
             verdict = self._pipeline.judge_now(self.executive.about)
         if verdict is not None:

@@ -315,8 +315,7 @@ class Executive:
 
     def _climb(self, now: Situation) -> None:
         at, ground = now.position, self.target.up if self.target is not None else (self._ground or 0.0)
-        above = ground + 2 * self._keys.commit_height
-        self._way = None if at is None else np.array([*at[:2], max(at[2], above)])
+        self._way = None if at is None else np.array([*at[:2], max(at[2], ground + 2 * self._keys.commit_height)])
 
     def _follow(self, now: Situation) -> None:
         """Follow to a new frame: places of the old one are forgotten, and the search begins about here."""

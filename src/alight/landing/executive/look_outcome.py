@@ -1,4 +1,4 @@
-"""What follows from a look at a place."""
+"""The event of a look: the place is confirmed, looked at from lower down, or left for a better one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from alight.records.executive import FlightEvent
 from alight.settings import ExecutiveSettings
 
 E = FlightEvent
-ABOUT = 1.05  # a look is at its height up to this factor
+ABOUT = 1.05  # a look from up to this factor of a height counts as one from there
 
 
 def look_outcome(

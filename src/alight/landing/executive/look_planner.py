@@ -6,6 +6,7 @@ import numpy as np
 
 from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.look_leg import LookLeg
+from alight.landing.executive.look_outcome import ABOUT
 from alight.landing.wind import downwind
 from alight.records import Site
 from alight.records.executive import Seen, Situation
@@ -37,7 +38,7 @@ class LookPlanner:
     def next_height(self, height: float) -> float:
         """Height of the look after one from `height`, metres: half of it, down to that for a place in doubt."""
         k = self._keys
-        least = k.commit_height if height > k.commit_height * 1.05 else k.nearest
+        least = k.commit_height if height > k.commit_height * ABOUT else k.nearest
         return min(height, max(least, height * k.lower))
 
     def across(

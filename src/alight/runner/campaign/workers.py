@@ -7,14 +7,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
 
 from alight import compiled
 from alight.records import InputError
 from alight.records.campaign import Conditions
 from alight.runner.campaign.flying import Flown, failed
-from alight.runner.dask_client import check_program, dask_workers
-from alight.runner.program import sources_digest
+from alight.runner.dask_client import dask_workers, submit
 
 Job = Callable[[Conditions], Flown]
 TRIES = 2  # of a landing whose process died
@@ -107,9 +105,8 @@ def _see_that_processes_start() -> None:
             ) from e
 
 
-def _alone(job: Job, conditions: Conditions, digest: str) -> Flown:
-    """Fly a landing on a worker with the same program: on one thread, as a process of this machine does."""
-    check_program(digest)
+def _alone(job: Job, conditions: Conditions) -> Flown:
+    """Fly a landing on a worker: on one thread, as a process of this machine does."""
     _one_thread()
     return job(conditions)
 
@@ -120,10 +117,7 @@ def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> I
         import distributed
         from distributed.client import FutureCancelledError
 
-        def sent(c: Conditions) -> Any:
-            return client.submit(_alone, job, c, sources_digest(), pure=False)
-
-        flying, tries = {sent(c): c for c in conditions}, Counter[int]()
+        flying, tries = {submit(client, _alone, job, c): c for c in conditions}, Counter[int]()
         ended = distributed.as_completed(list(flying), loop=client.loop)
         for future in ended:
             c = flying.pop(future)
@@ -135,7 +129,7 @@ def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> I
                     raise InputError(
                         f"landing {c.landing}: the workers that had it were lost {TRIES} times; see their logs"
                     ) from e
-                again = sent(c)
+                again = submit(client, _alone, job, c)
                 flying[again] = c
                 ended.add(again)
             future.release()

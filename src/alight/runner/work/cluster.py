@@ -16,8 +16,7 @@ from threadpoolctl import threadpool_limits
 from alight import compiled
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task, resolved
 from alight.records import InputError
-from alight.runner.dask_client import check_program, dask_workers
-from alight.runner.program import sources_digest
+from alight.runner.dask_client import dask_workers, submit
 
 log = logging.getLogger(__name__)
 
@@ -81,8 +80,7 @@ class ClusterJobs:
 
     def _submitted(self, task: Task) -> Any:
         arguments = resolved(task.arguments, self._send, lambda kept: kept)
-        told = sources_digest(), self._client.id
-        return self._client.submit(do_here, *told, task.do, *arguments, pure=False, retries=TRIES)
+        return submit(self._client, do_here, self._client.id, task.do, *arguments, retries=TRIES)
 
     def _finished(self, task: Task, future: Any) -> Any:
         """Wait for the result of a task; one whose arguments were lost with a worker is sent again."""
@@ -115,9 +113,8 @@ class ClusterJobs:
             del self._sent[name]
 
 
-def do_here(digest: str, run: str, do: Callable[..., Any], *arguments: Any) -> Any:
-    """Do a task on a worker, with the same program and on one thread like its sender, for the same results."""
-    check_program(digest)
+def do_here(run: str, do: Callable[..., Any], *arguments: Any) -> Any:
+    """Do a task on a worker, on one thread like its sender, for the same results."""
     compiled.use_threads(1)
     with threadpool_limits(limits=1, user_api="blas"):
         return do(*resolved(arguments, lambda sent: sent.value, partial(_kept, run)))

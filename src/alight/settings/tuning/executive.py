@@ -56,9 +56,7 @@ class ExecutiveTuning(FrozenModel):
     unseen: int = Field(
         3, ge=1, description="Verdicts in a row that do not see the place whole and end a landing above that height"
     )
-    unjudged: Positive = Field(
-        5.0, description="Age of what the newest verdict saw that breaks a landing off above that height, s"
-    )
+    unjudged: Positive = Field(5.0, description="Age of what the newest verdict saw that breaks a landing off, s")
     unchecked: Positive = Field(
         2.0, description="Way down at most below the height from which the last `sure` verdicts saw the place, m"
     )
