@@ -135,13 +135,14 @@ FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightS
 GONE = (take_over, move_sticks, lose_link, reboot)  # after which nothing may move the vehicle
 
 
-MOMENTS = [  # the executive is the same for both autopilots: each fault at each moment, and on each of them, once
-    (S.APPROACH, "px4"), (S.COMMIT, "ardupilot"), (S.APPROACH, "ardupilot"), (S.COMMIT, "px4"),
-]  # fmt: skip
+MOMENTS = [(S.APPROACH, "px4"), (S.COMMIT, "ardupilot"), (S.APPROACH, "ardupilot"), (S.COMMIT, "px4")]
+# the executive is the same for both autopilots: each fault at one moment on one of them, then at the other three
+CASES = [(fault, *MOMENTS[(k + turn) % 4]) for turn in range(4) for k, fault in enumerate(FAULTS)]
 
 
-@pytest.mark.parametrize(("when", "dialect"), first_rows(2, MOMENTS))
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    ("fault", "when", "dialect"), first_rows(len(FAULTS), CASES), ids=lambda x: getattr(x, "__name__", None)
+)
 def test_a_fault_leads_to_the_right_state(fault: Callable[[PilotRig], None], when: FlightState, dialect: str) -> None:
     """After a take-over, a lost link or a reboot nothing is sent that moves the vehicle, not even when it is back."""
     event, above, below = FAULTS[fault]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +23,13 @@ from alight_sim import default_rig
 GOOD, BAD, WARNING, UNKNOWN = Judged.GOOD, Judged.BAD, Judged.WARNING, Judged.UNKNOWN
 
 
+def rig(**more: Any) -> PilotRig:
+    """The streams are checked as well: their messages must come as often as they are asked for."""
+    return PilotRig(Ground({}).seen, step=0.05, **more)
+
+
 def hovering(seconds: float = 6.0, silent: frozenset[int] = frozenset()) -> PilotRig:
-    r = PilotRig(Ground({}).seen)
+    r = rig()
     r.sim.reports.silent |= silent
     r.up_and_flying(20.0)
     r.run(seconds)
@@ -52,7 +58,7 @@ def test_a_copter_that_does_not_estimate_the_wind_may_be_flown() -> None:
 
 
 def test_checks_before_arming_that_are_off_are_told() -> None:
-    r = PilotRig(Ground({}).seen)
+    r = rig()
     r.sim.checks = False
     r.run(10.0)
     found = vehicle_checks(r, take_off=True)["ready"]
@@ -74,7 +80,7 @@ def test_each_fault_is_found() -> None:
 
 @pytest.mark.parametrize("link", [{"delay": 0.55}, {"delay": 0.1, "jitter": 0.7}])
 def test_positions_that_are_late_are_told(link: dict[str, float]) -> None:
-    r = PilotRig(Ground({}).seen, link=link)
+    r = rig(link=link)
     r.up_and_flying(20.0)
     r.run(6.0)
     found = vehicle_checks(r)["position"]
@@ -101,7 +107,7 @@ def test_a_stream_that_dries_up_is_named() -> None:
 
 def test_a_stream_that_somebody_else_slows_down_is_requested_again_and_named() -> None:
     """MAVProxy asks for all streams at 4 Hz, time and again; what we ask for is obeyed until then."""
-    r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
+    r = rig(rates={"HIGHRES_IMU": 50.0})
     r.up_and_flying(20.0)
     r.run(6.0)
     assert not r.vehicle.stream_rates["HIGHRES_IMU"].slow  # 20 a second come: a message a step of this rig
@@ -135,14 +141,14 @@ def test_a_stream_that_somebody_else_slows_down_is_requested_again_and_named() -
 @pytest.mark.parametrize(("rate", "verdict"), [(24.0, BAD), (27.0, GOOD)])
 def test_samples_that_come_too_seldom_to_be_used_are_told(rate: float, verdict: Judged) -> None:
     """Half of the 50 that are wanted is no reason to ask again, but no motion is made of fewer than 25."""
-    r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
+    r = rig(rates={"HIGHRES_IMU": 50.0})
     r.up_and_flying(20.0)
     r.vehicle._streams._streams["HIGHRES_IMU"].measured = rate
     assert p.judge_imu(r.vehicle, 50.0).verdict is verdict
 
 
 def test_a_flight_without_imu_is_told_what_it_costs() -> None:
-    r = PilotRig(Ground({}).seen, rates={"HIGHRES_IMU": 50.0})
+    r = rig(rates={"HIGHRES_IMU": 50.0})
     r.sim.reports.silent |= {105, 27}
     r.up_and_flying(20.0)
     r.run(6.0)
@@ -165,7 +171,7 @@ def test_pictures_of_an_earlier_flight_are_not_used() -> None:
 
 
 def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
-    r = PilotRig(Ground({}).seen)
+    r = rig()
     r.run(10.0)
     assert vehicle_checks(r)["in the air"].verdict is BAD
     assert "--take-off" in vehicle_checks(r)["in the air"].mend
@@ -234,7 +240,7 @@ def test_a_search_that_would_begin_low_is_told_of(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="search_height"):
         fly_vehicle(request)
     assert not (tmp_path / "out").exists()
-    low = PilotRig(Ground({}).seen)
+    low = rig()
     low.up_and_flying(8.0)
     low.run(6.0)
     found = vehicle_checks(low)["in the air"]

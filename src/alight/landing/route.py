@@ -36,10 +36,11 @@ class _Corridor:
 def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
     """Place of each cell along a way, 0 to 1, and True for cells within `width` metres of it, (R, C) each."""
     east, north = grid.xy()
-    x, y = np.meshgrid(east - start[0], north - start[1])
+    x, y = east - start[0], (north - start[1])[:, None]
     ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
     share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
-    return share, np.hypot(x - share * ex, y - share * ey) <= width + grid.cell / 2
+    x, y = x - share * ex, y - share * ey
+    return share, x * x + y * y <= (width + grid.cell / 2) ** 2
 
 
 def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:

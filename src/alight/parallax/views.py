@@ -206,7 +206,7 @@ def project_cells(
     lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     project_grid(
         H, b, lens, camera.coefficients, camera.code, r2_max,
-        float(camera.width), float(camera.height), rolling, xs, ys, h, *out,
+        float(camera.width), float(camera.height), rolling, *(np.ascontiguousarray(v) for v in (xs, ys)), h, *out,
     )  # fmt: skip
 
 

@@ -25,13 +25,12 @@ def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, tru
 
 
 @pixelwise
-def _pair(height: F32, trust: F32, i: int, dx: int, dy: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
-    """Add two opposite neighbours, weighted by trust and by the height of their middle against the cell's."""
-    ahead = i + np.uintp(CENTRE + dy * STRIDE + dx)
-    behind = i + np.uintp(CENTRE - dy * STRIDE - dx)
+def _pair(height: F32, trust: F32, i: int, off: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
+    """Add the two neighbours `off` places on and back, weighted by trust and by the height of their middle."""
+    ahead, behind = i + np.uintp(CENTRE) + off, i + np.uintp(CENTRE) - off
     above = np.float32(0.5) * (height[ahead] + height[behind]) - here
-    off = above * inverse
-    share = ONE - TWO * off * off
+    high = above * inverse
+    share = ONE - TWO * high * high
     share = share if share > ZERO else ZERO
     w = trust[ahead] * trust[behind] * share * share
     return sums[0] + w, sums[1] + w * above
@@ -47,22 +46,22 @@ def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
     for c in range(inverse.size):
         i, sums = np.uintp(c), (ZERO, ZERO)
         here, inv = height[i + np.uintp(CENTRE)], inverse[c]
-        sums = _pair(height, trust, i, 1, 0, here, inv, sums)
-        sums = _pair(height, trust, i, 0, 1, here, inv, sums)
-        sums = _pair(height, trust, i, 1, 1, here, inv, sums)
-        sums = _pair(height, trust, i, -1, 1, here, inv, sums)
-        sums = _pair(height, trust, i, 2, 1, here, inv, sums)
-        sums = _pair(height, trust, i, 1, 2, here, inv, sums)
-        sums = _pair(height, trust, i, -2, 1, here, inv, sums)
-        sums = _pair(height, trust, i, -1, 2, here, inv, sums)
-        sums = _pair(height, trust, i, 3, 0, here, inv, sums)
-        sums = _pair(height, trust, i, 0, 3, here, inv, sums)
-        sums = _pair(height, trust, i, 3, 1, here, inv, sums)
-        sums = _pair(height, trust, i, 1, 3, here, inv, sums)
-        sums = _pair(height, trust, i, -3, 1, here, inv, sums)
-        sums = _pair(height, trust, i, -1, 3, here, inv, sums)
-        sums = _pair(height, trust, i, 3, 3, here, inv, sums)
-        sums = _pair(height, trust, i, -3, 3, here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE + 1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE - 1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE + 2), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(2 * STRIDE + 1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE - 2), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(2 * STRIDE - 1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(3), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(3 * STRIDE), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE + 3), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(3 * STRIDE + 1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(STRIDE - 3), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(3 * STRIDE - 1), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(3 * STRIDE + 3), here, inv, sums)
+        sums = _pair(height, trust, i, np.uintp(3 * STRIDE - 3), here, inv, sums)
         sw[c], sh[c] = sums
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from functools import cache
+from types import MappingProxyType
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -34,14 +36,15 @@ def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[
             yield before + name, info
 
 
-def all_keys() -> dict[str, FieldInfo]:
+@cache
+def all_keys() -> Mapping[str, FieldInfo]:
     """All keys in order, those of a user first."""
-    return dict(walk())
+    return MappingProxyType(dict(walk()))
 
 
 def user_keys() -> dict[str, FieldInfo]:
     """The keys of a user."""
-    return {k: v for k, v in walk() if not k.startswith("tuning.")}
+    return {k: v for k, v in all_keys().items() if not k.startswith("tuning.")}
 
 
 def moved_to(key: str) -> str | None:

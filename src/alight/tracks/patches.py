@@ -62,7 +62,8 @@ def patch_warps(
         other: lens of the other views.
     """
     out = np.empty((len(pixels), 2, 2))
-    warp_patches(pixels, lens.table, *views, which, ground.up, ground.depth, there, other.table, out)
+    R, t, up = (np.array(v, order="C") for v in (*views, ground.up))  # the loop is compiled once, not for each layout
+    warp_patches(pixels, lens.table, R, t, which, up, ground.depth, there, other.table, out)
     return out
 
 
