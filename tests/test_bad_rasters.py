@@ -11,6 +11,9 @@ import rasterio
 from test_hazards_cli import write
 
 from alight.cli import call
+from alight.geometry import LocalFrame
+from alight.outputs.reading import read_bands
+from alight.records import InputError
 
 
 def ground(shape: tuple[int, int] = (81, 81)) -> np.ndarray:
@@ -107,3 +110,13 @@ def test_a_raster_that_is_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[
     dem = write(tmp_path / "dem.tif", ground((300, 300)), **more)
     dem.write_bytes(dem.read_bytes()[: dem.stat().st_size // 2])
     refused(judged(dem, capsys), "dem.tif")
+
+
+def test_a_coordinate_system_whose_name_is_no_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / "dem.tif", ground(), crs=LocalFrame(47.6, 13.4, 500.0).crs)
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"Greenwich", b"\xebreenwich"))
+    assert path.read_bytes() != whole
+    refused(judged(path, capsys), "dem.tif", "not a raster that can be read")
+    with pytest.raises(InputError, match="not a readable raster"):
+        read_bands(path, 1, "f", "run it again")

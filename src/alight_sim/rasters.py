@@ -105,7 +105,7 @@ def _opened(path: Path, what: str) -> Iterator[Any]:
                     f"{path}: the {what} has no coordinate system; give it one, with gdal_edit.py -a_srs say"
                 )
             yield dataset
-    except RasterioError as e:
+    except (RasterioError, UnicodeDecodeError) as e:  # the latter: of the name of its coordinate system
         raise InputError(f"{path}: the {what} cannot be read ({str(e).splitlines()[0]}); name a GeoTIFF") from e
 
 

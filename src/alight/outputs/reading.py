@@ -129,7 +129,7 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
                     f"{d.dtypes[0]}; it needs {least} of square cells with north up, of its own type; {mend}"
                 )
             return d.read(), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
-    except RasterioError as e:
+    except (RasterioError, UnicodeDecodeError) as e:  # the latter: of the name of its coordinate system
         raise InputError(f"{path}: not a readable raster; {mend}") from e
 
 

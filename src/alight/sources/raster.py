@@ -53,7 +53,7 @@ def open_raster(path: Path) -> Any:
             return rasterio.open(path)
     except UnicodeEncodeError as e:
         raise InputError(f"{path}: its name is not UTF-8; rename it") from e
-    except RasterioError as e:
+    except (RasterioError, UnicodeDecodeError) as e:  # the latter: of the name of its coordinate system
         raise InputError(f"{path}: not a raster that can be read ({' '.join(str(e).split())}); give a GeoTIFF") from e
 
 
