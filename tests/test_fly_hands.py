@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import BOTH, EITHER, first, first_rows
+from length import BOTH, EITHER, first, in_turn
 from pilot_rig import PilotRig, See
 from test_executive import Ground, clearer_from_below
 
@@ -109,12 +109,7 @@ def cabin_of(r: PilotRig, loop: FlightLoop, said: list[str], **plan: Any) -> Any
 # -- unplanned ends
 
 
-ENDS = [
-    ("ardupilot", KeyboardInterrupt), ("px4", RuntimeError), ("px4", KeyboardInterrupt), ("ardupilot", RuntimeError),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("dialect", "error"), first_rows(2, ENDS))
+@pytest.mark.parametrize(("dialect", "error"), in_turn(2, [[KeyboardInterrupt], [RuntimeError]]))
 def test_a_landing_that_ends_early_leaves_the_vehicle_holding(
     dialect: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:

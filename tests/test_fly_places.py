@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import BOTH, EITHER, first, first_rows
+from length import BOTH, EITHER, first, in_turn
 from pilot_rig import PilotRig, seldom
 from test_autopilot_faults import HERE, report, told
 from test_executive import Ground, clearer_from_below
@@ -45,9 +45,7 @@ def said(r: PilotRig, word: str) -> int:
     return sum(word in line for line in r.orders)
 
 
-@pytest.mark.parametrize(
-    ("dialect", "slow"), first_rows(2, [("px4", "late"), ("ardupilot", "rare"), ("ardupilot", "late"), ("px4", "rare")])
-)
+@pytest.mark.parametrize(("dialect", "slow"), in_turn(2, [["rare"], ["late"]]))
 def test_positions_that_are_late_or_rare_land_like_others(dialect: str, slow: str) -> None:
     """With positions 0.4 s late or one a second, the vehicle never holds, and no jump is detected."""
     r = rig(dialect, link={"delay": 0.4} if slow == "late" else None)

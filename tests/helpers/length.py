@@ -20,6 +20,12 @@ def first_rows(count: int, values: Iterable[Sequence[Any]]) -> Sequence[Any]:
     return [pytest.param(*row, marks=() if k < count else long) for k, row in enumerate(values)]
 
 
+def in_turn(count: int, values: Sequence[Sequence[Any]]) -> Sequence[Any]:
+    """Rows of an autopilot and its values: the first `count` on each autopilot in turn, the other rows marked long."""
+    both = ("ardupilot", "px4")
+    return first_rows(count, [(both[(k + turn) % 2], *row) for turn in range(2) for k, row in enumerate(values)])
+
+
 # both autopilots; and one of them where the code under test is the same for both, the other in the long tests
 BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
 EITHER = pytest.mark.parametrize("dialect", first(1, ["ardupilot", "px4"]))

@@ -44,7 +44,7 @@ def seldom(r: PilotRig, period: float) -> None:
 
 
 class PilotRig(Rig):
-    """Both ends of a link, and a pilot at ours. `change` may change motions on their way.
+    """Both ends of a link, and a pilot at ours.
 
     Steps of 0.1 s are twice as fast as those of 0.05 s; no message comes more often than steps are made.
     """
