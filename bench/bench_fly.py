@@ -14,11 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from alight.arrays import F64
-from alight.autopilot import Autopilot, TelemetryEvents
+from alight.flight.autopilot import Autopilot, TelemetryEvents
+from alight.flight.session.pilot import LandingPilot
 from alight.pipeline import Pipeline
 from alight.records import Event, Frame
 from alight.records.executive import FlightState, LookRecord, Transition
-from alight.runner.fly.pilot import LandingPilot
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing

@@ -32,11 +32,11 @@ from motion_common import DATA, Row, say
 import alight
 import alight_sim
 from alight.arrays import F64
+from alight.flight.live import Capacity, Listener, Live
+from alight.flight.live.run import for_flight
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, NavSample
 from alight.records.codec import MOTION, FlightHead
-from alight.runner.live import Capacity, Listener, Live
-from alight.runner.live.run import for_flight
 from alight.runner.replay import appearance_of
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source

@@ -28,9 +28,9 @@ from alight.parallax.window import part_of
 from alight.pipeline import Pipeline
 from alight.pipeline.judging import as_judged
 from alight.records import ElevationMap, Event, Frame, InputError
-from alight.runner.campaign.flying import lit_world
-from alight.runner.campaign.plan import campaign_world, drawn_light
 from alight.settings import Settings, load_settings
+from alight.trials.campaign.flying import lit_world
+from alight.trials.campaign.plan import campaign_world, drawn_light
 from alight_sim.oracle import OracleLander, safe_places
 from alight_sim.steered import SteeredFlight, Wanted
 from alight_sim.world import World

@@ -15,10 +15,10 @@ import numpy as np
 from motion_common import DATA, Row, recording, say
 
 from alight.arrays import U8
+from alight.flight.live.mailbox import Closed, Mailbox
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation
 from alight.records import Event, Rig
-from alight.runner.live.mailbox import Closed, Mailbox
 from alight.settings import StageSettings, load_settings
 
 T = TypeVar("T")
@@ -98,7 +98,7 @@ def _say_in_turn(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> No
 
 
 def _threaded(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> float:
-    """Frames a second in real time, with the two halves as in `alight.runner.live`."""
+    """Frames a second in real time, with the two halves as in `alight.flight.live`."""
     predictions = Mailbox[MotionPredictor | None](4)
     lane = FilterLane(rig, stages, False, predictions)
     boxes = Mailbox[FrameBatch](2), Mailbox[Callable[[], object]](4)

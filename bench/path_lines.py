@@ -12,10 +12,10 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1] / "src"
 START = "alight.runner.replay"
 LEFT_OUT = (
-    "alight.motion.bundle", "alight.training", "alight.outputs", "alight.report", "alight.evaluation", "alight.cli",
-    "alight.api", "alight.result", "alight.runner.demo", "alight.runner.judge", "alight.runner.live",
+    "alight.photos.bundle", "alight.training", "alight.outputs", "alight.report", "alight.evaluation", "alight.cli",
+    "alight.api", "alight.result", "alight.trials.demo", "alight.runner.judge", "alight.flight.live",
     "alight.sources.photo", "alight.sources.raster", "alight.hazards.sharpen", "alight.hazards.sunlight",
-    "alight.pipeline.navigation.bundle", "alight.settings.page",
+    "alight.photos.lane", "alight.settings.page",
 )  # fmt: skip
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from alight.arrays import F64
 from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
-from alight.motion.bundle.lenses import PhotoLenses
-from alight.motion.bundle.matching import BundleObservations, extract_all, match_pairs, neighbours, tracks
 from alight.motion.triangulation import triangulate_rays
+from alight.photos.bundle.lenses import PhotoLenses
+from alight.photos.bundle.matching import BundleObservations, extract_all, match_pairs, neighbours, tracks
 from alight.records import Frame
 from alight.settings import BundleSettings, Settings
 from alight.sources import open_source

@@ -16,8 +16,9 @@ from some_run import some_run
 import alight
 from alight.api import settings_of
 from alight.records import OutputError, SettingsError
-from alight.runner import demo, replay
+from alight.runner import replay
 from alight.settings import Settings, load_settings
+from alight.trials import demo
 
 
 def test_every_public_name_is_there() -> None:

@@ -14,13 +14,13 @@ from pymavlink import mavextra, mavutil, mavwp
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.quaternion import Quaternion
 
-from alight.autopilot import EstimateTie, Setpoint, TelemetryEvents, metres_between, mission_of
-from alight.autopilot.border import enu, flu, frd, ned, world_from_body_of_angles, world_from_body_of_quaternion
-from alight.autopilot.clock import VehicleClock
-from alight.autopilot.firmware import ArduPilotFirmware, Firmware, Px4Firmware
-from alight.autopilot.mission_item import land
-from alight.autopilot.setpoints import target_of
-from alight.autopilot.vehicle_state import VehicleState
+from alight.flight.autopilot import EstimateTie, Setpoint, TelemetryEvents, metres_between, mission_of
+from alight.flight.autopilot.border import enu, flu, frd, ned, world_from_body_of_angles, world_from_body_of_quaternion
+from alight.flight.autopilot.clock import VehicleClock
+from alight.flight.autopilot.firmware import ArduPilotFirmware, Firmware, Px4Firmware
+from alight.flight.autopilot.mission_item import land
+from alight.flight.autopilot.setpoints import target_of
+from alight.flight.autopilot.vehicle_state import VehicleState
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, ImuSample, NavSample, Place, Route, Telemetry, Waypoint
 

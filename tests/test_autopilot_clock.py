@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from autopilot_rig import Rig
 
-from alight.autopilot.clock import Pace, VehicleClock
+from alight.flight.autopilot.clock import Pace, VehicleClock
 from alight.records import NoticeKind
 
 SECOND = 1_000_000_000

@@ -15,10 +15,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from test_autopilot_protocol import long_mission, met, place, sent, stored
 from test_executive import Ground, clearer_from_below
 
-from alight.autopilot import Setpoint, TelemetryEvents
-from alight.autopilot.control import ControlWatch
-from alight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
-from alight.autopilot.vehicle_state import VehicleState
+from alight.flight.autopilot import Setpoint, TelemetryEvents
+from alight.flight.autopilot.control import ControlWatch
+from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
+from alight.flight.autopilot.vehicle_state import VehicleState
 from alight.records import FlightMode, NoticeKind
 from alight.records.executive import FlightState
 from alight_sim.autopilot.dialects import Doing
@@ -108,7 +108,7 @@ def test_a_deletion_of_a_part_that_is_lost_or_denied_is_sent_again() -> None:
 
 
 def bad_item() -> tuple[Any, ...]:
-    from alight.autopilot import MissionItem
+    from alight.flight.autopilot import MissionItem
 
     return (MissionItem(31_000),)
 

@@ -10,7 +10,7 @@ from autopilot_rig import LOCAL, Rig
 from length import BOTH, first
 from numpy.testing import assert_allclose
 
-from alight.autopilot import EstimateTie, Setpoint, mission_of
+from alight.flight.autopilot import EstimateTie, Setpoint, mission_of
 from alight.records import FlightMode, Landed, NoticeKind, Route, Waypoint
 from alight_sim.autopilot import EstimateError, FlightLimits, PointMass, Wanted
 from alight_sim.autopilot.dialects import Doing

@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.autopilot import Autopilot, EstimateTie, MissionItem, Setpoint, TelemetryEvents, metres_between
-from alight.autopilot.framing import Framing
+from alight.flight.autopilot import Autopilot, EstimateTie, MissionItem, Setpoint, TelemetryEvents, metres_between
+from alight.flight.autopilot.framing import Framing
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place
 

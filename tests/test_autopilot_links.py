@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from alight.autopilot import Autopilot, Link, TelemetryEvents, open_link
-from alight.autopilot import pymavlink_dialect as doorway
+from alight.flight.autopilot import Autopilot, Link, TelemetryEvents, open_link
+from alight.flight.autopilot import pymavlink_dialect as doorway
 from alight.records import FlightMode, InputError, MissingExtraError, NavSample, NoticeKind, OutputError
 from alight_sim.autopilot import LossyChannel, SimulatedAutopilot, SpokenPx4, UdpServer
 
@@ -80,7 +80,7 @@ def test_udp_out_speaks_to_one_address_and_listens_to_no_other() -> None:
 
 def test_a_patient_link_waits_for_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
     """A SITL opens its second port only after a connection to the first one; a patient link waits for it."""
-    from alight.autopilot import links
+    from alight.flight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.05)
     with socket.create_server((LOCAL, 0)) as server:
@@ -102,7 +102,7 @@ def test_a_patient_link_waits_for_a_server(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_tcp_comes_back_after_the_other_side_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    from alight.autopilot import links
+    from alight.flight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.05)
     server = socket.create_server((LOCAL, 0))
@@ -171,7 +171,7 @@ def test_a_serial_port_that_nobody_reads_makes_nobody_wait() -> None:
 
 def test_tcp_is_resolved_once_and_opened_again_in_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody ticks while the reader opens the link, and 1.2 s without ticks count as a vehicle without a listener."""
-    from alight.autopilot import links
+    from alight.flight.autopilot import links
 
     server, closed = (socket.create_server((LOCAL, 0)) for _ in range(2))
     port, waits = server.getsockname()[1], list[float]()
@@ -253,7 +253,7 @@ def test_reading_waits_no_longer_than_told() -> None:
 
 def test_a_link_that_is_closed_under_its_reader_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """`select` raises ValueError for a socket that another thread has closed, pyserial raises TypeError for a port."""
-    from alight.autopilot import links
+    from alight.flight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.02)
     link: Any = open_link(f"udp:{LOCAL}:0")
@@ -280,7 +280,7 @@ def test_a_link_that_is_closed_under_its_reader_is_opened_again(monkeypatch: pyt
 
 def test_only_the_reader_closes_and_opens(monkeypatch: pytest.MonkeyPatch) -> None:
     """A failed write leaves the socket open for the thread that may be waiting on it."""
-    from alight.autopilot import links
+    from alight.flight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.02)
     link: Any = open_link(f"udp:{LOCAL}:0")
@@ -305,7 +305,7 @@ def test_only_the_reader_closes_and_opens(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_a_link_that_is_closed_and_written_by_others_never_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread reads; the other breaks the link again and again, and closes it at the end: nothing is raised."""
-    from alight.autopilot import links
+    from alight.flight.autopilot import links
 
     monkeypatch.setattr(links, "_AGAIN", 0.0)
     link: Any = open_link(f"udpout:{LOCAL}:9")

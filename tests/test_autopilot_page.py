@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from alight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
+from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
 PAGE = (Path(__file__).parents[1] / "docs" / "autopilot.md").read_text(encoding="utf-8")

@@ -9,9 +9,9 @@ import pytest
 from autopilot_rig import LOCAL, Rig
 from length import BOTH, first
 
-from alight.autopilot import EstimateTie, MissionItem, Setpoint, mission_of
-from alight.autopilot.firmware import ArduPilotFirmware
-from alight.autopilot.mission_item import MissionItem as Item
+from alight.flight.autopilot import EstimateTie, MissionItem, Setpoint, mission_of
+from alight.flight.autopilot.firmware import ArduPilotFirmware
+from alight.flight.autopilot.mission_item import MissionItem as Item
 from alight.records import FlightMode, ImuSample, NoticeKind, Place, Route, Telemetry, Waypoint
 from alight_sim.autopilot.dialects import Doing
 

@@ -90,7 +90,7 @@ def test_photos_without_the_extra_are_refused_before_they_are_read(
     run: Run, photos: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    monkeypatch.setattr("alight.sources.photo_pixels.read_image", lambda *_: pytest.fail("a photo was read"))
+    monkeypatch.setattr("alight.photos.reading.photo_pixels.read_image", lambda *_: pytest.fail("a photo was read"))
     refused(run(photos), "pycolmap is not installed; mend it with: pip install 'alight[photos]'")
 
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 pytest.importorskip("pycolmap")
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.motion.bundle.adjust import joint_of, select, solve_bundle
-from alight.motion.bundle.exposure import exposure_gains
-from alight.motion.bundle.lenses import PhotoLenses
-from alight.motion.bundle.matching import (
+from alight.photos.bundle.adjust import joint_of, select, solve_bundle
+from alight.photos.bundle.exposure import exposure_gains
+from alight.photos.bundle.lenses import PhotoLenses
+from alight.photos.bundle.matching import (
     BundleObservations,
     Pair,
     PhotoFeatures,
@@ -25,10 +25,10 @@ from alight.motion.bundle.matching import (
     tracks,
     verify,
 )
-from alight.motion.bundle.points import confirmed
-from alight.motion.bundle.priors import make_priors, rolling_priors
-from alight.motion.bundle.rolling import velocities
-from alight.motion.bundle.solver import (
+from alight.photos.bundle.points import confirmed
+from alight.photos.bundle.priors import make_priors, rolling_priors
+from alight.photos.bundle.rolling import velocities
+from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
     Priors,
@@ -38,7 +38,7 @@ from alight.motion.bundle.solver import (
     total_cost,
     triangulate_bundle,
 )
-from alight.motion.bundle.summary import Solved
+from alight.photos.bundle.summary import Solved
 from alight.records import Motion, NavSample, Rig, RigCamera
 from alight.settings import BundleSettings
 from alight.spread import robust_sigma

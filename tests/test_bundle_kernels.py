@@ -10,11 +10,11 @@ import twins_bundle as twins
 
 from alight.arrays import F64, I64
 from alight.geometry import Camera, so3_exp
-from alight.motion.bundle.lens_kernels import distort, undistort
-from alight.motion.bundle.lenses import PhotoLenses
-from alight.motion.bundle.matching import BundleObservations
-from alight.motion.bundle.ray_kernels import meet_rays, rays_of_pixels
-from alight.motion.bundle.solver import (
+from alight.photos.bundle.lens_kernels import distort, undistort
+from alight.photos.bundle.lenses import PhotoLenses
+from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.ray_kernels import meet_rays, rays_of_pixels
+from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
     Priors,

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.motion.bundle.adjust import BundleResult, adjust
+from alight.photos.bundle.adjust import BundleResult, adjust
 from alight.records import Frame, InputError, MissingExtraError, NavSample, Rig, RigCamera
 from alight.settings import BundleSettings
 from alight.spread import nmad

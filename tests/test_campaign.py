@@ -22,15 +22,15 @@ from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
-from alight.report.campaign import campaign_numbers, unsafe_bound
-from alight.runner import campaign as runner
 from alight.runner import dask_client
-from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
-from alight.runner.campaign.faults import FAULTS, Happenings
-from alight.runner.campaign.flying import fly_conditions
-from alight.runner.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
-from alight.runner.landing import Landing
 from alight.settings import Settings, load_settings
+from alight.trials import campaign as runner
+from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
+from alight.trials.campaign.faults import FAULTS, Happenings
+from alight.trials.campaign.flying import fly_conditions
+from alight.trials.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
+from alight.trials.landing import Landing
+from alight.trials.report import campaign_numbers, unsafe_bound
 from alight_sim.flight import START_NS
 from alight_sim.steered import SteeredFlight, TrueContact
 

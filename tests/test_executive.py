@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from some_run import elevation as some_elevation
 from some_run import site as some_site
 
+from alight.flight.executive import TABLE, Executive, as_markdown
+from alight.flight.executive.clear_way import ClearWay
+from alight.flight.executive.known_places import KnownPlaces
+from alight.flight.executive.look_leg import LookLeg
+from alight.flight.executive.look_planner import LookPlanner
+from alight.flight.executive.search import SearchLanes, square_spiral
 from alight.geometry import Grid
-from alight.landing.executive import TABLE, Executive, as_markdown
-from alight.landing.executive.clear_way import ClearWay
-from alight.landing.executive.known_places import KnownPlaces
-from alight.landing.executive.look_leg import LookLeg
-from alight.landing.executive.look_planner import LookPlanner
-from alight.landing.executive.search import SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation

@@ -11,10 +11,10 @@ from length import BOTH, EITHER, first_rows
 from pilot_rig import VERDICT, PilotRig
 from test_executive import Ground, clearer_from_below
 
+from alight.flight.session.order_taker import SpokenVehicle
+from alight.flight.session.take_off import TakeOff
 from alight.records import NoticeKind
 from alight.records.executive import FlightEvent, FlightState
-from alight.runner.fly.order_taker import SpokenVehicle
-from alight.runner.fly.take_off import TakeOff
 from alight_sim.autopilot.dialects import Doing
 
 S, E = FlightState, FlightEvent

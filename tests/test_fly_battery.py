@@ -6,9 +6,9 @@ import math
 
 import pytest
 
+from alight.flight.session.battery import SILENT, BatteryWatch
 from alight.records import Telemetry
 from alight.records.telemetry import Battery
-from alight.runner.fly.battery import SILENT, BatteryWatch
 
 
 def heard(share: float, age: float) -> Telemetry:

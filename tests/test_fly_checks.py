@@ -12,11 +12,11 @@ from pilot_rig import PilotRig, seldom
 from test_executive import Ground
 
 from alight.checks import CheckResult, Judged
+from alight.flight.session import FlightRequest, fly_vehicle
+from alight.flight.session import preflight as p
+from alight.flight.session.arrivals import Arrivals
 from alight.geometry import Pose
 from alight.records import Frame, InputError, Motion, MotionState
-from alight.runner.fly import FlightRequest, fly_vehicle
-from alight.runner.fly import preflight as p
-from alight.runner.fly.arrivals import Arrivals
 from alight.settings import Settings
 from alight_sim import default_rig
 

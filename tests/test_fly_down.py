@@ -11,11 +11,11 @@ from pilot_rig import PilotRig
 from test_executive import Ground, clearer_from_below
 from test_fly_hands import PLACE, pilot_of, raised, rig
 
-from alight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
+from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
+from alight.flight.session.contact import Contact
 from alight.geometry import Pose
 from alight.records import FlightMode, Landed, Motion, MotionState, Telemetry
 from alight.records.executive import FlightState, Order
-from alight.runner.fly.contact import Contact
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 

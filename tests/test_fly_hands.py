@@ -16,14 +16,14 @@ from test_executive import Ground, clearer_from_below
 from alight.checks.result import bad
 from alight.cli import call
 from alight.cli.fly import facts
+from alight.flight.live.live import NAVIGATION
+from alight.flight.session import FlightStatus, flight
+from alight.flight.session.loop import TAKEN, UNCONFIRMED, FlightLoop
+from alight.flight.session.near import near_way
+from alight.flight.session.pilot import PilotView
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, Order, Seen
-from alight.runner.fly import FlightStatus, flight
-from alight.runner.fly.loop import TAKEN, UNCONFIRMED, FlightLoop
-from alight.runner.fly.near import near_way
-from alight.runner.fly.pilot import PilotView
-from alight.runner.live.live import NAVIGATION
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -85,7 +85,7 @@ def loop_of(r: PilotRig, monkeypatch: pytest.MonkeyPatch, show: Any = lambda pha
     """Return the loop of a real flight, in the rig's time."""
     r.ticks = False
     for module in ("loop", "flight"):
-        monkeypatch.setattr(f"alight.runner.fly.{module}.time", Clock(r))
+        monkeypatch.setattr(f"alight.flight.session.{module}.time", Clock(r))
     feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, flush=lambda: None, events=lambda: iter(()))
     return FlightLoop(feed, r.vehicle, r.vehicle, pilot_of(r), show)
 
@@ -426,7 +426,7 @@ def test_a_script_learns_how_a_flight_ended(
     code: int, word: str,
 ) -> None:  # fmt: skip
     from alight.cli import fly as command
-    from alight.runner import fly
+    from alight.flight import session as fly
 
     left: list[object] = []
     result: Any = None if state is None else SimpleNamespace()

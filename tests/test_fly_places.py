@@ -11,8 +11,8 @@ from pilot_rig import PilotRig, seldom
 from test_autopilot_faults import HERE, report, told
 from test_executive import Ground, clearer_from_below
 
-from alight.autopilot.firmware import ArduPilotFirmware
-from alight.autopilot.vehicle_state import VehicleState
+from alight.flight.autopilot.firmware import ArduPilotFirmware
+from alight.flight.autopilot.vehicle_state import VehicleState
 from alight.records.executive import FlightState
 from alight_sim.autopilot.dialects import Doing
 

@@ -12,12 +12,12 @@ from autopilot_rig import HOME
 from test_autopilot_links import drive, ready_vehicle, sitl  # noqa: F401  (a fixture)
 from test_executive import Ground, clearer_from_below
 
-from alight.autopilot import TelemetryEvents
+from alight.flight.autopilot import TelemetryEvents
+from alight.flight.session.pilot import LandingPilot
+from alight.flight.session.take_off import TakeOff
 from alight.geometry import LocalFrame, Pose
 from alight.records import Frame, Motion, NavSample, NoticeKind
 from alight.records.executive import FlightState, LookRecord, Transition
-from alight.runner.fly.pilot import LandingPilot
-from alight.runner.fly.take_off import TakeOff
 from alight.settings import load_settings
 
 PLACE = (10.0, 5.0)

@@ -12,14 +12,14 @@ import pytest
 from autopilot_rig import LOCAL, Rig
 from length import EITHER
 
-from alight.autopilot import Setpoint
 from alight.cli import call
+from alight.flight.autopilot import Setpoint
+from alight.flight.session import follow
 from alight.geometry import Pose, so3_exp
 from alight.records import FlightMode
-from alight.runner.fly import follow
-from alight.runner.fly.follow import VehicleFollower
 from alight.settings import Settings
 from alight.sources.flight_log import CalibratedFolder
+from alight.trials.rehearse import VehicleFollower
 from alight_sim import rehearsal, steered
 from alight_sim.followed import FollowedCameras, ReportedPlace, ReportedTrack
 from alight_sim.rehearsal import CameraFolder
@@ -130,7 +130,7 @@ def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> N
 def test_a_vehicle_that_is_not_there_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("alight.runner.fly.follow.UNHEARD", 0.2)
+    monkeypatch.setattr("alight.trials.rehearse.UNHEARD", 0.2)
     words = ["rehearse", "concrete", "--folder", str(tmp_path / "f"), "--follow", "udp:127.0.0.1:0", "--width", "80"]
     assert call(words) == 2
     said = capsys.readouterr().err

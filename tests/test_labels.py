@@ -18,7 +18,7 @@ from labelled import compare, table
 
 from alight.geometry import Camera, Grid, LocalFrame, Pose
 from alight.outputs import Run
-from alight.sources.photo_pose import BODY_FROM_CAM
+from alight.photos.reading.photo_pose import BODY_FROM_CAM
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "training"))

@@ -18,6 +18,12 @@ from length import first, long
 from numpy.testing import assert_allclose
 from waiting import wait_until
 
+from alight.flight.live import Capacity, FlightHealth, LaneState, Listener, Live
+from alight.flight.live.effort import EffortControl
+from alight.flight.live.mailbox import Closed, Mailbox
+from alight.flight.live.nursery import Nursery
+from alight.flight.live.run import MOST_CELLS, for_flight
+from alight.flight.live.worker import LaneLost, Spec, Worker
 from alight.geometry import Camera
 from alight.pipeline import Decision, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
@@ -37,12 +43,6 @@ from alight.records import (
     Schedule,
     SettingsError,
 )
-from alight.runner.live import Capacity, FlightHealth, LaneState, Listener, Live
-from alight.runner.live.effort import EffortControl
-from alight.runner.live.mailbox import Closed, Mailbox
-from alight.runner.live.nursery import Nursery
-from alight.runner.live.run import MOST_CELLS, for_flight
-from alight.runner.live.worker import LaneLost, Spec, Worker
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
 

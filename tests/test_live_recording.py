@@ -20,6 +20,8 @@ from waiting import wait_until
 
 import alight_sim
 from alight.cli import call
+from alight.flight.live import Capacity, Listener, Live, run
+from alight.flight.live.stream_clock import Clocks, StreamClock
 from alight.geometry import Camera
 from alight.outputs import write_run
 from alight.outputs.folder_lock import release_folder
@@ -38,8 +40,6 @@ from alight.records import (
 )
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
 from alight.runner import replay
-from alight.runner.live import Capacity, Listener, Live, run
-from alight.runner.live.stream_clock import Clocks, StreamClock
 from alight.settings import load_settings
 from alight.sources import open_source
 from alight_sim import SimulatedFlight, default_rig, fly

@@ -18,10 +18,10 @@ import pytest
 from damage import STEP, T0, change_field, write_camera, write_flight
 
 import alight_sim
+from alight.flight.live.telemetry import with_telemetry
 from alight.geometry import Camera
 from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
 from alight.runner.home import flown_home
-from alight.runner.live.telemetry import with_telemetry
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
 from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
@@ -349,7 +349,7 @@ def free_port() -> int:
 
 
 def test_an_autopilot_that_is_not_there_says_so(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("alight.runner.live.telemetry.PATIENCE", 0.1)
+    monkeypatch.setattr("alight.flight.live.telemetry.PATIENCE", 0.1)
     film = film_of(str(tmp_path))
     with pytest.raises(InputError, match="no heartbeat"):
         with_telemetry(open_live(f"video:{film},video:{film}", Settings(), rig=log), f"udp:127.0.0.1:{free_port()}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from alight.runner.mean_tie import COUNT, JUMP, MeanTie
+from alight.trials.mean_tie import COUNT, JUMP, MeanTie
 
 
 def test_the_noise_of_reports_is_averaged() -> None:

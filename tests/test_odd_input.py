@@ -20,8 +20,8 @@ from some_run import some_run
 
 from alight.cli import call
 from alight.geometry import LocalFrame
-from alight.motion.bundle.summary import fixed_attitudes
 from alight.outputs import write_run
+from alight.photos.bundle.summary import fixed_attitudes
 from alight_sim.autopilot import UdpServer
 
 Told = pytest.CaptureFixture[str]

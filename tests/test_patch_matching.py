@@ -13,11 +13,11 @@ pytest.importorskip("pycolmap")
 
 from alight.arrays import F64
 from alight.geometry import Camera, so3_exp
-from alight.motion.bundle import patch_matching
-from alight.motion.bundle import patch_matching_kernels as kernels
-from alight.motion.bundle.lenses import PhotoLenses
-from alight.motion.bundle.matching import BundleObservations
-from alight.motion.bundle.solver import BundleState, Priors, project_points
+from alight.photos.bundle import patch_matching
+from alight.photos.bundle import patch_matching_kernels as kernels
+from alight.photos.bundle.lenses import PhotoLenses
+from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.solver import BundleState, Priors, project_points
 from alight.records import Frame
 
 SIDE = 2 * kernels.HALF + 3

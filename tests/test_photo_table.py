@@ -15,12 +15,12 @@ from PIL import Image, PngImagePlugin
 
 from alight.cli import call
 from alight.geometry import enu_from_flu
-from alight.motion.bundle.adjust import adjust
+from alight.photos.bundle.adjust import adjust
+from alight.photos.reading.photo_pose import BODY_FROM_CAM
+from alight.photos.reading.photos import Photos
 from alight.records import Frame, NavSample, PhotoFacts, PhotoOutcome, PhotoRow
 from alight.settings import BundleSettings, load_settings
 from alight.sources import open_source
-from alight.sources.photo_pose import BODY_FROM_CAM
-from alight.sources.photos import Photos
 
 PARROT, AUTEL = "http://www.parrot.com/drone-parrot/1.0/", "http://www.autelrobotics.com/drone-autel/1.0/"
 YUNEEC, SKYDIO = "http://www.yuneec.com/drone-yuneec/1.0/", "https://www.skydio.com/drone-skydio/1.0/"

@@ -20,9 +20,9 @@ from drawn_photos import SMALL, draw_photos
 from alight.cli import call
 from alight.jobs import InTurn, KeptHere, Sent, Task
 from alight.outputs.work_folder import WORK, WorkFolder
+from alight.photos.work import SavedJobs
+from alight.photos.work.packing import is_whole, pack_result, unpack_result
 from alight.records import InputError
-from alight.runner.work import SavedJobs
-from alight.runner.work.packing import is_whole, pack_result, unpack_result
 
 RASTERS = ("dem.tif", "flags.tif", "ortho.tif", "safe.tif", "reasons.tif", "terrain.tif", "trajectory.csv")
 

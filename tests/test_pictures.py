@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from alight.flight.session.pictures import PictureWatch
 from alight.records import Frame
-from alight.runner.pictures import PictureWatch
 
 S = 1_000_000_000
 

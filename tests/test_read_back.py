@@ -16,11 +16,11 @@ from alight.cli import call
 from alight.outputs import folder, write_run
 from alight.outputs.recorder import Recorder
 from alight.outputs.work_folder import WORK
+from alight.photos.work import saved
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead
-from alight.runner.campaign import run as campaign_run
-from alight.runner.work import saved
 from alight.settings import ImuNoise, Settings
 from alight.sources import open_source
+from alight.trials.campaign import run as campaign_run
 
 DAMAGED = {
     "nested a thousand deep": b"[" * 1000 + b"]" * 1000,

@@ -16,14 +16,14 @@ from PIL.TiffImagePlugin import IFDRational
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame, enu_from_flu, so3_log
+from alight.photos.reading.photo_pose import BODY_FROM_CAM
+from alight.photos.reading.photo_tags import finite
+from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
+from alight.photos.reading.photos import SECOND, _spread
 from alight.records import Event, Frame, InputError, NavSample
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight.sources.images import has_end, image_size, read_image
-from alight.sources.photo_pose import BODY_FROM_CAM
-from alight.sources.photo_tags import finite
-from alight.sources.photo_xmp import parse_xmp, salvage_xmp
-from alight.sources.photos import SECOND, _spread
 
 
 def opened(path: Path, *assignments: str) -> Source:

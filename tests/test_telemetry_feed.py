@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from alight.autopilot import RemoteVehicle
+from alight.flight.autopilot import RemoteVehicle
+from alight.flight.live.telemetry import TelemetryFeed
 from alight.records import FlightMode, NoticeKind
-from alight.runner.live.telemetry import TelemetryFeed
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 from alight_sim.autopilot.dialects import Doing
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.autopilot import Autopilot, TelemetryEvents
+from alight.flight.autopilot import Autopilot, TelemetryEvents
 
 SECOND = 1_000_000_000
 HEARD = (

@@ -17,9 +17,9 @@ from alight.settings.base import FrozenModel
 if TYPE_CHECKING:
     from alight.checks import CheckResult
     from alight.evaluation import Evaluation
-    from alight.report.campaign import CampaignNumbers
     from alight.sources import Source
     from alight.training.confusion import Confusion
+    from alight.trials.report import CampaignNumbers
     from alight_sim import SimulatedFlight
     from alight_sim.scene import Scene
 
@@ -125,9 +125,9 @@ def run(
         AlightError: the input or a setting cannot be used; the message says how to mend it.
     """
     from alight.outputs import FileStore
+    from alight.photos.work import cluster_jobs
     from alight.runner.home import known_home, with_home
     from alight.runner.replay import prior_heights, replay, settings_for
-    from alight.runner.work import cluster_jobs
     from alight.sources import open_source
 
     chosen = settings_of(settings, lander)
@@ -233,7 +233,7 @@ def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quie
     Raises:
         OutputError: the folder holds other files (and not `overwrite`), or cannot be written.
     """
-    from alight.runner.demo import fly_demo
+    from alight.trials.demo import fly_demo
 
     with single_threaded_algebra():
         landing = fly_demo(Path(out), seed, Settings(), overwrite, progress)
@@ -267,7 +267,7 @@ def campaign(
     Raises:
         AlightError: no such scene, or the folder is another campaign's, or has more landings.
     """
-    from alight.runner.campaign import Campaign, fly_campaign, wanted_landings
+    from alight.trials.campaign import Campaign, fly_campaign, wanted_landings
 
     planned = Campaign.of(scenes, wanted_landings(Path(out), landings), seed, settings_of(settings))
     return fly_campaign(planned, Path(out), jobs, scheduler)
@@ -275,7 +275,7 @@ def campaign(
 
 def warmup(progress: Progress = _quiet) -> None:
     """Compile all loops, so that the first run does not wait for it."""
-    from alight.runner import demo as shown
+    from alight.trials import demo as shown
 
     with single_threaded_algebra():
         shown.compile_kernels(progress)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from alight.autopilot import Autopilot, RemoteVehicle, TelemetryEvents
+from alight.flight.autopilot import Autopilot, RemoteVehicle, TelemetryEvents
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, Notice, NoticeKind
 from alight_sim.autopilot import LossyChannel, SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4

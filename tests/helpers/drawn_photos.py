@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from alight.geometry import Camera, LocalFrame, enu_from_flu
-from alight.sources.photo_pose import BODY_FROM_CAM
+from alight.photos.reading.photo_pose import BODY_FROM_CAM
 
 F64 = NDArray[np.float64]
 CAMERA = Camera(400, 320, 430.0, 430.0, 199.5, 159.5)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from alight.flight.live.lanes import JudgingProcess, MappingProcess, NavigationProcess
 from alight.pipeline.mapping import MapSnapshot, MapUpdate
 from alight.pipeline.navigation import FrameBatch, Navigation
-from alight.runner.live.lanes import JudgingProcess, MappingProcess, NavigationProcess
 
 
 @dataclass(frozen=True)

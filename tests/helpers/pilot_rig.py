@@ -9,11 +9,11 @@ import numpy as np
 from autopilot_rig import LOCAL, Rig
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from alight.flight.session.order_taker import OrderTaker
+from alight.flight.session.pilot import LandingPilot, PilotView
 from alight.geometry import Pose
 from alight.records import Frame, Motion, MotionState
 from alight.records.executive import FlightState, LookRecord, Seen, Transition
-from alight.runner.fly.order_taker import OrderTaker
-from alight.runner.fly.pilot import LandingPilot, PilotView
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError
 from alight_sim.point_mass import FlightLimits, PointMass

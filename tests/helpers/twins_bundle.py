@@ -8,9 +8,9 @@ import numpy as np
 
 from alight.arrays import F64, I64
 from alight.geometry import Camera, skew, so3_exp
-from alight.motion.bundle.lenses import PhotoLenses, lens_camera
-from alight.motion.bundle.matching import BundleObservations
-from alight.motion.bundle.solver import BundleState, Priors
+from alight.photos.bundle.lenses import PhotoLenses, lens_camera
+from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.solver import BundleState, Priors
 
 FAR = 1e4  # px, the residual of a point behind the camera
 

@@ -21,7 +21,7 @@ from alight.records import InputError, p_safe_text
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS
 
 if TYPE_CHECKING:
-    from alight.runner.campaign import Campaign, Ended
+    from alight.trials.campaign import Campaign, Ended
 
 WRONG = 3  # exit code: landings failed, or one that was flown again differs from its line, or has none
 
@@ -54,7 +54,7 @@ def campaign(
     """Fly many simulated landings in closed loop and report their outcomes; an interrupted campaign is continued."""
     assign = [*(assign or []), *([] if look_again is None else [f"executive.look_again={str(look_again).lower()}"])]
     chosen = read_settings(settings, assign)
-    from alight.runner import campaign as runner
+    from alight.trials import campaign as runner
 
     if scenes:
         planned = runner.Campaign.of(scenes, runner.wanted_landings(out, landings), seed or 0, chosen)
@@ -78,7 +78,7 @@ def campaign(
 
 
 def _again(planned: Campaign, out: Path, only: int) -> None:
-    from alight.runner import campaign as runner
+    from alight.trials import campaign as runner
 
     found = runner.again(planned, out, only)
     say(found.record.model_dump_json())

@@ -42,7 +42,7 @@ from alight.records.executive import FlightState
 
 if TYPE_CHECKING:
     from alight.checks import CheckResult
-    from alight.runner.fly import FlightOutcome, FlightStatus
+    from alight.flight.session import FlightOutcome, FlightStatus
     from alight_sim.oracle import Touchdown
 
 PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begins
@@ -89,7 +89,7 @@ def fly(
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = read_settings(settings, assign)
     refuse_unused(camera, False, rig)
-    from alight.runner.fly import FlightRequest, fly_vehicle
+    from alight.flight.session import FlightRequest, fly_vehicle
     from alight.runner.home import wanted_home
 
     request = FlightRequest(
@@ -184,7 +184,7 @@ def _size(width: int) -> tuple[int, int]:
 
 
 def _follow(link: str, scene: str, seed: int, folder: Path, width: int, rate: float, seconds: float) -> None:
-    from alight.runner.fly.follow import follow_vehicle
+    from alight.trials.rehearse import follow_vehicle
     from alight_sim.followed import FollowedCameras
 
     cameras, found = FollowedCameras(scene, seed, size=_size(width), rate_hz=rate, start=PLACE), None

@@ -81,15 +81,15 @@ def live(
     """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
     chosen = read_settings(settings, assign)
     refuse_unused(source, follow, rig, speed)
+    from alight.flight.live.health import FlightHealth
+    from alight.flight.live.run import fly_live
     from alight.runner.home import flown_home, wanted_home, with_home
-    from alight.runner.live.health import FlightHealth
-    from alight.runner.live.run import fly_live
     from alight.sources.live import open_live
 
     wanted = wanted_home(home, geoid)
     opened = open_live(source, chosen, speed, follow, rig)
     if telemetry is not None:
-        from alight.runner.live.telemetry import with_telemetry
+        from alight.flight.live.telemetry import with_telemetry
 
         opened = with_telemetry(opened, telemetry, separation)
     with Display(console=stderr, transient=True, auto_refresh=False) as display:

@@ -128,8 +128,8 @@ def demo(
 ) -> None:
     """Land a simulated vehicle: search, look, look again from lower down, touch down."""
     chosen = read_settings(settings, assign)
-    from alight.runner import demo as show
     from alight.runner import replay
+    from alight.trials import demo as show
 
     with progress_bar() as tell:
         landing = show.fly_demo(out, seed, chosen, force, tell)
@@ -155,7 +155,7 @@ def show_settings(
 @app.command()
 def warmup(verbose: VerboseOption = False) -> None:
     """Compile all loops, so that the first run does not wait for it."""
-    from alight.runner import demo as show
+    from alight.trials import demo as show
 
     with progress_bar() as tell:
         show.compile_kernels(tell)

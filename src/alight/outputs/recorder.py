@@ -112,7 +112,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._write_all, daemon=True)
         self._thread.start()
 
-    # -- called by a live run (`alight.runner.live.Diary`)
+    # -- called by a live run (`alight.flight.live.Diary`)
 
     def event(self, event: Event) -> None:
         """Record an event as it came in."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.autopilot.border import EstimateTie
-from alight.autopilot.mission_item import MissionItem, mission_of
+from alight.flight.autopilot.border import EstimateTie
+from alight.flight.autopilot.mission_item import MissionItem, mission_of
 from alight.geometry import LocalFrame
 from alight.records import Home, Place, PlaceSigma, Route, Site, Sites, Waypoint
 from alight.settings import Settings

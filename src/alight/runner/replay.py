@@ -12,10 +12,10 @@ from pathlib import Path
 from alight.elevation import TileStore
 from alight.jobs import Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
+from alight.photos.work import SavedJobs, cluster_jobs, work_key
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
 from alight.runner.home import with_home
-from alight.runner.work import SavedJobs, cluster_jobs, work_key
 from alight.settings import Settings
 from alight.sources import Described, Source, open_source, read_tum
 from alight.sources.library import read_model

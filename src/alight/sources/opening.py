@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from alight.photos.reading.photo_finding import find_photos
+from alight.photos.reading.photos import Photos
+from alight.photos.reading.video import SUFFIXES as VIDEOS
+from alight.photos.reading.video import open_video
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources.flight_log import FlightLog
-from alight.sources.photo_finding import find_photos
-from alight.sources.photos import Photos
 from alight.sources.recording import Recording
 from alight.sources.source import Source
-from alight.sources.video import SUFFIXES as VIDEOS
-from alight.sources.video import open_video
 
 LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
 

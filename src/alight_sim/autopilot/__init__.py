@@ -1,4 +1,4 @@
-"""A simulated autopilot (Copter, PX4) over MAVLink, with a vehicle of its own; no code of `alight.autopilot`."""
+"""A simulated autopilot (Copter, PX4) over MAVLink, with a vehicle of its own; no code of `alight.flight.autopilot`."""
 
 from alight_sim.autopilot.channel import LossyChannel
 from alight_sim.autopilot.dialects import SpokenArduPilot, SpokenPx4

@@ -6,7 +6,7 @@ There are three ways to find it behind one interface: the filter, given poses, b
 from __future__ import annotations
 
 from alight.jobs import Jobs
-from alight.pipeline.navigation.bundle import BundleLane
+from alight.photos.lane import BundleLane
 from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch, Handover, TrackedFrame
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.navigation.lane import Navigation, NavigationLane, TimedPoses, Trajectory

@@ -3,7 +3,7 @@
 Two halves may run at the same time and give the same bits for any schedule: while the filter takes one exposure, the
 next one is tracked. So every exposure is predicted from the filter's state after the last exposure but one, even if the
 last one is done; the IMU propagates that state. There is no thread here: `feed` calls the halves one after the other,
-and `alight.runner.live` calls them on two threads.
+and `alight.flight.live` calls them on two threads.
 """
 
 from __future__ import annotations

@@ -1,0 +1,24 @@
+"""The autopilot: MAVLink 2 as a protocol machine without I/O, and links. NED, FRD and sea level stay in here."""
+
+from alight.flight.autopilot.autopilot import Autopilot
+from alight.flight.autopilot.border import EstimateTie, metres_between
+from alight.flight.autopilot.links import Link, open_link
+from alight.flight.autopilot.mission_item import MissionItem, mission_of
+from alight.flight.autopilot.remote_vehicle import RemoteVehicle
+from alight.flight.autopilot.setpoints import Setpoint
+from alight.flight.autopilot.streams import StreamRate
+from alight.flight.autopilot.telemetry_events import TelemetryEvents
+
+__all__ = [
+    "Autopilot",
+    "EstimateTie",
+    "Link",
+    "MissionItem",
+    "RemoteVehicle",
+    "Setpoint",
+    "StreamRate",
+    "TelemetryEvents",
+    "metres_between",
+    "mission_of",
+    "open_link",
+]

@@ -1,0 +1,161 @@
+"""The protocol machine: bytes in; bytes, telemetry and notices out. No socket, no thread, no clock of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from alight.flight.autopilot.clock import VehicleClock
+from alight.flight.autopilot.firmware import HOVERS, firmware_of
+from alight.flight.autopilot.framing import FrameCounts, Framing, Heard
+from alight.flight.autopilot.pymavlink_dialect import message
+from alight.flight.autopilot.remote_vehicle import AUTOPILOT, RemoteVehicle
+from alight.records import ImuSample, NavSample, Notice, NoticeKind, Telemetry
+
+COMPANION = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+_ONBOARD, _NO_AUTOPILOT = 18, 8  # MAV_TYPE, MAV_AUTOPILOT
+_HEARTBEAT_NS = 1_000_000_000
+
+
+class TelemetryTaker(Protocol):
+    """Receiver of a vehicle's messages: `TelemetryEvents`, or a class of your own."""
+
+    starts: int  # number of the autopilot's start that the taken messages belong to
+
+    def forget(self, starts: int) -> None:
+        """Begin anew after a restart of the autopilot; `starts` counts its starts."""
+
+    def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
+        """Take a message; return the samples that are complete now, in order."""
+
+
+class Autopilot:
+    """One vehicle over MAVLink 2: ArduPilot's Copter or PX4's multicopter.
+
+    `receive` what a link gives and call `tick` ten times a second or more; send the datagrams of `pending`; read
+    `notices`, `samples` and `telemetry`. All times are of one monotonic clock of ours, in nanoseconds.
+
+    The vehicle is the first autopilot that sends a heartbeat. Other senders are not listened to.
+
+    Args:
+        rates: Hz of further streams, or other rates of the default streams; 0: not requested.
+        events: makes GPS/INS rows and IMU samples of the telemetry; None: they are not made.
+        system: number of the vehicle on a link with several; None: the first.
+        component: our component number on the link.
+
+    Raises:
+        MissingExtraError: pymavlink is not installed.
+    """
+
+    def __init__(
+        self,
+        rates: Mapping[str, float] | None = None,
+        events: TelemetryTaker | None = None,
+        system: int | None = None,
+        component: int = COMPANION,
+    ) -> None:
+        self._framing = Framing(system or 1, component)
+        self._wanted, self._component = system, component
+        self._events, self._rates = events, dict(rates or {})
+        self._out: list[bytes] = []
+        self._notices: list[Notice] = []
+        self._samples: list[NavSample | ImuSample] = []
+        self._refused: set[int] = set()
+        self._heartbeat_ns: int | None = None
+        self._now_ns = 0
+        self.vehicle: RemoteVehicle | None = None  # takes the orders; None: not heard yet
+
+    @property
+    def telemetry(self) -> Telemetry | None:
+        """The newest report of everything heard from the vehicle; it does not change later. None: not heard yet."""
+        return None if self.vehicle is None else self.vehicle.telemetry
+
+    @property
+    def counts(self) -> FrameCounts:
+        """Messages, unknown messages and damaged bytes since the link was opened."""
+        return self._framing.counts
+
+    def pending(self) -> list[bytes]:
+        """Datagrams to send; each is handed out once."""
+        out, self._out = self._out, []
+        return out
+
+    def notices(self) -> list[Notice]:
+        """State changes of the vehicle, and its answers to orders, since the last call; each is handed out once."""
+        out, self._notices = self._notices, []
+        return out
+
+    def samples(self) -> list[NavSample | ImuSample]:
+        """GPS/INS rows and IMU samples; each is handed out once."""
+        out, self._samples = self._samples, []
+        return out
+
+    def tick(self, now_ns: int) -> None:
+        """Let time pass: heartbeats, requests, retries.
+
+        Args:
+            now_ns: of our clock; never less than before.
+        """
+        self._now_ns = max(now_ns, self._now_ns)
+        if self._heartbeat_ns is None or self._now_ns - self._heartbeat_ns >= _HEARTBEAT_NS:
+            self._heartbeat_ns = self._now_ns
+            self._send(
+                message("HEARTBEAT", type=_ONBOARD, autopilot=_NO_AUTOPILOT, base_mode=0, custom_mode=0,
+                        system_status=4, mavlink_version=3)
+            )  # fmt: skip
+        if self.vehicle is not None:
+            self.vehicle.tick(self._now_ns)
+
+    def look(self, now_ns: int) -> bool:
+        """Test whether ticks still come, from a thread that gives orders while another one listens and ticks.
+
+        Args:
+            now_ns: of the clock that ticks.
+
+        Returns:
+            False: they have stopped for more than a second, and over several calls. The vehicle counts as lost, and no
+            order may be sent: the state of the vehicle and its pilot are unknown.
+        """
+        self._now_ns = max(now_ns, self._now_ns)
+        return self.vehicle is None or self.vehicle.look(self._now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take bytes as they came, in pieces of any length; no content can raise an exception."""
+        self._now_ns = max(now_ns, self._now_ns)
+        for heard in self._framing.decode(data, now_ns):
+            if self.vehicle is None and heard.name == "HEARTBEAT":
+                self.vehicle = self._met(heard)
+            if self.vehicle is not None and (heard.system, heard.component) == (self.vehicle.system, AUTOPILOT):
+                self._take(self.vehicle, heard)
+
+    def _take(self, vehicle: RemoteVehicle, heard: Heard) -> None:
+        if not vehicle.hear(heard, self._now_ns) or self._events is None:
+            return
+        if vehicle.starts > self._events.starts:
+            self._events.forget(vehicle.starts)
+        self._samples += self._events.feed(heard.name, heard.message, vehicle.clock)
+
+    def _met(self, heard: Heard) -> RemoteVehicle | None:
+        m, system = heard.message, heard.system
+        if heard.component != AUTOPILOT or m.autopilot == _NO_AUTOPILOT or self._wanted not in (None, system):
+            return None
+        firmware = firmware_of(m.autopilot)
+        if firmware is None or m.type not in HOVERS:
+            self._refuse(system, "autopilot" if firmware is None else "kind of vehicle")
+            return None
+        self._framing.speak_as(system, self._component)
+        self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
+        us = (system, self._component)
+        return RemoteVehicle(firmware, system, us, self._rates, self._send, self._note, m.type)
+
+    def _refuse(self, system: int, what: str) -> None:
+        if system not in self._refused:
+            self._refused.add(system)
+            text = f"system {system}: this {what} is not supported (ArduPilot's Copter, PX4's multicopter)"
+            self._note(NoticeKind.FOUND, text, ok=False)
+
+    def _send(self, outgoing: Any) -> None:
+        self._out.append(self._framing.encode(outgoing))
+
+    def _note(self, kind: NoticeKind, text: str, ok: bool = True, **more: Any) -> None:
+        self._notices.append(Notice(self._now_ns, kind, text, ok, **more))

@@ -1,0 +1,93 @@
+"""The places that a search has seen and those refused from near by, and the choice of the next one to visit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from alight.flight.executive.opinion import Standing, opinion
+from alight.records import Site, Terrain
+from alight.records.executive import Seen
+from alight.settings import StageSettings
+
+PLAIN = (Terrain.BARE, Terrain.PAVED)
+
+
+class KnownPlaces:
+    """Listed places as they were seen last, without those that were refused.
+
+    Args:
+        settings: of all stages; `executive` and `hazards.p_safe` are used.
+    """
+
+    def __init__(self, settings: StageSettings) -> None:
+        self._keys, self._limit = settings.executive, settings.hazards.p_safe
+        self._noted: list[Site] = []
+        self._noted_by = 0  # verdict
+        self._refused: list[tuple[float, float]] = []
+
+    @property
+    def refused(self) -> int:
+        """Number of places that were refused from near by."""
+        return len(self._refused)
+
+    @property
+    def fates(self) -> str:
+        """Reason why no place was landed on, in words to end a sentence with; empty: no place was known."""
+        refused = f"; {self.refused} places were refused from near by" if self.refused else ""
+        return f"{refused}; something stands beside what is left" if self.best() is not None else refused
+
+    def note(self, seen: Seen) -> None:
+        """Remember the listed places of a new verdict, in place of earlier ones on the same ground."""
+        if seen.number <= self._noted_by:
+            return
+        self._noted_by = seen.number
+        listed = [p for p in seen.sites.listed if self._keys.look_again or self.worth_a_visit(p)]
+        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + listed
+
+    def refuse(self, place: Site | None) -> None:
+        """Never visit a place again."""
+        if place is not None:
+            self._refused.append((place.east, place.north))
+
+    def is_refused(self, place: Site) -> bool:
+        """True if the place is, or lies beside, one that was refused."""
+        return any(math.hypot(place.east - e, place.north - n) < self._keys.banned for e, n in self._refused)
+
+    def forget(self) -> None:
+        """Forget all places, noted and refused."""
+        self._refused.clear()
+        self._noted.clear()
+
+    def best(self, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
+        """The best place known that was not refused before: sites first, then candidates by P(safe) and kind of ground.
+
+        Args:
+            is_open: True if a way across a place is clear.
+
+        After k candidates refused from near by, the next one is a site with a probability of 1 / (k + 2) (rule of
+        succession). When that is small, they are not worth the time and the battery.
+        """
+        hopeless = self.refused >= self._keys.visits
+        free = [p for p in self._noted if not self.is_refused(p) and (p.kind == "site" or not hopeless)]
+        return next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
+
+    def _rank(self, place: Site) -> tuple[bool, float]:
+        """Sites before candidates; bare and paved ground counts more: near looks settle doubt there, not on grass."""
+        return place.kind == "site", place.p_safe + (self._keys.plain if place.terrain in PLAIN else 0.0)
+
+    def worth_a_visit(self, place: Site) -> bool:
+        """True if the search is broken off for a place: a site, or a good candidate as long as few were refused."""
+        few = self.refused < self._keys.tries_at_once
+        return place.kind == "site" or (few and place.p_safe >= self._keys.at_once)
+
+    def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
+        """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""
+        others = [p for p in self._noted if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned]
+        free = [p for p in others if not self.is_refused(p) and self.worth_a_visit(p)]
+        best = next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
+        return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None
+
+    def _judged_in(self, place: Site, seen: Seen) -> bool:
+        """True if a verdict has an opinion of its own on a place."""
+        return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN

@@ -1,0 +1,161 @@
+"""The autopilot's telemetry as GPS/INS of a live run: a thread that listens, and events in the order of arrival."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Iterator, Mapping
+
+from alight.flight.autopilot import Autopilot, TelemetryEvents, open_link
+from alight.geometry import LocalFrame
+from alight.records import Event, InputError, NavSample
+from alight.sources.arrival import as_they_arrive
+from alight.sources.flight_log import CalibratedFolder
+from alight.sources.live import LiveSource
+
+log = logging.getLogger(__name__)
+
+READ = 0.02  # s that a read may wait
+PATIENCE = 30.0  # s until the autopilot must give a position
+
+
+class TelemetryFeed:
+    """Listens to an autopilot, and requests the streams that a flight needs. Stamps are of this machine's steady clock.
+
+    Args:
+        link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
+        local: the world; None: it begins at the first good position.
+        separation: metres, ellipsoid minus sea level; None: the receiver's.
+        rates: Hz of further streams, as of `Autopilot`.
+
+    Raises:
+        InputError: the link cannot be opened.
+    """
+
+    def __init__(
+        self, link: str, local: LocalFrame | None = None, separation: float | None = None,
+        rates: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
+        self.name = link
+        self._link = open_link(link)
+        self.events_of = TelemetryEvents(local, separation)
+        self.autopilot = Autopilot(rates, self.events_of)
+        self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
+        self._samples: queue.Queue[Event] = queue.Queue()
+        self._sending = threading.Lock()  # orders leave at once, and do not wait for the listener
+        self._ended, self._located = threading.Event(), False
+        self._trouble = ""  # the newest error of the listener
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def wait_for_position(self) -> LocalFrame:
+        """Wait until the autopilot has a position; return the world with its origin there.
+
+        Raises:
+            InputError: it has none within `PATIENCE` seconds, with the reason.
+        """
+        end = time.monotonic() + PATIENCE
+        while not self.located:
+            if time.monotonic() > end:
+                with self.lock:
+                    heard = self.autopilot.telemetry is not None
+                why = self.events_of.missing if heard else "no heartbeat of an autopilot is heard"
+                raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
+            time.sleep(READ)
+        assert self.events_of.local is not None
+        return self.events_of.local
+
+    @property
+    def located(self) -> bool:
+        """True if the autopilot has a position."""
+        return self._located and self.events_of.local is not None
+
+    def flush(self) -> None:
+        """Send the messages of orders. Call it twenty times a second: it tests whether the listener still runs.
+
+        If it does not, the vehicle counts as lost and nothing is sent: a pilot's takeover could not be noticed.
+        """
+        with self.lock:
+            deaf = not self.autopilot.look(time.monotonic_ns())
+            if deaf:
+                self.autopilot.pending()
+        if not deaf:
+            self._send()
+
+    def _send(self) -> None:
+        with self._sending:
+            with self.lock:
+                out = self.autopilot.pending()
+            for datagram in out:
+                self._link.write(datagram)
+
+    def events(self) -> Iterator[Event]:
+        """Rows of GPS/INS and IMU samples as they come, until `close`."""
+        while not self._ended.is_set():
+            try:
+                yield self._samples.get(timeout=READ)
+            except queue.Empty:
+                continue
+
+    def close(self) -> None:
+        """Stop listening, and close the link."""
+        self._ended.set()
+        self._link.close()
+
+    def _listen(self) -> None:
+        """Listen until `close`, whatever happens: a flight must not go on without telemetry."""
+        try:
+            while not self._ended.is_set():
+                try:
+                    self._hear()
+                except Exception as e:
+                    self._complain(e)
+        finally:
+            if not self._ended.is_set():
+                log.error("%s: the listener has ended; the autopilot is not heard any more", self.name)
+
+    def _complain(self, error: Exception) -> None:
+        """Log an error, once if it repeats, and wait a little before the next try."""
+        if repr(error) != self._trouble:
+            self._trouble = repr(error)
+            log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
+        time.sleep(READ)
+
+    def _hear(self) -> None:
+        heard = self._link.read(READ)
+        with self.lock:
+            for data in heard:
+                self.autopilot.receive(data, time.monotonic_ns())
+            self.autopilot.tick(time.monotonic_ns())
+            samples = self.autopilot.samples()
+        self._send()
+        for sample in samples:
+            self._located |= isinstance(sample, NavSample) and sample.position_world is not None
+            if self._located:
+                self._samples.put(sample)
+
+
+def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
+    """Combine pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
+
+    Raises:
+        InputError: the source is a recording, or the autopilot gives no position.
+    """
+    source = opened.source
+    if not isinstance(source, CalibratedFolder) or not opened.real_time:
+        raise InputError(f"{source.name}: has a clock of its own; --telemetry goes with cameras and folders that fill")
+    feed = TelemetryFeed(link, None, separation)
+    try:
+        source.locate(feed.wait_for_position())
+    except InputError:
+        feed.close()
+        raise
+
+    def events() -> Iterator[Event]:
+        try:
+            yield from as_they_arrive(opened.events, feed.events())
+        finally:
+            feed.close()
+
+    return LiveSource(source, events(), True, lambda: feed.autopilot.telemetry)

@@ -1,0 +1,278 @@
+"""The executive's orders for an autopilot: modes, guided set-points and landing targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
+from alight.flight.session.contact import Contact
+from alight.flight.session.near import near_way, own_way
+from alight.flight.session.order_taker import OrderTaker, words_of
+from alight.geometry import LocalFrame
+from alight.records import FlightMode, Landed, Motion, Place
+from alight.records.executive import FlightState, Order
+
+AGAIN_NS = 2_000_000_000  # until a mode that was refused is ordered again
+OFTEN = 3  # refusals in a row, after which a person is warned
+GRACE_NS = 2_000_000_000  # from the answer to a mode until heartbeats must show it
+BELOW = 1.5  # m below a high site, the target of guidance
+STAYS, STAY_SPEED, STAY_SINK = 5.0, 1.0, 0.5  # m and m/s: the way back to the held place is short, and slow
+LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
+
+
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """The way to a target, in our frame and the autopilot's."""
+
+    tie: EstimateTie
+    here: F64  # (3,) metres in our frame, the vehicle now
+    way: F64  # (3,) metres, from it to the target
+    goal: Place  # the target
+
+
+class OrderSender:
+    """Carries out the executive's orders, one call a tick.
+
+    A place is sent relative to the autopilot's own estimate at the instant of the motion that it is relative to.
+
+    Args:
+        vehicle: the autopilot's reports.
+        hand: takes the orders.
+        local: the world, for degrees.
+        farthest: metres over the ground and upwards to a target: beyond that a position has jumped.
+        stale: s, age of the autopilot's position beyond which it is ordered to hold by itself.
+        tell: called with warnings to a person, in words.
+    """
+
+    def __init__(
+        self, vehicle: RemoteVehicle, hand: OrderTaker, local: LocalFrame,
+        farthest: tuple[float, float] = (math.inf, math.inf), stale: float = 1.5,
+        tell: Callable[[str], None] = lambda words: None,
+    ) -> None:  # fmt: skip
+        self._vehicle, self.hand, self._local, self._tell = vehicle, hand, local, tell
+        self._farthest, self._stale = farthest, stale
+        self._next = near_way if hand is vehicle else _whole_way  # orders in words are given with their goal
+        self._mode: FlightMode | None = None  # ordered
+        self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
+        self._accepted_ns: int | None = None  # instant at which the mode was accepted
+        self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
+        self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and the instant from which it is wanted
+        self._held: tuple[Place, int] | None = None  # held place, and instant of its last order
+        self._contact = Contact()  # with a high site
+        self._site_above: float | None = None  # metres above home of the place of this landing; None: unknown
+
+    def obey(self, order: Order, state: FlightState, motion: Motion | None, now_ns: int) -> str:
+        """Carry out an order; return the action in words.
+
+        Args:
+            order: in the frame of the motion.
+            state: of the executive.
+            motion: the newest one; None: unknown. An order to land then leads straight down.
+            now_ns: our clock.
+        """
+        if order.what == "nothing":
+            self.hand.release()
+            return "nothing"
+        if order.what == "return":
+            self._fly_as(FlightMode.RETURN, now_ns)
+            return "return"
+        lands, known = order.what == "land", order.position is not None and motion is not None
+        if not (lands and order.down):
+            self._contact.forget()
+        if lands and order.down and not known:
+            return self._down(order, now_ns)
+        if order.position is None or motion is None:
+            return self._hold(state, now_ns)
+        if lands:
+            return self._land(order.position, order, motion, now_ns)
+        self._site_above = None
+        return self._go(order.position, order, motion, now_ns)
+
+    def stop(self, now_ns: int) -> bool:
+        """Order the autopilot to hold by itself; False: not ordered yet, call it again."""
+        return self._fly_as(FlightMode.HOLD, now_ns)
+
+    def answered(self, ticket: int | None, ok: bool, now_ns: int) -> None:
+        """Take the answer to a command: a mode that was refused is ordered again, a little later."""
+        if ticket != self._ticket:
+            return
+        self._ticket = -1
+        if ok:
+            self._accepted_ns, self._refusals = now_ns, 0
+            return
+        self._refusals += 1
+        if self._refusals == OFTEN and self._mode is not None:
+            self._tell(f"{self._mode.value} was refused {OFTEN} times: be ready to take over")
+        self._mode, self._refused_ns = None, now_ns
+
+    def strayed(self, now_ns: int) -> str:
+        """Return in words that another mode is flown than the one that was ordered and accepted; empty: it is that one.
+
+        A change of mode within seconds of our own order looks like its effect: this distinguishes them later.
+        """
+        heard = self._vehicle.telemetry
+        if self._mode is None or self._accepted_ns is None or not (self.hand.in_control and heard.armed):
+            return ""
+        if heard.mode is self._mode or self._heartbeat_ns(now_ns) < self._accepted_ns + GRACE_NS:
+            return ""
+        ends = heard.landed in (Landed.GROUND, Landed.UNKNOWN)  # it may change modes by itself at the end of a task
+        if ends and (self._mode, heard.mode) in self._vehicle.firmware.natural:
+            return ""
+        return f"{heard.mode_name} is flown, and {self._mode.value} was ordered: somebody else has changed it"
+
+    def _heartbeat_ns(self, now_ns: int) -> int:
+        """Arrival of the newest heartbeat, our clock."""
+        return now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
+
+    def _fly_as(self, mode: FlightMode, now_ns: int) -> bool:
+        """Order a mode, once; False: not yet.
+
+        Once we fly, the order waits for the next heartbeat: a pilot's switch since the last one is not undone.
+        """
+        if self._mode is mode:
+            self._wanted = None  # of another mode: it must not be ordered after an old heartbeat later
+            return True
+        if self._wanted is None or self._wanted[0] is not mode:
+            self._wanted = mode, now_ns
+        stale = self.hand.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
+        if stale or now_ns - self._refused_ns < AGAIN_NS:
+            return False
+        self._wanted = self._heading = self._accepted_ns = None
+        self._mode = mode
+        self._ticket = self.hand.set_mode(mode)
+        return True
+
+    def _hold(self, state: FlightState, now_ns: int) -> str:
+        """Hold: under guidance between two way-points, by the autopilot itself while an input is missing."""
+        here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
+        if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
+            self._held = None  # else it would fly to a place of an estimate that has jumped since
+            self._fly_as(FlightMode.HOLD, now_ns)
+            return "hold"
+        self._fly_as(FlightMode.GUIDED, now_ns)
+        kept = self._kept(here, now_ns)
+        self._held = kept, now_ns
+        stay = Setpoint(np.zeros(3), None, self._nose(), STAY_SPEED, STAY_SINK)
+        self.hand.guide(stay, EstimateTie(self._local, np.zeros(3), kept))
+        return "stay"
+
+    def _kept(self, here: Place, now_ns: int) -> Place:
+        """Return the place that was held so far, or `here` after a jump of the autopilot's estimate."""
+        if self._held is None or metres_between(self._held[0], here) > STAYS:
+            return here
+        flown = own_way(self._vehicle, self._local, self._held[1], now_ns)
+        return here if flown.way is None else self._held[0]
+
+    def _nose(self) -> float | None:
+        """The heading at which guidance began: without one ArduPilot turns the nose, and the pictures, on every leg."""
+        R = self._vehicle.telemetry.world_from_body
+        if self._heading is None and R is not None:
+            self._heading = math.atan2(float(R[0, 0]), float(R[1, 0]))
+        return self._heading
+
+    def _go(self, to: F64, order: Order, motion: Motion, now_ns: int) -> str:
+        leg = self._leg(to, motion, now_ns)
+        if leg is None:
+            return self._lost(motion, now_ns)
+        self._fly_as(FlightMode.GUIDED, now_ns)
+        return self._guide(leg, order)
+
+    def _lost(self, motion: Motion, now_ns: int) -> str:
+        """Hold, as no target can be made now; wait a little if positions are only late, as the last target is near."""
+        missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.doubts_place
+        if missing and self._vehicle.place_age <= self._stale:
+            return "wait: the autopilot's position is late"
+        self._contact.forget()
+        return f"{self._hold(FlightState.HOLD, now_ns)}: the autopilot's place is not known, or has jumped"
+
+    def _guide(self, leg: _Leg, order: Order) -> str:
+        """Send the next target on the way, whatever mode is flown."""
+        self._held = None
+        speed, sink = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
+        to = leg.here + self._next(leg.way, speed, sink)
+        self.hand.guide(Setpoint(to, None, self._nose(), speed, sink), leg.tie)
+        return f"fly to {words_of(leg.goal)}"
+
+    def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
+        """Fly over the place, or land with the target reported; an autopilot without targets goes straight down."""
+        site = self._leg(place, motion, now_ns)
+        goal = self._report(site, now_ns)
+        over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
+        lands = self._mode is FlightMode.LAND
+        if site is None:
+            stays = lands and order.down and self._fly_as(FlightMode.LAND, now_ns)
+            return "land" if stays else self._lost(motion, now_ns)
+        self._site_above = site.goal.above_home
+        if not order.down:
+            return self._go(over, order, motion, now_ns)
+        if self._is_high and not lands:
+            over = np.array([*place[:2], place[2] - BELOW])
+            if not self._contact.felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
+                return self._go(over, order, motion, now_ns)
+            over[:2] = site.here[:2]  # no push to the side on the ground
+        if not self._fly_as(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be ordered (again)
+            leg = self._leg(over, motion, now_ns)
+            return "land: not yet" if leg is None else self._guide(leg, order)
+        return "land" if goal is None else f"land on {words_of(goal)}"
+
+    def _down(self, order: Order, now_ns: int) -> str:
+        """Go straight down without a reported target: the vehicle is low, and our position is unknown."""
+        heard = self._vehicle.telemetry
+        self._held = None
+        guided = self._is_high and self._mode is not FlightMode.LAND
+        if guided and not self._contact.felt(None, order.sink, heard, now_ns):
+            self._fly_as(FlightMode.GUIDED, now_ns)
+            return self._sink(order)
+        return "land: straight down" if self._fly_as(FlightMode.LAND, now_ns) else self._sink(order)
+
+    def _sink(self, order: Order) -> str:
+        """Order a velocity straight down, whatever mode is flown."""
+        sink = max(order.sink, LEAST_SPEED)
+        self.hand.guide(Setpoint(None, np.array([0.0, 0.0, -sink]), self._nose()))
+        return f"straight down at {sink:.1f} m/s"
+
+    @property
+    def _is_high(self) -> bool:
+        """True if the autopilot's LAND comes down fast here, as its heights are relative to its home.
+
+        From 0.7 m above such a site it would reach 1.1 m/s (ArduPilot, 1 m/s^2; PX4 more).
+        """
+        here = self._vehicle.telemetry.place
+        above = self._site_above if self._site_above is not None else None if here is None else here.above_home
+        return above is not None and above > self._vehicle.firmware.high_site
+
+    def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
+        """Report the target; return its place, None: unknown now.
+
+        It is reported before the landing as well: ArduPilot needs two seconds of it, and stops if it lands without.
+        """
+        attitude = self._vehicle.telemetry.world_from_body
+        if site is None or attitude is None:
+            return None
+        return site.goal if self.hand.land_on(now_ns, site.way, attitude) else None
+
+    def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
+        """The way to a target; None: the autopilot's place is unknown, or one of the positions is impossible.
+
+        If its newest positions are late, the way begins at the vehicle's position of the exposure.
+        """
+        tie = self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
+        flown = own_way(self._vehicle, self._local, motion.t_ns, now_ns)
+        late = flown.way is None and self._vehicle.place_age > self._stale
+        if tie is None or flown.jumped or late:
+            return None
+        here = motion.world_from_body.translation + (0.0 if flown.way is None else flown.way)
+        way = np.asarray(to - here)
+        over, up = self._farthest
+        if not (np.isfinite(way).all() and math.hypot(way[0], way[1]) <= over and way[2] <= up):
+            return None
+        return _Leg(tie, here, way, tie.place_of(to))
+
+
+def _whole_way(way: F64, speed: float, sink: float) -> F64:
+    return way

@@ -1,0 +1,259 @@
+"""Checks before a landing begins, each with its evidence and a remedy."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from alight.checks import CheckResult
+from alight.checks.result import bad, good, unknown, warning
+from alight.flight.autopilot import RemoteVehicle, StreamRate
+from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
+from alight.settings import Settings
+
+LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures a second
+MOST_AGE = 1.0  # s between an exposure and its arrival
+OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
+MOST_SIGMA = 0.02  # s, of the autopilot's clock
+LEAST_MB, SPARE = 200.0, 1.5  # free on the disk; and factor on the expected size of the recording
+LOW = 2.0  # times the height to commit from, above home: a search that begins lower gives a warning
+BATTERY_MARGIN = 0.1
+LEAST_IMU = 25.0  # samples a second; more than 0.05 s between two are a gap
+FASTER = "use a faster link, or one without a ground station that asks for less (MAVProxy: set streamrate -1)"
+INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
+NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
+
+
+@dataclass(frozen=True)
+class CameraFacts:
+    """Counts and rates of the exposures that the cameras have given so far."""
+
+    frames: int = 0
+    rate: float = 0.0  # exposures a second
+    delay: float = math.nan  # s from the stamp of the newest to its arrival
+    frozen: int = 0  # in a row that repeat the one before
+
+
+def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
+    """Check the link, and the autopilot at its other end.
+
+    Args:
+        name: of the link.
+        messages: number of messages that were read from it.
+        vehicle: that was found; None: none.
+        refused: reason why a sender that was heard is not the vehicle; empty: none was heard.
+    """
+    if not messages:
+        mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
+        return [bad("link", f"nothing has come over {name}", mend)]
+    link = good("link", f"{messages} messages over {name}")
+    if vehicle is None:
+        what = refused or "messages come, but no heartbeat of an autopilot"
+        return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
+    if not vehicle.alive:
+        return [link, bad("autopilot", "its heartbeat has stopped", "see why; a landing needs it all the time")]
+    return [link, good("autopilot", f"{vehicle.firmware.name}, system {vehicle.system}, mode {_mode(vehicle)}")]
+
+
+def _mode(vehicle: RemoteVehicle) -> str:
+    return vehicle.telemetry.mode_name or "not known"
+
+
+def judge_vehicle(
+    vehicle: RemoteVehicle, missing: str, settings: Settings, take_off: bool, dry: bool, home_given: bool
+) -> list[CheckResult]:
+    """Check the autopilot by its telemetry: clock, streams, position, home, battery, wind, and whether it flies.
+
+    Args:
+        vehicle: that was found.
+        missing: reason why it gives no GPS/INS; empty: it does.
+        settings: limits of battery and wind.
+        take_off: it is to take off first.
+        dry: no message will be sent to it.
+        home_given: the user has named the home.
+    """
+    heard = vehicle.telemetry
+    return [
+        _clock(vehicle), _streams(vehicle.missing_streams, vehicle.stream_rates), _estimator(vehicle, missing),
+        _home(heard, home_given),
+        _battery(heard, settings.executive.least_battery), _wind(heard, settings.executive.most_wind),
+        _place(heard, take_off, dry, LOW * settings.executive.commit_height),
+    ]  # fmt: skip
+
+
+def _clock(vehicle: RemoteVehicle) -> CheckResult:
+    if not vehicle.clock.known:
+        return bad("clock", "no answer to TIMESYNC yet", "see that the autopilot hears this computer on the link")
+    if vehicle.clock.sigma > MOST_SIGMA:
+        late = f"the autopilot's clock is known to {1e3 * vehicle.clock.sigma:.0f} ms"
+        return warning("clock", late, "use a faster link: motion and pictures are tied by it")
+    return good("clock", f"the autopilot's clock is known to {1e3 * vehicle.clock.sigma:.1f} ms")
+
+
+def _streams(missing: Sequence[str], rates: Mapping[str, StreamRate]) -> CheckResult:
+    if needed := [n for n in missing if n in NEEDED]:
+        return bad(
+            "streams",
+            f"{', '.join(needed)} do not come",
+            "see that the link has room: 3 kB a second, 10 with IMU samples",
+        )
+    if others := [n for n in missing if n not in INERTIAL]:
+        return warning("streams", f"{', '.join(others)} do not come", "what they tell counts as fine")
+    if rare := {name: rate for name, rate in rates.items() if rate.slow and name not in INERTIAL}:
+        return warning("streams", _rates(rare), FASTER)
+    return good("streams", "all come" if not missing else "all others come")
+
+
+def _rates(rates: Mapping[str, StreamRate]) -> str:
+    return ", ".join(f"{name}: {r.measured:.1f} a second, {r.wanted:.0f} wanted" for name, r in rates.items())
+
+
+def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
+    """Check that IMU samples come, and often enough to be used.
+
+    Args:
+        vehicle: that was found.
+        wanted: samples a second that were requested; 0: none.
+    """
+    if wanted <= 0.0:
+        why = "none is requested: where this was tried, no height was measured"
+        return warning("IMU", why, "leave out --imu 0")
+    if wanted < LEAST_IMU:
+        return bad("IMU", f"{wanted:.0f} samples a second are requested", f"give --imu {LEAST_IMU:.0f} or more")
+    if missing := [n for n in vehicle.missing_streams if n in INERTIAL]:
+        why = f"{', '.join(missing)}: no sample has come for some seconds"
+        return bad("IMU", why, "see that the link has room for them; without any no height is measured")
+    rates = {name: rate for name, rate in vehicle.stream_rates.items() if name in INERTIAL}
+    if any(r.measured < LEAST_IMU for r in rates.values()):
+        return bad("IMU", _rates(rates), FASTER)
+    if any(r.slow for r in rates.values()):
+        return warning("IMU", _rates(rates), FASTER)
+    return good("IMU", "samples come")
+
+
+def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:
+    heard = vehicle.telemetry
+    if missing or not heard.has_position or heard.gps.fix < FIX_3D:
+        why = missing or "the autopilot's estimator has no absolute position"
+        return bad("position", why, "wait for GPS under an open sky, or mend what is named")
+    if heard.gps.horizontal > 5.0:
+        return warning("position", f"GPS is known to {heard.gps.horizontal:.1f} m", "wait for more satellites")
+    if (oldest := vehicle.oldest_place) > OLD_PLACE:
+        mend = "GLOBAL_POSITION_INT ten times a second, over a link with less delay; after 1.5 s the vehicle holds"
+        return warning("position", f"the newest is up to {oldest:.1f} s old", mend)
+    sigma = "not reported" if math.isnan(heard.gps.horizontal) else f"{heard.gps.horizontal:.1f} m"
+    return good("position", f"{heard.gps.satellites} satellites, 1-sigma {sigma}")
+
+
+def _home(heard: Telemetry, given: bool) -> CheckResult:
+    if heard.home is None:
+        why = "the autopilot reports none" + ("; yours is used for route.plan" if given else "")
+        return warning("home", why, "it is set at arming; a return leads there")
+    return good("home", f"{heard.home.latitude:.6f} {heard.home.longitude:.6f}, {heard.home.altitude_msl:.0f} m MSL")
+
+
+def _battery(heard: Telemetry, least: float) -> CheckResult:
+    share = heard.battery.share
+    if math.isnan(share):
+        return unknown("battery", "the autopilot does not report what is left: watch it yourself")
+    if share < least:
+        return bad("battery", f"{100 * share:.0f} %, a landing is given up below {100 * least:.0f} %", "charge it")
+    if share < least + BATTERY_MARGIN:
+        return warning("battery", f"{100 * share:.0f} %, given up below {100 * least:.0f} %", "charge it")
+    return good("battery", f"{100 * share:.0f} %")
+
+
+def _wind(heard: Telemetry, most: float) -> CheckResult:
+    speed = math.hypot(*heard.wind_world[:2])
+    if math.isnan(speed):
+        return unknown("wind", "the autopilot does not report it (ArduPilot: EK3_DRAG_...): judge it yourself")
+    if speed > most:
+        return bad("wind", f"{speed:.1f} m/s, limit {most:.1f}", "wait, or set executive.most_wind if the vehicle can")
+    return good("wind", f"{speed:.1f} m/s, limit {most:.1f}")
+
+
+def _place(heard: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
+    """Check that it is ready to take off, or flies at least `least` metres above home."""
+    above = "" if heard.place is None else f", {heard.place.above_home:.0f} m above home"
+    if heard.landed is Landed.GROUND or not heard.armed:
+        if take_off and heard.ready and heard.checks_off:
+            return warning(
+                "ready", "the autopilot's own checks before arming are off", "switch them on (ARMING_CHECK 1)"
+            )
+        if take_off and heard.ready:
+            return good("ready", "on the ground, and may be armed")
+        if take_off:
+            read = "read what it says; its ground station shows it, and PX4 may want one (NAV_DLL_ACT)"
+            return bad("ready", "the autopilot may not be armed", read)
+        if dry:
+            return warning("in the air", "it stands on the ground", "orders are shown for a vehicle in the air")
+        return bad("in the air", "it stands on the ground", "take off and hover, or give --take-off 30")
+    if take_off:
+        return bad("on the ground", f"it flies{above}", "leave out --take-off")
+    if heard.place is not None and heard.place.above_home < least:
+        why = f"it flies{above}: the search begins at that height, before a map tells what stands there"
+        return warning("in the air", why, "climb clear of everything about, unless home lies higher than that")
+    return good("in the air", f"it flies{above}")
+
+
+def judge_cameras(facts: CameraFacts) -> CheckResult:
+    """Check that new pictures come, often enough, and are stamped by the right clock."""
+    if not facts.frames:
+        return bad("pictures", "not one has come", "see that the camera gives pictures, or that the folder is filled")
+    seen = f"{facts.rate:.1f} exposures a second, {facts.delay:.2f} s old when they come"
+    if facts.frozen > 3:
+        return bad("pictures", f"the last {facts.frozen} are the same, bit for bit", "start the camera again")
+    if not abs(facts.delay) < MOST_AGE:
+        return bad("pictures", seen, "stamps must be of this machine's steady clock, and pictures come within 1 s")
+    if facts.rate < LEAST_RATE:
+        return bad("pictures", seen, f"at least {LEAST_RATE:.0f} a second are needed; less light, slow disk or link?")
+    if facts.rate < GOOD_RATE:
+        return warning("pictures", seen, f"{GOOD_RATE:.0f} a second or more are better")
+    return good("pictures", seen)
+
+
+def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, record: bool) -> list[CheckResult]:
+    """Check that the loops are compiled, and that the disk has room for the recording.
+
+    Args:
+        warm: all loops are compiled.
+        out: folder of the results.
+        rig: the cameras.
+        rate: exposures a second that are expected.
+        seconds: of flight that are expected.
+        record: a recording will be made.
+    """
+    mend = "run 'alight warmup' once; it takes minutes"
+    loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)
+    free = shutil.disk_usage(out).free * 1e-6
+    size = sum(c.camera.width * c.camera.height for c in rig.cameras) * 3e-6
+    need = size * rate * seconds * SPARE if record else 0.0
+    if free < LEAST_MB:
+        disk = bad("disk", f"{free:.0f} MB are free in {out}", "free some space, or choose another folder with --out")
+    elif free < need:
+        disk = warning(
+            "disk", f"{free:.0f} MB are free, the recording may need {need:.0f}", "give --no-record, or less"
+        )
+    else:
+        disk = good("disk", f"{free:.0f} MB are free, the recording may need {need:.0f}")
+    return [loops, disk]
+
+
+def judge_motion(motion: Motion | None, age: float) -> CheckResult:
+    """Check that the motion is known.
+
+    Args:
+        motion: the newest; None: none yet.
+        age: s of its exposure.
+    """
+    if motion is None or age > MOST_AGE:
+        return bad("motion", "none is known yet", "see that pictures show ground, and that the calibration fits")
+    if motion.state in (MotionState.LOST, MotionState.INITIALISING):
+        return bad("motion", motion.why or motion.state.name.lower(), "wait, or run 'alight check' on a recording")
+    if motion.state is MotionState.DEGRADED:
+        return warning("motion", motion.why, "run 'alight check' on a recording of this rig")
+    sigma = math.sqrt(max(float(motion.covariance[:3, :3].diagonal().max()), 0.0))
+    return good("motion", f"{motion.tracks} features, {age:.2f} s old, place known to {sigma:.1f} m")

@@ -1,0 +1,81 @@
+"""A take-off: guided mode, motors, up to a height."""
+
+from __future__ import annotations
+
+from alight.flight.autopilot import RemoteVehicle
+from alight.flight.session.order_taker import OrderTaker
+from alight.records import FlightMode, Landed, Telemetry
+
+NEAR = 0.95  # share of the height that counts as all of it
+LIFTED = 1.0  # m above home, from which it is on its way
+AGAIN_NS = 3_000_000_000  # until an order that shows no effect is given again
+LONGEST_NS = 120_000_000_000
+
+
+class TakeOff:
+    """A take-off. Call `tick` until `done`, or until `failed` gives the reason in words.
+
+    Args:
+        vehicle: the autopilot's reports.
+        hand: takes the orders.
+        height: metres above home.
+        begin_ns: now.
+    """
+
+    def __init__(self, vehicle: RemoteVehicle, hand: OrderTaker, height: float, begin_ns: int) -> None:
+        self._vehicle, self._hand, self._height, self._begin_ns = vehicle, hand, height, begin_ns
+        self._step, self._ordered_ns = "", begin_ns
+        self._took = self._armed = False
+        self.done, self.failed = False, ""
+
+    @property
+    def hint(self) -> str:
+        """Action of a person that the take-off needs now, in words; empty: none."""
+        if self._vehicle.helicopter and self._step == "take off" and not self._lifted:
+            return "switch on the motor interlock now: a helicopter that is armed without it is disarmed after 10 s"
+        return ""
+
+    @property
+    def _above(self) -> float:
+        place = self._vehicle.telemetry.place
+        return 0.0 if place is None else place.above_home
+
+    @property
+    def _lifted(self) -> bool:
+        """True if it has lifted off, by its report; by its height only without one, which may be wrong by a metre."""
+        landed = self._vehicle.telemetry.landed
+        return self._above > LIFTED if landed is Landed.UNKNOWN else landed is not Landed.GROUND
+
+    def tick(self, now_ns: int) -> None:
+        """Give the next order that is due."""
+        if self.done or self.failed:
+            return
+        if self._took and not self._hand.in_control:
+            self.failed = "somebody else flies now"
+        elif not self._vehicle.alive:
+            self.failed = "no heartbeat of the vehicle any more"
+        elif now_ns - self._begin_ns > LONGEST_NS:
+            self.failed = f"{self._step or 'the start'}: no effect within {LONGEST_NS * 1e-9:.0f} s"
+        else:
+            self._go_on(self._vehicle.telemetry, now_ns)
+
+    def _go_on(self, heard: Telemetry, now_ns: int) -> None:
+        self.done = heard.armed and self._above > NEAR * self._height
+        if self.done:
+            return
+        if self._armed and not heard.armed:  # somebody stopped the motors on purpose
+            self.failed = "the motors were stopped again"
+            return
+        self._armed = heard.armed
+        step = "take off" if heard.armed else "arm" if heard.mode is FlightMode.GUIDED else "guided mode"
+        if step == "take off" and self._step == step and self._lifted:
+            return  # on its way
+        if step == self._step and now_ns - self._ordered_ns < AGAIN_NS:
+            return
+        self._step, self._ordered_ns, self._took = step, now_ns, True
+        if step == "guided mode":
+            self._hand.set_mode(FlightMode.GUIDED)
+        elif step == "arm":
+            self._hand.arm()
+        else:
+            self._hand.take_off(self._height)

@@ -1,0 +1,1 @@
+"""Everything that only a card of photos needs: reading, bundle adjustment, work in pieces."""

@@ -1,0 +1,173 @@
+"""Loops of the adjustment over the observations: kernels. Equation numbers: docs/method/bundle.md.
+
+N observations of m points in n photos by c cameras, sorted by point, those of a point by photo; no photo twice. A photo
+has e unknowns, position and rotation, and six more for turns during the readout; its camera up to f free lens numbers.
+Common arguments of all loops:
+
+    photo: (N,) number of the photo. pixels: (N, 2) observed.
+    R, C: (n, 3, 3), (n, 3) world_from_cam in the middle of the photos.
+    turns: (n, 2, 3) rad, linear and quadratic, during the readout. velocity: (n, 3) m/s.
+    camera: (n,) number of the camera that took each photo.
+    lens: (c, 11) focal lengths, principal point, five coefficients, height of a photo, readout in s.
+    model: (c,) 0 no distortion, 1 radial-tangential, 2 equidistant.
+    point, x: (N,) number of the point, (m, 3) metres, points.
+"""
+
+import math
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.compiled import kernel, pixelwise
+from alight.motion.point_kernels import MIN_DEPTH, to_camera
+from alight.photos.bundle.lens_kernels import distort
+from alight.photos.bundle.rolling_kernels import HEIGHT, READOUT, expose, quadratic, row_time
+
+READOUT_NUMBER = 9  # among the numbers of a lens: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
+FAR = 1e4  # px, the residual of a point behind the camera
+
+
+@kernel
+def predict_pixels(
+    photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
+    point: I64, x: F64, out: F64, depth: F64,
+) -> None:  # fmt: skip
+    """Write (N, 2) predicted pixels, NaN behind the camera, and (N,) depths in m (eqs. 1, 10)."""
+    turn, row_R, row_C, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
+    for n in range(len(photo)):
+        i = photo[n]
+        of = lens[camera[i]]
+        t = row_time(pixels[n, 1], of[HEIGHT])
+        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
+        to_camera(row_R, row_C, x[point[n]], q)
+        depth[n] = q[2]
+        out[n] = np.nan
+        if q[2] > 0.0:
+            distort(q[0] / q[2], q[1] / q[2], model[camera[i]], of[4:9], flat, by_xy, by_k)
+            out[n, 0], out[n, 1] = of[0] * flat[0] + of[2], of[1] * flat[1] + of[3]
+
+
+@pixelwise
+def _residual(depth: float, flat: F64, of: F64, seen: F64, sigma: float, loss: float, r: F64) -> float:
+    """Write a residual (2,) in pixels; return the root of its Cauchy weight, over sigma."""
+    for h in range(2):
+        r[h] = of[h] * flat[h] + of[2 + h] - seen[h] if depth > 0.0 else FAR
+        r[h] = min(max(r[h], -FAR), FAR)
+    return 1.0 / (sigma * math.sqrt(1.0 + (r[0] * r[0] + r[1] * r[1]) / (sigma * loss) ** 2))
+
+
+@pixelwise
+def _by_point(R: F64, x: float, y: float, near: float, of: F64, by_xy: F64, B: F64) -> None:
+    """Write the derivative (2, 3) of a pixel by its point, at ideal coordinates, `near` one over the depth (eq. 2)."""
+    for h in range(2):
+        u, v = of[h] * near * by_xy[h, 0], of[h] * near * by_xy[h, 1]
+        z = -(u * x + v * y)
+        for j in range(3):
+            B[h, j] = u * R[j, 0] + v * R[j, 1] + z * R[j, 2]
+
+
+@pixelwise
+def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> None:
+    """Write the derivatives (2, e) of a pixel by the unknowns of its photo: position, rotation, turns (eqs. 2, 11)."""
+    a, b, c = x[0] - C[0], x[1] - C[1], x[2] - C[2]
+    for h in range(2):
+        for j in range(3):
+            J[h, j] = -B[h, j]
+        J[h, 3], J[h, 4], J[h, 5] = B[h, 1] * c - B[h, 2] * b, B[h, 2] * a - B[h, 0] * c, B[h, 0] * b - B[h, 1] * a
+        if each == 12:
+            for j in range(3):
+                turn = J[h, 3] * R[0, j] + J[h, 4] * R[1, j] + J[h, 5] * R[2, j]
+                J[h, 6 + j], J[h, 9 + j] = turn * t, turn * quadratic(t)
+
+
+@pixelwise
+def _by_lens(flat: F64, by_k: F64, of: F64, scale: F64, B: F64, velocity: F64, t: float, D: F64) -> None:
+    """Write the derivatives (2, 10) of a pixel by the numbers of its lens, the readout last (eqs. 3, 11)."""
+    D[0, 1], D[1, 1], D[0, 2], D[1, 2], D[0, 3], D[1, 3] = of[0] * flat[0] / scale[1], 0.0, 1.0, 0.0, 0.0, 1.0
+    for h in range(2):
+        D[h, 0] = of[h] * flat[h] / scale[0]
+        for j in range(5):
+            D[h, 4 + j] = of[h] * by_k[h, j]
+        D[h, 9] = -t * (B[h, 0] * velocity[0] + B[h, 1] * velocity[1] + B[h, 2] * velocity[2])
+
+
+@pixelwise
+def _add_photo(J: F64, r: F64, own: F64, right: F64) -> None:
+    """Add J'J, its lower triangle, and -J'r of rows (2, p) and residuals (2,)."""
+    for a in range(J.shape[1]):
+        u, v = J[0, a], J[1, a]
+        right[a] -= u * r[0] + v * r[1]
+        for b in range(a + 1):
+            own[a, b] += u * J[0, b] + v * J[1, b]
+
+
+@pixelwise
+def _add_point(B: F64, r: F64, information: F64, gradient: F64) -> None:
+    """Add B'B and -B'r of rows (2, 3) and residuals (2,)."""
+    for j in range(3):
+        gradient[j] -= B[0, j] * r[0] + B[1, j] * r[1]
+        for h in range(3):
+            information[j, h] += B[0, j] * B[0, h] + B[1, j] * B[1, h]
+
+
+@pixelwise
+def _couple(B: F64, J: F64, each: int, place: I64, coupling: F64, lens_coupling: F64) -> None:
+    """Write B'J of a photo's unknowns (3, e), and add that of its lens's free numbers to their places in (3, k)."""
+    for j in range(3):
+        u, v = B[0, j], B[1, j]
+        for a in range(each):
+            coupling[j, a] = u * J[0, a] + v * J[1, a]
+        for f in range(len(place)):
+            if place[f] >= 0:
+                lens_coupling[j, place[f]] += u * J[0, each + f] + v * J[1, each + f]
+
+
+@kernel
+def linearise(
+    photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
+    point: I64, x: F64, scale: F64, number: I64, place: I64, each: int, sigma: F64, loss: float,
+    own: F64, right: F64, coupling: F64, lens_coupling: F64, information: F64, gradient: F64,
+) -> None:  # fmt: skip
+    """Add the blocks of the normal equations of all observations, weighted by a Cauchy loss (eqs. 2, 3, 7, 11).
+
+    Args:
+        photo ... x: see above.
+        scale: (c, 2) 1 + s and 1 + a of the lens (eq. 3).
+        number: (c, f) indices of the free numbers of a lens (`READOUT_NUMBER`), then -1.
+        place: (c, f) index of each among all k that are free.
+        each: e.
+        sigma: (N,) px, of each observation.
+        loss: the scale of the loss in sigmas.
+        own: (n, e + f, e + f) blocks of the photos and their lenses, the lower triangle.
+        right: (n, e + f) right side of these.
+        coupling: (N, 3, e) blocks of points and photos, written and not added to.
+        lens_coupling: (m, 3, k) blocks of points and lens numbers.
+        information, gradient: (m, 3, 3), (m, 3) blocks and right side of the points.
+    """
+    turn, row_R, row_C, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
+    J, B, D, r = np.empty((2, own.shape[1])), np.empty((2, 3)), np.empty((2, 10)), np.empty(2)
+    for n in range(len(photo)):
+        i, k = photo[n], point[n]
+        c = camera[i]
+        of, t = lens[c], row_time(pixels[n, 1], lens[c, HEIGHT])
+        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
+        to_camera(row_R, row_C, x[k], q)
+        near = 1.0 / max(q[2], MIN_DEPTH)
+        distort(q[0] * near, q[1] * near, model[c], of[4:9], flat, by_xy, by_k)
+        w = _residual(q[2], flat, of, pixels[n], sigma[n], loss, r)
+        _by_point(row_R, q[0] * near, q[1] * near, near, of, by_xy, B)
+        _by_pose(B, x[k], row_C, R[i], t, each, J)
+        _by_lens(flat, by_k, of, scale[c], B, velocity[i], t, D)
+        for h in range(2):
+            for f in range(number.shape[1]):
+                J[h, each + f] = D[h, number[c, f]] if number[c, f] >= 0 else 0.0
+            for a in range(J.shape[1]):
+                J[h, a] *= w
+            for j in range(3):
+                B[h, j] *= w
+            r[h] *= w
+        _add_photo(J, r, own[i], right[i])
+        _add_point(B, r, information[k], gradient[k])
+        _couple(B, J, each, place[c], coupling[n], lens_coupling[k])

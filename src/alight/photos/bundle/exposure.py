@@ -1,0 +1,77 @@
+"""Exposure of photos: factors of their colours, so that all photos show the same ground alike.
+
+With automatic exposure the same ground may be twice as bright in the next photo. The factors follow from the
+points that photos share: `log c_ip + g_i = a_p` for photo i, point p and each colour, by least
+squares (eq. 12 in docs/method/bundle.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from alight.arrays import F64, I64
+from alight.photos.bundle.matching import BundleObservations, PhotoFeatures
+from alight.spread import SIGMA_OF_MAD
+
+DARK, BRIGHT = 8.0, 245.0  # colours beyond are not used: noise, or overexposed
+TIE = 0.02  # weight, of a photo's observations, of the prior that its factor is 1
+ROUNDS = 3
+FAR = 3.0  # robust sigmas: a colour that is off by more (a car, a glint) does not count
+MOST = 4.0  # largest factor
+
+
+def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservations) -> F64:
+    """Factor of each colour of each photo, (n, 3).
+
+    Args:
+        features: of all photos, with colours.
+        obs: points that were seen in several.
+
+    Returns:
+        Factors near 1 on the whole; those that shared points do not determine are 1.
+    """
+    colour = np.full((len(obs.photo), 3), np.nan)
+    for i in np.unique(obs.photo):
+        rows, of = np.flatnonzero(obs.photo == i), features[i]
+        if of is not None and len(of.pixels):
+            away, which = cKDTree(of.pixels).query(obs.pixels[rows])
+            colour[rows] = np.where(away[:, None] < 1e-6, of.colours[which], np.nan)
+    known = np.all((colour > DARK) & (colour < BRIGHT), axis=1)
+    obs, value = _of(obs, known, np.log(np.where(known[:, None], colour, 1.0)))
+    out = np.zeros((len(features), 3))
+    for _ in range(ROUNDS if len(value) else 0):
+        out = _solved(obs, value, len(features))
+        off = value + out[obs.photo]
+        off -= _means(obs, off)[obs.point]
+        sigma = np.maximum(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), 1e-6)
+        obs, value = _of(obs, np.all(np.abs(off) < FAR * sigma, axis=1), value)
+    return np.asarray(np.exp(out).clip(1 / MOST, MOST))
+
+
+def _of(obs: BundleObservations, rows: NDArray[np.bool_], value: F64) -> tuple[BundleObservations, F64]:
+    """Keep rows, of points that are still seen twice, with their values."""
+    rows = rows & (np.bincount(obs.point[rows], minlength=obs.points)[obs.point] >= 2)
+    return obs.keep(rows)[0], value[rows]
+
+
+def _means(obs: BundleObservations, value: F64) -> F64:
+    """Mean of the values (N, 3) of each point, (P, 3)."""
+    count: I64 = np.bincount(obs.point, minlength=obs.points)
+    return np.stack([np.bincount(obs.point, v, obs.points) for v in value.T], axis=1) / np.maximum(count, 1)[:, None]
+
+
+def _solved(obs: BundleObservations, value: F64, photos: int) -> F64:
+    """The logarithms of the factors, (n, 3); the points' own values are eliminated."""
+    if not len(value):
+        return np.zeros((photos, 3))
+    count, each = np.bincount(obs.photo, minlength=photos), np.bincount(obs.point)
+    shared = sparse.coo_array((1 / np.sqrt(each[obs.point]), (obs.photo, obs.point)), shape=(photos, obs.points))
+    normal = np.diag((1.0 + TIE) * count + (count == 0)) - (shared @ shared.T).toarray()
+    off = value - _means(obs, value)[obs.point]
+    right = np.stack([np.bincount(obs.photo, v, photos) for v in off.T], axis=1)
+    return np.asarray(np.linalg.solve(normal, -right))

@@ -1,0 +1,101 @@
+"""The cameras of a set of photos: each zoom level is a camera of its own, with a lens of its own to be estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from alight.arrays import F64, I64, Mask
+from alight.geometry import Camera
+from alight.photos.bundle.adjustment_kernels import READOUT_NUMBER
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoLenses:
+    """The cameras, and the number of the camera of each photo."""
+
+    cameras: tuple[Camera, ...]
+    of: I64  # (n,) number of the camera of each photo
+    readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
+    told: tuple[float | None, ...] = ()  # s, the readouts from the makers, which are held; none: none is known
+
+    @classmethod
+    def one(cls, camera: Camera, photos: int) -> PhotoLenses:
+        """All photos by one camera."""
+        return cls((camera,), np.zeros(photos, np.int64))
+
+    def of_photo(self, photo: int) -> Camera:
+        """The camera of one photo."""
+        return self.cameras[int(self.of[photo])]
+
+    @property
+    def parts(self) -> list[slice]:
+        """Range of each camera among all lens numbers: scale aspect cu cv distortion... readout."""
+        ends = np.cumsum([0] + [5 + len(c.distortion) for c in self.cameras])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def moved(self, lens: F64) -> PhotoLenses:
+        """The cameras moved by lens offsets (k,) (eq. 3)."""
+        moved = tuple(lens_camera(c, lens[part]) for c, part in zip(self.cameras, self.parts, strict=True))
+        return replace(self, cameras=moved, readouts=tuple(float(lens[part.stop - 1]) for part in self.parts))
+
+    @property
+    def readout_numbers(self) -> list[int]:
+        """Indices of the readouts among all lens numbers."""
+        return [part.stop - 1 for part in self.parts]
+
+    def told_of(self, camera: int) -> float | None:
+        """Readout of a camera from its maker, s; None: not known."""
+        return self.told[camera] if self.told else None
+
+    @property
+    def any_told(self) -> bool:
+        """True if a maker states the readout of any camera."""
+        return any(readout is not None for readout in self.told)
+
+    def with_told(self, lens: F64) -> F64:
+        """Lens numbers (k,) with the readouts from the makers."""
+        lens = lens.copy()
+        for k, number in enumerate(self.readout_numbers):
+            lens[number] = lens[number] if self.told_of(k) is None else self.told_of(k)
+        return lens
+
+    def readout(self, photo: I64) -> F64:
+        """(N,) seconds from the first row to the last of photos (N,)."""
+        return np.asarray(self.table()[0][self.of[photo], -1])
+
+    def table(self) -> tuple[F64, I64]:
+        """Input of the kernels: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
+        readouts = self.readouts or (0.0,) * len(self.cameras)
+        rows = [
+            (c.fu, c.fv, c.cu, c.cv, *c.coefficients, c.height, readout)
+            for c, readout in zip(self.cameras, readouts, strict=True)
+        ]
+        return np.array(rows, np.float64), np.array([c.code for c in self.cameras], np.int64)
+
+    def free_numbers(self, free: Mask) -> tuple[I64, I64]:
+        """Free numbers of each camera, (c, f), by the kernels' count, -1 where it has fewer; `free` is (k,).
+
+        Also the index of each among all that are free, (c, f).
+        """
+        count = np.array([free[part].sum() for part in self.parts])
+        number, place = np.full((2, len(count), count.max()), -1, np.int64)
+        for k, part in enumerate(self.parts):
+            own = np.flatnonzero(free[part])
+            number[k, : len(own)] = np.where(own == part.stop - part.start - 1, READOUT_NUMBER, own)
+            place[k, : len(own)] = count[:k].sum() + np.arange(len(own))
+        return number, place
+
+    def focal(self, photo: I64) -> F64:
+        """(N, 2) focal lengths, pixels."""
+        return np.array([(c.fu, c.fv) for c in self.cameras])[self.of[photo]]
+
+
+def lens_camera(prior: Camera, lens: F64) -> Camera:
+    """Return the prior camera moved by lens offsets (k,) (eq. 3)."""
+    s, a, du, dv = lens[:4]
+    d = tuple(float(x) for x in np.add(prior.distortion, lens[4:-1])) if prior.distortion else ()
+    fv = prior.fv * (1 + s)
+    return replace(prior, fu=prior.fu * (1 + s) * (1 + a), fv=fv, cu=prior.cu + du, cv=prior.cv + dv, distortion=d)

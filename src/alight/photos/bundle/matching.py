@@ -1,0 +1,324 @@
+"""Photos to tracks: SIFT features, pairs of neighbours, matches verified by two-view geometry, tracks.
+
+Descriptors are OpenCV's, two-view geometry is pycolmap's. Random seeds are fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from alight.arrays import F32, F64, I64, U8, Mask
+from alight.geometry import Camera
+from alight.jobs import Jobs, Sent, Task
+from alight.photos.bundle.lenses import PhotoLenses
+from alight.photos.bundle.sift import BLURRED, detect, keypoints
+from alight.records import Frame, MissingExtraError, Pixels
+from alight.settings import BundleSettings
+
+_DESCRIPTOR = 128  # numbers in a SIFT descriptor
+_RATIO = 0.8  # best over second-best descriptor distance
+_TWO_VIEW_PX = 4.0  # px, inlier threshold: error of the nominal distortion in the corners
+_BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
+_ENOUGH = 1500  # features of a photo from which its doubled picture is not used
+_CONTRAST = 0.02  # least contrast of a feature, grey levels over 255: it gives as many features as pycolmap
+_AROUND = 9  # px, side of the square of the features' picture over which a feature's colour is averaged
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoFeatures:
+    """The features of one photo."""
+
+    pixels: F64  # (K, 2) in the photo's own pixels
+    descriptors: U8  # (K, 128) as found
+    colours: F32  # (K, 3) of the picture about each
+
+    @property
+    def unit(self) -> F32:
+        """The descriptors, (K, 128), of unit length."""
+        table = self.descriptors.astype(np.float32)
+        return np.asarray(table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two photos of the same ground, matched."""
+
+    i: int
+    j: int
+    matches: I64  # (M, 2) feature numbers in i and j
+    j_from_i: F64  # (3, 3) rotation between the two optical frames
+    direction: F64  # (3,) unit, from the centre of i to that of j, in the optical frame of i
+
+
+@dataclass(frozen=True, eq=False)
+class BundleObservations:
+    """Observations of all photos, sorted by point, those of a point by photo; no photo sees a point twice."""
+
+    photo: I64  # (N,)
+    point: I64  # (N,) 0 .. points - 1, every number occurs
+    pixels: F64  # (N, 2)
+    by_patch: Mask  # (N,) True: pixels are those of matched patches, not of features
+
+    @property
+    def starts(self) -> I64:
+        """First row of each point, as `np.add.reduceat` takes it."""
+        return np.flatnonzero(np.diff(self.point, prepend=-1))
+
+    @property
+    def points(self) -> int:
+        """Number of points."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    def keep(self, rows: NDArray[np.bool_], least: int = 2) -> tuple[BundleObservations, I64]:
+        """Return the rows that are kept, without points of fewer than `least`; old numbers of those left."""
+        count = np.bincount(self.point[rows], minlength=self.points)
+        rows = rows & (count[self.point] >= least)
+        old, point = np.unique(self.point[rows], return_inverse=True)
+        return BundleObservations(self.photo[rows], point.astype(np.int64), self.pixels[rows], self.by_patch[rows]), old
+
+
+def colmap() -> ModuleType:
+    """Return pycolmap, silenced.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import pycolmap
+    except ImportError as e:
+        raise MissingExtraError("pycolmap", "photos") from e
+    pycolmap.logging.logtostderr = False
+    pycolmap.logging.alsologtostderr = False
+    pycolmap.logging.minloglevel = 3
+    pycolmap.logging.stderrthreshold = 3
+    module: ModuleType = pycolmap
+    return module
+
+
+def colmap_camera(camera: Camera) -> object:
+    """Return a camera of pycolmap, where pixel (0, 0) is the corner and not the centre of the first pixel."""
+    k = [camera.fu, camera.fv, camera.cu + 0.5, camera.cv + 0.5]
+    d = list(camera.distortion)
+    model, params = {
+        "none": ("PINHOLE", k),
+        "radial-tangential": ("FULL_OPENCV", k + d + [0.0] * (8 - len(d))),
+        "equidistant": ("OPENCV_FISHEYE", k + d),
+    }[camera.model]
+    out = colmap().Camera(model=model, width=camera.width, height=camera.height, params=params)
+    out.has_prior_focal_length = True
+    return out
+
+
+def shrunk(image: Pixels, longest: float) -> U8:
+    """The picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
+    picture = np.asarray(image)
+    factor = longest / max(picture.shape[:2])
+    if factor < 1.0:
+        size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    return np.ascontiguousarray(picture, dtype=np.uint8)
+
+
+def grey_levels(picture: U8) -> U8:
+    """Grey levels (H, W) of a picture that is grey or RGB."""
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)) if picture.ndim == 3 else picture
+
+
+def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
+    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
+
+    Where the picture has too few, because it is small or dull, those of the doubled picture are taken as well: it costs
+    four times as much.
+    """
+    picture = np.asarray(image)
+    read = shrunk(picture, settings.image_px)
+    grey = grey_levels(read)
+    place, table = described(grey, detect(grey, _CONTRAST), settings.features)
+    if len(place) < min(_ENOUGH, settings.features):
+        twice = np.asarray(cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR), np.uint8)
+        found = detect(twice, _CONTRAST, 2 * BLURRED, octaves=1)
+        finer, its_table = described(twice, found, settings.features - len(place))
+        place, table = np.concatenate([place, (finer + 0.5) / 2 - 0.5]), np.concatenate([table, its_table])
+    scale = np.array(picture.shape[1::-1]) / grey.shape[1::-1]
+    return PhotoFeatures((place + 0.5) * scale - 0.5, table, colours_at(read, place))
+
+
+def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
+    """The largest of the features `found`, at most `count`: their places (K, 2), px, and descriptors (K, 128)."""
+    largest = np.argsort(-found[:, 2], kind="stable")[:count]
+    kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
+    place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
+    return place, rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors)
+
+
+def rooted(descriptors: F32) -> U8:
+    """The square roots of descriptors (K, 128) over their sums: distances by Hellinger (Arandjelovic 2012)."""
+    share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.rint(np.minimum(512.0 * np.sqrt(share), 255.0)), dtype=np.uint8)
+
+
+def colours_at(picture: U8, pixels: F64) -> F32:
+    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); a grey one has three equal colours."""
+    even = cv2.blur(picture, (_AROUND, _AROUND))
+    even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
+    col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
+    return np.asarray(even[row, col], dtype=np.float32)
+
+
+def taken_by(frame: Frame) -> int:
+    """The first camera of the rig that has a picture of an exposure; 0 where none has."""
+    return next((k for k, image in enumerate(frame.images) if image is not None), 0)
+
+
+def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures | None]:
+    """Find the features of every photo, in order; None where there is no picture."""
+    colmap()
+    images = [frame.images[taken_by(frame)] if frame.images else None for frame in frames]
+    tasks = (
+        Task(f"features-{frame.t_ns}", extract, (Sent(f"photo-{frame.t_ns}-{taken_by(frame)}", image), settings))
+        for frame, image in zip(frames, images, strict=True)
+        if image is not None
+    )
+    found = jobs.run(tasks, at_once=True)
+    for image in images:
+        yield None if image is None else next(found)
+
+
+def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
+    """Choose the pairs to match: each photo's nearest, the nearest in each of eight directions, the next in time.
+
+    `positions` is (n, 3) metres, NaN where unknown: such photos are paired with `count` before and after in time.
+    The eight directions link neighbouring strips, which the nearest alone may miss.
+    """
+    n = len(positions)
+    pairs: set[tuple[int, int]] = set()
+    for i in range(n):
+        offset = positions[:, :2] - positions[i, :2]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        distance[i] = np.nan
+        order = np.argsort(distance)[: np.isfinite(distance).sum()]
+        near = [int(j) for j in order[:count]]
+        octant = np.floor(np.arctan2(offset[:, 1], offset[:, 0]) / (np.pi / 4))
+        near += [int(order[octant[order] == k][0]) for k in np.unique(octant[order])]
+        unknown = not np.isfinite(distance).any()
+        reach = count if unknown else 1
+        near += [j for j in range(i - reach, i + reach + 1) if 0 <= j < n and j != i]
+        pairs |= {(min(i, j), max(i, j)) for j in near}
+    return sorted(pairs)
+
+
+def match_descriptors(a: F32, b: F32) -> I64:
+    """Match unit descriptors (K, 128) and (L, 128): best both ways and clearly better than the second; (M, 2)."""
+    if len(a) < 2 or len(b) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    best = np.empty(len(a), dtype=np.int64)
+    first, second = np.empty(len(a), dtype=np.float32), np.empty(len(a), dtype=np.float32)
+    back = np.full(len(b), -2.0, dtype=np.float32)
+    for start in range(0, len(a), _BLOCK):
+        score = a[start : start + _BLOCK] @ b.T
+        rows = slice(start, start + len(score))
+        at = np.arange(len(score))
+        np.maximum(back, score.max(axis=0), out=back)
+        best[rows] = score.argmax(axis=1)
+        first[rows] = score[at, best[rows]]
+        score[at, best[rows]] = -2.0
+        second[rows] = score.max(axis=1)
+    mutual = first == back[best]
+    clear = 1.0 - first < _RATIO**2 * (1.0 - second)
+    i = np.flatnonzero(mutual & clear)
+    return np.stack([i, best[i]], axis=1)
+
+
+def verify(
+    cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
+) -> tuple[I64, F64, F64] | None:
+    """Keep the matches of one rigid two-view geometry, with rotation and direction as in `Pair`; None: too few."""
+    if len(matches) < least:
+        return None
+    pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)
+    options = pc.TwoViewGeometryOptions()
+    options.compute_relative_pose = True
+    options.min_num_inliers = least
+    options.ransac.random_seed = 1
+    options.ransac.max_error = _TWO_VIEW_PX * max(1.0, cameras[0].width / 1600)
+    g = pc.estimate_two_view_geometry(one, a.pixels + 0.5, other, b.pixels + 0.5, matches.astype(np.uint32), options)
+    if g.cam2_from_cam1 is None or len(g.inlier_matches) < least:
+        return None
+    R = np.asarray(g.cam2_from_cam1.rotation.matrix())
+    t = np.asarray(g.cam2_from_cam1.translation)
+    length = float(np.linalg.norm(t))
+    direction = -R.T @ t / length if length > 1e-12 else np.zeros(3)
+    return np.asarray(g.inlier_matches, dtype=np.int64), R, direction
+
+
+def match_photo(
+    cameras: Sequence[Camera], settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
+) -> list[Pair | None]:
+    """Match and verify one photo with others; `ij` (N, 2) are their numbers. None where they do not match.
+
+    `cameras` are that of the first photo and those of the others.
+    """
+    out = list[Pair | None]()
+    for (i, j), other, camera in zip(ij.tolist(), others, cameras[1:], strict=True):
+        matches = match_descriptors(first.unit, other.unit)
+        found = verify((cameras[0], camera), first, other, matches, settings.matches)
+        out.append(None if found is None else Pair(i, j, *found))
+    return out
+
+
+def match_pairs(
+    lenses: PhotoLenses,
+    frames: Sequence[Frame],
+    features: Sequence[PhotoFeatures | None],
+    wanted: Sequence[tuple[int, int]],
+    settings: BundleSettings,
+    jobs: Jobs,
+) -> Iterator[list[Pair]]:
+    """Match and verify the wanted pairs, those of one photo after the other."""
+
+    def sent(k: int) -> Sent:
+        return Sent(f"features-{frames[k].t_ns}", features[k])
+
+    def task(i: int, others: Sequence[int]) -> Task:
+        about = " ".join(f"{k} {frames[k].t_ns}" for k in (i, *others))
+        ij = np.array([(i, j) for j in others])
+        cameras = tuple(lenses.of_photo(k) for k in (i, *others))
+        arguments = cameras, settings, sent(i), tuple(sent(j) for j in others), ij
+        return Task(f"pairs-{frames[i].t_ns}", match_photo, arguments, about)
+
+    of: dict[int, list[int]] = {}
+    for i, j in wanted:
+        if features[i] is not None and features[j] is not None:
+            of.setdefault(i, []).append(j)
+    for found in jobs.run((task(i, others) for i, others in of.items()), at_once=True):
+        yield [p for p in found if p is not None]
+
+
+def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> BundleObservations:
+    """Join matches that share a feature into tracks; a track with two features of one photo is wrong and removed."""
+    offset = np.concatenate([[0], np.cumsum([0 if f is None else len(f.pixels) for f in features])])
+    total = int(offset[-1])
+    if not pairs:
+        return BundleObservations(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty(0, bool))
+    edges = np.concatenate([p.matches + np.array([offset[p.i], offset[p.j]]) for p in pairs])
+    graph = sparse.coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
+    label = connected_components(graph, directed=False)[1].astype(np.int64)
+    node = np.unique(edges)
+    photo = np.searchsorted(offset, node, side="right") - 1
+    pixels = np.concatenate([f.pixels for f in features if f is not None])[node]
+    order = np.lexsort((photo, label[node]))
+    point = np.unique(label[node][order], return_inverse=True)[1]
+    sorted_photo = photo[order]
+    twice = (np.diff(point, prepend=-1) == 0) & (np.diff(sorted_photo, prepend=-1) == 0)
+    clean = ~np.isin(point, point[twice])
+    by_patch = np.zeros(len(order), dtype=bool)
+    found = BundleObservations(sorted_photo.astype(np.int64), point.astype(np.int64), pixels[order], by_patch)
+    return found.keep(clean)[0]

@@ -1,0 +1,230 @@
+"""First poses: relative rotations averaged, then aligned with the world by GPS baselines and gimbal attitudes.
+
+Images decide: a gimbal tag is used only where it agrees with them, so that tags that are half a turn off do no harm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial.transform import Rotation
+
+from alight.arrays import F64, I64
+from alight.geometry import so3_exp, so3_log
+from alight.photos.bundle.matching import Pair
+
+# rad between gimbal and images: chains of relative rotations drift by a third of it, wrong tags are far above
+_MAX_DISAGREEMENT = 0.35
+_AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
+COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings: some compasses are off by 0.9
+_MOST_COMMON_HEADING = 1.2  # rad; tags off by more are half a turn off, or of no use
+_DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground it correlates with the rotation
+_NADIR = np.diag(
+    [1.0, -1.0, -1.0]
+)  # world_from_cam of a camera that looks straight down: assumed where no photo has an attitude
+_NADIR_SIGMA = 0.5  # rad
+_MAX_BASELINE_ERROR = 5.0  # sigmas; a baseline with a larger one is wrong
+_JUMP_SHARE = 0.6  # share of wrong baselines of a photo that jumped
+_SWEEPS = 30  # over all photos, of the rotation averaging
+_MEDIAN_STEPS, _MIN_ANGLE = 3, 1e-3  # of Weiszfeld; rad, below which all rotations have the same weight
+_ALIGNMENT_ROUNDS = 20
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
+
+
+@dataclass(frozen=True, eq=False)
+class Oriented:
+    """First poses of the photos of one connected component."""
+
+    photos: I64  # (k,) photo numbers
+    world_from_cam: F64  # (k, 3, 3)
+    turned: I64  # photo numbers whose gimbal tag is half a turn off about the optical axis
+    contradicted: I64  # photo numbers whose gimbal tag contradicts the pictures in any other way
+    jumped: I64  # photo numbers whose GPS position contradicts the pictures
+    guessed: bool  # the roll about a straight line of flight is found by assuming that the camera looks down
+    cost: float  # Cauchy, of GPS baselines and attitudes
+    baselines: int  # number of baselines
+    heading: float  # rad, common error of the headings of all tags, clockwise from above
+
+
+def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
+    """Return the photos of each connected component of two and more, largest first."""
+    if not pairs:
+        return []
+    ij = np.array([(p.i, p.j) for p in pairs])
+    graph = sparse.coo_array((np.ones(len(ij)), (ij[:, 0], ij[:, 1])), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    sizes = np.bincount(label)
+    return [np.flatnonzero(label == k) for k in np.argsort(-sizes, kind="stable") if sizes[k] > 1]
+
+
+def _median_rotation(rotations: F64, start: F64) -> F64:
+    """Return the geometric median of (k, 3, 3) rotations by Weiszfeld steps: robust to a minority of wrong ones."""
+    R = start
+    for _ in range(_MEDIAN_STEPS):
+        logs = so3_log(rotations @ R.T)
+        weight = 1.0 / np.maximum(np.linalg.norm(logs, axis=1), _MIN_ANGLE)
+        R = so3_exp((weight[:, None] * logs).sum(axis=0) / weight.sum()) @ R
+    return R
+
+
+def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
+    """Return (k, 3, 3) `frame_from_cam` of one component, the frame being the first photo's camera (L1 averaging).
+
+    Start: the spanning tree of most matches. Then each photo takes the median of the rotations by its neighbours
+    (L1 rotation averaging, Hartley et al. 2011 and 2013).
+    """
+    slot = {int(p): s for s, p in enumerate(photos)}
+    edges = [(slot[p.i], slot[p.j], p.j_from_i, len(p.matches)) for p in pairs if p.i in slot]
+    neighbours: list[list[tuple[int, F64]]] = [[] for _ in photos]  # (other, other_from_s) of s
+    for i, j, j_from_i, _ in edges:
+        neighbours[i].append((j, j_from_i))
+        neighbours[j].append((i, j_from_i.T))
+    e = np.array([(i, j, 1.0 / m) for i, j, _, m in edges])
+    graph = sparse.coo_array((e[:, 2], (e[:, 0].astype(int), e[:, 1].astype(int))), shape=(len(photos),) * 2).tocsr()
+    order, parent = breadth_first_order(minimum_spanning_tree(graph), 0, directed=False)
+    R = np.tile(np.eye(3), (len(photos), 1, 1))
+    for s in order[1:]:
+        R[s] = next(R[o] @ Q for o, Q in neighbours[s] if o == parent[s])
+    for _ in range(_SWEEPS):
+        for s in order[1:]:
+            R[s] = _median_rotation(np.array([R[o] @ Q for o, Q in neighbours[s]]), R[s])
+    return R
+
+
+def _alignment(world: F64, frame: F64, weight: F64) -> F64:
+    """Return `world_from_frame` that best takes unit vectors `frame` to `world`, both (q, 3) (Wahba's problem)."""
+    return np.asarray(Rotation.align_vectors(world, frame, weights=weight)[0].as_matrix())
+
+
+def _robust_alignment(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
+    """Return `world_from_frame` as `_alignment`, with Cauchy weights, `sigma` (q,) in rad."""
+    R = start
+    for _ in range(_ALIGNMENT_ROUNDS):
+        r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
+        R = _alignment(world, frame, 1.0 / (sigma**2 * (1.0 + r2)))
+    return R
+
+
+@dataclass(frozen=True, eq=False)
+class _Baselines:
+    """Unit directions between photos: by GPS, and by the images in the frame of the averaged rotations."""
+
+    ends: I64  # (q, 2) photo numbers
+    world: F64  # (q, 3)
+    frame: F64  # (q, 3)
+    noise: F64  # (q,) rad
+
+    def misfit(self, R: F64) -> F64:
+        """Return (q,) squared disagreement under `world_from_frame`, in sigmas."""
+        return np.asarray(((self.world - self.frame @ R.T) ** 2).sum(axis=1) / self.noise**2)
+
+
+def _baselines(photos: I64, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64) -> _Baselines:
+    slot = {int(p): s for s, p in enumerate(photos)}
+    ends, world, frame, noise = [], [], [], []
+    for p in pairs:
+        b = centres[p.j] - centres[p.i]
+        length = float(np.linalg.norm(b))
+        if p.i in slot and np.isfinite(length) and length > 1e-6 and p.direction.any():
+            ends.append((p.i, p.j))
+            world.append(b / length)
+            frame.append(frame_from_cam[slot[p.i]] @ p.direction)
+            noise.append(np.hypot(_DIRECTION_SIGMA, 1.5 * float(np.linalg.norm(sigma[[p.i, p.j]])) / length))
+    by_gps, by_images = np.array(world).reshape(-1, 3), np.array(frame).reshape(-1, 3)
+    return _Baselines(np.array(ends, dtype=np.int64).reshape(-1, 2), by_gps, by_images, np.array(noise))
+
+
+def _jumped(base: _Baselines, R: F64) -> I64:
+    """Return the photos whose GPS position jumped: most of their baselines are wrong. The worst is removed first."""
+    is_wrong = base.misfit(R) > _MAX_BASELINE_ERROR**2
+    left = np.ones(len(is_wrong), dtype=bool)
+    out: list[int] = []
+    while left.any():
+        numbers = np.unique(base.ends[left])
+        share = [is_wrong[left & (base.ends == k).any(axis=1)].mean() for k in numbers]
+        worst = int(np.argmax(share))
+        if share[worst] <= _JUMP_SHARE:
+            break
+        out.append(int(numbers[worst]))
+        left &= ~(base.ends == out[-1]).any(axis=1)
+    return np.array(sorted(out), dtype=np.int64)
+
+
+def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> Oriented:
+    """Turn the averaged rotations of one component into the world.
+
+    `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
+    Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of two
+    starts, one with the heading of the gimbal and one without, the one that fits better is taken. The common
+    error of all headings counts once, not once a photo.
+    """
+    frame_from_cam = average_rotations(photos, pairs)
+    base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
+    tags = gimbal[photos]
+    tagged = np.asarray(np.isfinite(tags).all(axis=(1, 2)))
+    if tagged.any():
+        starts = [
+            _world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))
+        ]
+    else:
+        starts = [_world_from_frame(base, np.tile(_NADIR, (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA)]
+    cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
+    world_from_cam = R @ frame_from_cam
+    heading = _common_heading(world_from_cam[tagged], tags[tagged])
+    tags = _about_up(heading) @ tags
+    agrees = tagged & _agree(world_from_cam, tags)
+    turned = tagged & ~agrees & _agree(world_from_cam, tags @ HALF_TURN)
+    world_from_cam[agrees] = tags[agrees]
+    world_from_cam[turned] = tags[turned] @ HALF_TURN
+    wrong = photos[tagged & ~agrees & ~turned]
+    return Oriented(
+        photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base),
+        cost, len(base.noise), heading,
+    )  # fmt: skip
+
+
+def _in_line(base: _Baselines) -> bool:
+    spread = np.linalg.svd(base.world, compute_uv=False) if len(base.world) else np.zeros(0)
+    return len(spread) < 2 or bool(spread[1] < 0.1 * spread[0])
+
+
+def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
+    """Return `world_from_frame` by the baselines and the named optical axes of the tags."""
+    world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
+    frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
+    noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
+    return _robust_alignment(world, frame, noise, _alignment(world, frame, 1.0 / noise**2))
+
+
+def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
+    """Return the Cauchy cost of a rotation over baselines and all axes: the same for every start."""
+    heading = _common_heading(R @ frame_from_cam, tags)
+    axes = ((_about_up(heading) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
+    common = (heading / COMMON_HEADING) ** 2
+    return float(np.log1p(base.misfit(R)).sum() + np.log1p(axes).sum() + common)
+
+
+def _common_heading(world_from_cam: F64, tags: F64) -> float:
+    """Return the common error, rad about the vertical, of most tags (k, 3, 3); 0: there is none."""
+    if not len(tags):
+        return 0.0
+    off = world_from_cam @ np.swapaxes(tags, 1, 2)
+    angles = np.arctan2(off[:, 1, 0] - off[:, 0, 1], off[:, 0, 0] + off[:, 1, 1])
+    middle = float(np.angle(np.exp(1j * angles).sum()))
+    middle += float(np.median(np.angle(np.exp(1j * (angles - middle)))))
+    return middle if abs(middle) < _MOST_COMMON_HEADING else 0.0
+
+
+def _about_up(angle: float) -> F64:
+    return so3_exp(np.array([0.0, 0.0, angle]))
+
+
+def _agree(a: F64, b: F64) -> NDArray[np.bool_]:
+    """Return True where rotations (k, 3, 3) agree to `_MAX_DISAGREEMENT`; NaN never does."""
+    cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
+    return np.asarray(cosine > np.cos(_MAX_DISAGREEMENT))

@@ -1,0 +1,136 @@
+"""Observations to a twentieth of a pixel: least squares matching of patches (Foerstner 1982; Gruen 1985).
+
+A feature is found in each photo by itself, to a quarter of a pixel. Once the poses are known roughly, the patch about a
+point's first observation is matched with each of its other photos. Equation numbers: docs/method/patches.md.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from alight.arrays import F16, F32, F64, I64, Mask
+from alight.jobs import InTurn, Task
+from alight.photos.bundle import patch_matching_kernels as kernels
+from alight.photos.bundle.lenses import PhotoLenses
+from alight.photos.bundle.matching import BundleObservations, grey_levels, shrunk, taken_by
+from alight.photos.bundle.solver import BundleState, Priors, project_points
+from alight.records import Frame, Pixels
+
+log = logging.getLogger(__name__)
+
+LEAST_LIKENESS = 0.8  # coefficient of correlation of a patch that counts as found
+MOST_PX = 3200  # longest side of the pictures that patches are matched in
+_SIDE = 2 * kernels.HALF + 3  # pixels of a patch with its margin
+_REACH = 5.0  # pixels, over which the ground about a point counts as level
+_MOST_WARP = 3.0  # largest distance of two neighbouring pixels of the patch in the other photo, its pixels
+
+
+def refine_observations(
+    state: BundleState, obs: BundleObservations, priors: Priors, frames: Sequence[Frame]
+) -> BundleObservations:
+    """Move the observations to the pixels where their patches are found (eqs. 13, 14); the others stay.
+
+    Args:
+        state: as adjusted so far, with the points of the observations.
+        obs: sorted by point.
+        priors: of all photos.
+        frames: the photos.
+    """
+    if not len(obs.photo):
+        return obs
+    lenses = priors.lenses.moved(state.lens)
+    warp = _warps(state, obs, lenses, priors.velocity)
+    first = np.zeros(len(obs.photo), dtype=bool)
+    first[obs.starts] = True
+    patches = np.full((obs.points, _SIDE, _SIDE), np.nan, np.float16)
+    owned, others = (_by_photo(obs, rows) for rows in (first, ~first))
+    cuts = (Task(f"patches {i}", _cut, (_picture(frames[i]), obs.pixels[k])) for i, k in owned)
+    for (_, k), some in zip(owned, InTurn().run(cuts, at_once=True), strict=True):
+        patches[obs.point[k]] = some
+    pixels, found = obs.pixels.copy(), np.zeros(len(obs.photo), dtype=bool)
+    finds = (
+        Task(f"matches {i}", _find, (patches[obs.point[k]], _picture(frames[i]), obs.pixels[k], warp[k]))
+        for i, k in others
+    )
+    for (_, k), moved in zip(others, InTurn().run(finds, at_once=True), strict=True):
+        good = np.isfinite(moved).all(axis=1)
+        pixels[k[good]] += moved[good]
+        found[k[good]] = True
+    found[obs.starts] = np.logical_or.reduceat(found, obs.starts)
+    log.info("patches: %.0f %% of %d observations found", 100 * found.mean(), len(found))
+    return replace(obs, pixels=pixels, by_patch=found)
+
+
+def _by_photo(obs: BundleObservations, rows: Mask) -> list[tuple[int, I64]]:
+    """Photos with some of the rows, and the rows of each."""
+    chosen = np.flatnonzero(rows)
+    order = chosen[np.argsort(obs.photo[chosen], kind="stable")]
+    photos, begin = np.unique(obs.photo[order], return_index=True)
+    return list(zip(photos.tolist(), np.split(order, begin[1:]), strict=True))
+
+
+def _picture(frame: Frame) -> Pixels:
+    image = frame.images[taken_by(frame)]
+    assert image is not None  # it has features
+    return image
+
+
+def _grey(image: Pixels) -> tuple[F32, F64]:
+    """Grey levels (H, W) of a picture that is not too large, and (2,) its pixels over the photo's."""
+    picture = np.asarray(image)
+    read = grey_levels(shrunk(picture, MOST_PX))
+    return read.astype(np.float32), np.array(read.shape[1::-1]) / picture.shape[1::-1]
+
+
+def _cut(image: Pixels, pixels: F64) -> F16:
+    """Patches about pixels (K, 2) of a photo."""
+    grey, scale = _grey(image)
+    out = np.empty((len(pixels), _SIDE, _SIDE), np.float32)
+    kernels.sample_patches(grey, (pixels + 0.5) * scale - 0.5, out)
+    return out.astype(np.float16)
+
+
+def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
+    """Shift of the patches found against pixels (K, 2) of a photo, (K, 2) of its pixels; NaN: not found."""
+    grey, scale = _grey(image)
+    moved, likeness = np.empty((len(pixels), 2)), np.empty(len(pixels))
+    kernels.match_patches(
+        patches.astype(np.float32), grey, (pixels + 0.5) * scale - 0.5, np.ascontiguousarray(warp), moved, likeness
+    )
+    moved[likeness < LEAST_LIKENESS] = np.nan
+    return moved / scale
+
+
+def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> F64:
+    """(N, 2, 2) shift of the ground in each picture, pixels, for a shift by one pixel in the point's first picture.
+
+    Pixels are those of the pictures that patches are matched in. The ground about a point counts as level.
+    """
+    first = obs.starts[obs.point]
+    away = np.linalg.norm(state.points[obs.point] - state.centres[obs.photo], axis=1)
+    reach = _REACH * np.median(away / lenses.focal(obs.photo)[:, 0])
+    sides = np.empty((2, 2, len(obs.photo), 2))  # axis, side
+    for axis in (0, 1):
+        for side, sign in enumerate((-0.5, 0.5)):
+            beside = state.points.copy()
+            beside[:, axis] += sign * reach
+            sides[axis, side] = project_points(replace(state, points=beside), obs, lenses, velocity)[0]
+    by_ground = np.moveaxis(sides[:, 1] - sides[:, 0], 0, 2)  # (N, 2 pixels, 2 axes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        warp = by_ground @ _inverses(by_ground[first])
+    reduced = np.array([min(1.0, MOST_PX / max(c.width, c.height)) for c in lenses.cameras])[lenses.of[obs.photo]]
+    warp *= (reduced / reduced[first])[:, None, None]
+    size = np.abs(warp).max(axis=(1, 2))
+    warp[~(size < _MOST_WARP)] = np.nan  # no patch can be found there
+    return np.asarray(warp)
+
+
+def _inverses(A: F64) -> F64:
+    """Inverses of matrices (N, 2, 2); not finite where there is none."""
+    det = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    adjoint = np.array([[A[:, 1, 1], -A[:, 0, 1]], [-A[:, 1, 0], A[:, 0, 0]]])
+    return np.asarray(np.moveaxis(adjoint / det, 2, 0))

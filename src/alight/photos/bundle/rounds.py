@@ -1,0 +1,131 @@
+"""Rounds of a bundle adjustment, loose to tight: triangulate, remove outliers, adjust; test for rolling shutter."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.priors import at_once, rolling_priors, turning_priors
+from alight.photos.bundle.resection import misplaced, without_photos
+from alight.photos.bundle.solver import (
+    Adjustment,
+    BundleState,
+    Priors,
+    intersection_angle,
+    project_points,
+    residuals,
+    total_cost,
+    triangulate_bundle,
+)
+
+log = logging.getLogger(__name__)
+
+ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
+_LENS_ROUND = 2  # from here on the lens is free: earlier it would absorb the errors of the first poses
+_ROLLS = 1.0  # px from the first row to the last, median of the photos: below it rows count as exposed at once
+_MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
+_GAIN = 25.0  # least gain of cost, a photo, for its six numbers of turning
+
+
+def coarse_rounds(
+    state: BundleState,
+    few: BundleObservations,
+    priors: Priors,
+    aside: I64,
+    tell: Callable[[float], None],
+    seconds: F64 | None,
+) -> tuple[BundleState, Priors, I64]:
+    """Do the coarse rounds without the photos that jumped; photos found to be misplaced are set aside, too."""
+    held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
+    few = without_photos(few, aside)[0]
+    for k, (loss, cut) in enumerate(ROUNDS[:_LENS_ROUND]):
+        state, _ = one_round(state, few, held, loss, cut)
+        tell(0.15 * (k + 1))
+    loss, cut = ROUNDS[_LENS_ROUND]
+    more = misplaced(few, retriangulate(state, few, priors, cut, loss)[1], len(priors.centres))
+    if len(more):
+        aside, few = np.union1d(aside, more), without_photos(few, more)[0]
+        state, _ = one_round(state, few, held, *ROUNDS[_LENS_ROUND - 1])
+    if seconds is None or not (priors.sigma_lens.any() or priors.lenses.any_told):
+        state = _lens_rounds(state, few, priors)
+    else:
+        told = seconds.copy()
+        told[aside] = np.nan  # their place is not known yet
+        state = replace(state, lens=priors.lenses.with_told(state.lens))
+        state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, told))
+    tell(0.6)
+    return state, priors, aside
+
+
+def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) -> BundleState:
+    """Do the coarse rounds with a free lens: before them it would absorb the errors of the first poses."""
+    for loss, cut in ROUNDS[_LENS_ROUND:-1]:
+        state, _ = one_round(state, obs, priors, loss, cut)
+    return state
+
+
+def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tuple[BundleState, Priors]:
+    """Do the rounds with a free lens, and choose a model of the rows: at once, with translation, or with turns as well.
+
+    A readout that moves rows by less than a pixel is noise. Over level ground a turn looks much like a translation: the
+    readout is held when turns are free, and turns are kept only where they lower the cost far more than by chance.
+    """
+    state = _lens_rounds(first, obs, priors)
+    lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
+    points = triangulate_bundle(state, lenses, priors.velocity, obs)
+    depth = np.linalg.norm(points[obs.point] - state.centres[obs.photo], axis=1)
+    way = np.linalg.norm(priors.velocity, axis=1) * np.abs(lenses.readout(np.arange(len(state.centres))))
+    moved = way[photos] * lenses.focal(photos)[:, 0] / np.median(depth) if len(depth) else np.zeros(1)
+    at = priors.lenses.readout_numbers
+    lens = state.lens.copy()
+    if float(np.median(moved)) < _ROLLS:
+        lens[at] = 0.0
+        return replace(state, lens=lens), at_once(priors)
+    log.info("readout %s s: rows move by %.1f px", lenses.readouts, float(np.median(moved)))
+    lens[:] = first.lens
+    lens[at] = state.lens[at]
+    turning = turning_priors(priors, lenses.readouts)
+    turned = _lens_rounds(replace(first, lens=lens), obs, turning)
+    gain = (_misfit(state, obs, priors) - _misfit(turned, obs, turning)) / len(photos)
+    log.info("turning while read out: gain %.0f a photo", gain)
+    return (turned, turning) if gain > _GAIN else (state, priors)
+
+
+def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> float:
+    """Robust cost of all observations; those without a point count as the mean of the others."""
+    state, used = retriangulate(state, obs, priors, np.inf, 2.0)
+    return total_cost(state, used, priors, np.ones(len(used.photo)), 2.0) * len(obs.photo) / max(len(used.photo), 1)
+
+
+def one_round(
+    state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float
+) -> tuple[BundleState, BundleObservations]:
+    """Triangulate, remove outliers, adjust; return the state and the observations used."""
+    state, used = retriangulate(state, obs, priors, cut, loss)
+    if len(used.photo):
+        state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
+        left = float(np.median(np.abs(residuals(state, used, priors))))
+        log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
+    return state, used
+
+
+def retriangulate(
+    state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
+) -> tuple[BundleState, BundleObservations]:
+    """Triangulate all tracks; remove observations with a residual above `cut` px and points with small angles."""
+    lenses = priors.lenses.moved(state.lens)
+    for _ in range(2):
+        points = triangulate_bundle(state, lenses, priors.velocity, obs, scale_px=scale)
+        state = replace(state, points=points)
+        pixels, depth = project_points(state, obs, lenses, priors.velocity)
+        residual = np.nan_to_num(np.linalg.norm(pixels - obs.pixels, axis=1), nan=np.inf)
+        wide = intersection_angle(points, state.centres, obs) > _MIN_ANGLE
+        good = (depth > 0) & wide[obs.point]
+        obs, old = obs.keep(good & (residual < cut) if np.isfinite(cut) else good)
+        state = replace(state, points=points[old])
+    return state, obs

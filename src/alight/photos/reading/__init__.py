@@ -1,0 +1,1 @@
+"""Photos and films as sources: tags, lenses, poses, the choice of the pictures."""

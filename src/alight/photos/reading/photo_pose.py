@@ -1,0 +1,137 @@
+"""Position and attitude of a photo from its tags, as GPS/INS measurements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.geometry import LocalFrame, Pose, enu_from_flu
+from alight.photos.reading.photo_tags import PhotoTags
+from alight.records import NavSample
+
+# the body of a photo is its gimbal: x along the optical axis, y left, z up, when all gimbal angles are zero
+BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
+
+RTK_FIXED, RTK_FLOAT, SINGLE = 50, range(32, 50), 16  # DJI's kinds of fix
+SIGMA_FLOOR = {"RTK fixed": 0.01, "RTK float": 0.5}  # m, lower limit of a receiver's own sigma
+SKYDIO_ACCURACY = "skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"
+ACCURACY_FLOOR = np.array([0.02, 0.02, 0.03])  # m, lower limit of other makers' accuracies
+GIMBALS = (
+    "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
+    "yuneec:Gimbal{}", "Camera{}",  # the last one of Yuneec's CGO3+
+)  # fmt: skip
+FARTHEST_BACK = math.radians(-45.0)  # pitch of a camera beyond straight down
+GIMBAL_SIGMA = np.array([0.02, 0.02, 0.1])  # rad, roll pitch (about horizontal axes), yaw (about the vertical)
+FLIGHT_SIGMA = np.array([0.05, 0.05, 0.1])
+GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
+
+
+def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
+    """`world_from_body` (3, 3) of the gimbal, and the kind of tags that it came from ("" without any).
+
+    None where the EXIF orientation turns the picture: it is not documented whether the angles belong to the turned
+    picture or to the pixels as they are stored.
+
+    Makers' own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
+    Pitch, Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others): zero is a camera that looks down with the
+    image's top to the north. Some Autel drones write a pitch from the horizon into these: no camera looks so far back.
+    """
+    if tags.turned:
+        return None, f"not used: EXIF orientation {tags.turned}"
+    for pattern in GIMBALS:
+        if (gimbal := _angles(tags, pattern)) is not None:
+            return enu_from_flu(*gimbal), "gimbal"
+    pix4d = _angles(tags, "camera:{}")
+    if pix4d is not None and pix4d[1] < FARTHEST_BACK:
+        return enu_from_flu(*pix4d), "camera, from the horizon"
+    if pix4d is not None:
+        yaw, pitch, roll = pix4d
+        sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly counts roll the other way round
+        return enu_from_flu(yaw, pitch, sign * roll) @ CRAFT_FROM_NADIR, "camera"
+    flight = _angles(tags, "dji:Flight{}Degree")
+    if flight is not None:
+        return enu_from_flu(*flight) @ CRAFT_FROM_NADIR, "flight"
+    return None, ""
+
+
+def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
+    values = [tags.xmp_number(pattern.format(name)) for name in ("Yaw", "Pitch", "Roll")]
+    if any(v is None for v in values):
+        return None
+    yaw, pitch, roll = (math.radians(v or 0.0) for v in values)
+    return yaw, pitch, roll
+
+
+def position_sigma(tags: PhotoTags) -> F64:
+    """1-sigma (3,) of east, north, up in metres: the receiver's, else that of a consumer receiver."""
+    said = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
+    floor = SIGMA_FLOOR.get(rtk_fix(tags))
+    if floor is not None and all(s is not None and s > 0 for s in said):
+        return np.maximum(np.array(said, dtype=np.float64), floor)
+    sigma = GPS_SIGMA.copy()
+    for across, up in (("camera:GPSXYAccuracy", "camera:GPSZAccuracy"), SKYDIO_ACCURACY):
+        for name, axes in ((across, slice(0, 2)), (up, slice(2, 3))):
+            value = tags.xmp_number(name)
+            if value is not None and value > 0:  # 0: not known
+                sigma[axes] = np.maximum(value, ACCURACY_FLOOR[axes])
+    return sigma
+
+
+def rtk_fix(tags: PhotoTags) -> str:
+    """The kind of fix by DJI's flag; empty without it."""
+    flag = tags.xmp_number("dji:RtkFlag")
+    if flag is None:
+        return ""
+    if flag in RTK_FLOAT:
+        return "RTK float"
+    return {RTK_FIXED: "RTK fixed", SINGLE: "single point"}.get(int(flag), "")
+
+
+def with_supposed_altitudes(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], str]:
+    """Assume altitudes for a set in which no photo has one; return their kind as well, empty if none was assumed.
+
+    They are altitudes above take-off, where all photos have them, else one altitude for all.
+    """
+    placed = [p for p in photos if p.place is not None]
+    if not placed or any(p.position is not None for p in placed):
+        return list(photos), ""
+    relative = [p.relative_altitude for p in placed]
+    if all(r is not None for r in relative):
+        return [replace(p, supposed_altitude=p.relative_altitude) for p in photos], "the height above take-off is used"
+    return [replace(p, supposed_altitude=0.0) for p in photos], "the flight is taken as level"
+
+
+def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
+    """The world's origin: the median place, at the height of take-off.
+
+    The height of take-off is the first photo's absolute less its relative altitude; without one, 50 m below the
+    lowest photo. It only keeps the numbers small: no measurement depends on it.
+    """
+    places = np.array([p for t in photos if (p := t.position) is not None])
+    if np.ptp(places[:, 1]) > 180:  # photos on both sides of longitude 180: counted eastwards from 0 to 360
+        places[:, 1] %= 360
+    latitude, longitude = np.round(np.median(places[:, :2], axis=0), 7)
+    first = next(t for t in photos if t.position is not None)
+    relative = first.relative_altitude
+    height = places[:, 2].min() - 50 if relative is None else places[0, 2] - relative
+    longitude -= 360 * (longitude > 180)
+    return LocalFrame(float(latitude), float(longitude), round(float(height), 2))
+
+
+def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
+    """One photo's position and attitude; each is None where the tags do not give it."""
+    place = tags.position
+    world_from_body, source = photo_attitude(tags)
+    sigma = FLIGHT_SIGMA if source == "flight" else GIMBAL_SIGMA
+    return NavSample(
+        t_ns,
+        None if place is None else local.to_enu(*place),
+        world_from_body,
+        sigma_position=None if place is None else position_sigma(tags),
+        sigma_attitude=None if world_from_body is None else sigma.copy(),
+    )

@@ -1,0 +1,231 @@
+"""Tags of a drone's photos: EXIF (pillow) and XMP."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from PIL import ExifTags, Image
+
+from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
+from alight.sources.images import open_image, stored_size
+
+Base, Gps = ExifTags.Base, ExifTags.GPS
+MOST_ZOOM = 100.0  # of a digital zoom
+EXIF_3 = "0300"  # ExifVersion
+COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
+
+
+class PhotoCamera(NamedTuple):
+    """Identity of a camera: photos with equal values are of one camera."""
+
+    make: str
+    model: str
+    size: tuple[int, int]  # width, height
+    focal: float | None  # mm, a digital zoom counted in
+    band: str = ""  # of a camera of several bands; empty: colour
+
+    @property
+    def title(self) -> str:
+        """Name of the camera for a reader."""
+        width, height = self.size
+        focal = f", {self.focal:g} mm" if self.focal else ""
+        band = f", {self.band}" if self.band else ""
+        return f"{self.make or 'unknown'} {self.model or 'camera'}, {width}x{height}{focal}{band}"
+
+
+@dataclass(frozen=True)
+class PhotoTags:
+    """The tags of one photo, as written: degrees, metres, no derived values."""
+
+    path: Path
+    size: tuple[int, int]  # width, height of the file's pixels
+    exif: Mapping[int, Any]  # main and photo directory, by tag number
+    gps: Mapping[int, Any]
+    xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
+    supposed_altitude: float | None = None  # metres, where the photo itself has none
+
+    def text(self, tag: int) -> str:
+        """An EXIF text, padding removed; empty when absent."""
+        value = self.exif.get(tag, "")
+        return (value.decode(errors="replace") if isinstance(value, bytes) else str(value)).strip("\0 ")
+
+    def number(self, tag: int) -> float | None:
+        """An EXIF number; None when absent or not finite."""
+        return finite(self.exif.get(tag))
+
+    def xmp_number(self, key: str) -> float | None:
+        """An XMP number; None when absent or malformed."""
+        return finite(self.xmp.get(key))
+
+    @property
+    def camera(self) -> PhotoCamera:
+        """The camera of the photo."""
+        focal = self.number(Base.FocalLength)
+        zoomed = None if focal is None else round(focal * self.digital_zoom, 2)
+        return PhotoCamera(self.text(Base.Make), self.text(Base.Model), self.size, zoomed, self.band)
+
+    @property
+    def band(self) -> str:
+        """The spectral band of the picture; empty: colour, or not given.
+
+        Pix4D's names. Cameras that write all bands of a colour picture (Red, Green, Blue) are no multispectral ones.
+        """
+        name = self.xmp.get("camera:BandName", "")
+        return "" if "," in name or name.lower() in COLOUR else name
+
+    @property
+    def digital_zoom(self) -> float:
+        """Factor of the digital zoom; 1 where the tags do not give it, or give an impossible one."""
+        zoom = self.number(Base.DigitalZoomRatio)
+        return zoom if zoom is not None and 1 < zoom <= MOST_ZOOM else 1.0
+
+    @property
+    def altitude_kind(self) -> str:
+        """Vertical datum of the altitude, as far as the photo gives it.
+
+        EXIF 3.0 counts the values 0 and 1 of `GPSAltitudeRef` from the ellipsoid, 2 and 3 from the sea level; before,
+        0 and 1 were about the sea level, and in practice about either. DJI names a fused or an RTK altitude. Parrot
+        documents its own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
+        """
+        if self._told_altitude() is None:
+            return "not said"
+        code = self._altitude_code if self._told_altitude() == self._exif_altitude else None
+        model = self.text(Base.Model).lower().replace(" ", "")
+        datum = (self.xmp.get("camera:VertCS") or self.xmp.get("skydio:VertCS") or "").lower()
+        rtk = self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt"
+        if code in (2, 3):
+            return "sea level"
+        if rtk or "anafiai" in model or datum == "ellipsoidal":
+            return "ellipsoid"
+        if self.xmp_number("dji:RtkFlag") == 50:
+            return "ellipsoid (RTK fixed)"
+        if code in (0, 1) and self.text(Base.ExifVersion) >= EXIF_3:
+            return "ellipsoid"
+        if self.text(Base.Make).lower() == "parrot":
+            return "sea level (EGM96)"
+        return "sea level or ellipsoid: not said"
+
+    @property
+    def turned(self) -> int:
+        """EXIF orientation (2 to 8) of a picture that must be turned for display; 0: upright, or not given."""
+        orientation = int(self.number(Base.Orientation) or 0)
+        return orientation if 2 <= orientation <= 8 else 0
+
+    @property
+    def time_ns(self) -> int | None:
+        """Capture time in ns since 1970, a time without zone taken as UTC: it only serves to sort photos."""
+        for tag, part in ((Base.DateTimeOriginal, Base.SubsecTimeOriginal), (Base.DateTime, Base.SubsecTime)):
+            try:
+                whole = datetime.strptime(self.text(tag), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+            except ValueError:
+                continue
+            digits = self.text(part)
+            fraction = int(digits[:9].ljust(9, "0")) if digits.isascii() and digits.isdigit() else 0
+            return int(whole.timestamp()) * 1_000_000_000 + fraction
+        return None
+
+    @property
+    def position(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (degrees), altitude (metres above the maker's datum); None without a fix."""
+        place, altitude = self.place, self._told_altitude()
+        altitude = self.supposed_altitude if altitude is None else altitude
+        return None if place is None or altitude is None else (*place, altitude)
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude in degrees; None without a fix."""
+        latitude = _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S")
+        longitude = _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W")
+        if latitude is None or longitude is None:
+            latitude = self.xmp_number("dji:GpsLatitude")
+            longitude = self.xmp_number("dji:GpsLongitude") or self.xmp_number(
+                "dji:GpsLongtitude"
+            )  # DJI's own spelling
+        if latitude is None or longitude is None:
+            return None
+        on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
+        return (latitude, longitude) if on_earth and (latitude, longitude) != (0, 0) else None
+
+    @property
+    def relative_altitude(self) -> float | None:
+        """Metres above the place of take-off; None where the photo does not give them."""
+        said = (
+            self.xmp_number(k) for k in ("dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude")
+        )
+        return next((v for v in said if v is not None), None)
+
+    @property
+    def half_said(self) -> bool:
+        """True if EXIF has a place without its hemisphere: north and east are assumed then."""
+        references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
+        return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
+
+    @property
+    def _altitude_code(self) -> Any:
+        """`GPSAltitudeRef`: 0 to 3, odd below the surface that the altitude is counted from; None without it."""
+        reference = self.gps.get(Gps.GPSAltitudeRef)
+        return reference[0] if isinstance(reference, bytes) and reference else reference
+
+    @property
+    def _exif_altitude(self) -> float | None:
+        exif = finite(self.gps.get(Gps.GPSAltitude))
+        return -exif if exif is not None and self._altitude_code in (1, 3) else exif
+
+    def _told_altitude(self) -> float | None:
+        exif, absolute = self._exif_altitude, self.xmp_number("dji:AbsoluteAltitude")
+        if absolute is not None and (exif is None or abs(exif - absolute) > 1):
+            return absolute  # some firmware leaves the EXIF altitude at zero
+        return exif
+
+
+def finite(value: Any) -> float | None:
+    """A tag as a number, also one written as a fraction ("527/100"); None when absent, malformed or not finite."""
+    try:
+        above, _, below = value.partition("/") if isinstance(value, str) else (value, "", "")
+        number = float(above) / float(below or 1)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _angle(dms: Any, ref: Any, negative: str) -> float | None:
+    """Signed degrees from degrees, minutes, seconds; the latter two may be undefined (0/0) beside decimal degrees."""
+    if not isinstance(dms, tuple) or len(dms) != 3:
+        return None
+    d, m, s = (finite(v) for v in dms)
+    if d is None:
+        return None
+    return (d + (m or 0.0) / 60 + (s or 0.0) / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
+
+
+def _exif(image: Image.Image) -> tuple[dict[int, Any], dict[int, Any]]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, as intended
+        exif = image.getexif()
+        return dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif)), dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
+
+
+def read_tags(path: Path) -> tuple[PhotoTags, str]:
+    """Read one photo's tags, not its pixels.
+
+    Returns:
+        The tags, and their fault in words (empty: none).
+
+    Raises:
+        One of `images.UNREADABLE`.
+    """
+    with open_image(path) as image:
+        exif, gps = _exif(image)
+        packet = image.info.get("xmp") or b""
+        xmp, problem = {}, ""
+        try:
+            xmp = parse_xmp(packet) if packet else {}
+        except ValueError as e:
+            xmp, problem = salvage_xmp(packet), str(e)
+        return PhotoTags(path, stored_size(image), exif, gps, xmp), problem

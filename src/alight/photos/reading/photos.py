@@ -1,0 +1,358 @@
+"""A folder of drone photos as a source: one exposure and one GPS/INS measurement a photo.
+
+Each zoom level, and each camera with a few photos, is a camera of the rig; an exposure has the picture of one of them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from hashlib import blake2b, file_digest
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from alight.geometry import Camera
+from alight.photos.reading.photo_camera import GUESSED, dewarp_text, guessed_camera, photo_camera, photo_readout
+from alight.photos.reading.photo_pixels import PhotoPixels, PictureMemory
+from alight.photos.reading.photo_pose import (
+    BODY_FROM_CAM,
+    local_frame,
+    nav_sample,
+    photo_attitude,
+    position_sigma,
+    rtk_fix,
+    with_supposed_altitudes,
+)
+from alight.photos.reading.photo_selection import band_to_use, thermal_photos
+from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
+from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
+from alight.settings import ImuNoise, Settings
+from alight.sources.images import UNREADABLE
+from alight.sources.kalibr import read_camchain
+from alight.sources.source import Findings, RecordedSource, Trajectory
+
+GENERIC = ("images", "photos", "dcim", "jpg")  # folder names without information; the parent's is used instead
+SECOND = 1_000_000_000
+HELD = 0.5  # of the memory for images, by pictures that were read
+LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
+BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
+
+
+class Photos(RecordedSource):
+    """The photos in one folder.
+
+    Args:
+        root: the folder.
+        files: its photos.
+        closed: sub-folders that may not be read.
+
+    Raises:
+        InputError: no readable photo, or none with GPS.
+    """
+
+    kind: Literal["photos"] = "photos"
+    truth_trajectory: Trajectory | None = None
+    georeferenced = True
+    imu_noise = ImuNoise()
+
+    def __init__(self, root: Path, files: Sequence[Path], settings: Settings, closed: Sequence[Path] = ()) -> None:
+        self._root = root
+        self._memory = PictureMemory(HELD * 1e6 * settings.parallax.store_mb)
+        self._findings = Findings()
+        self._findings.expect("photos", len(files))
+        if closed:
+            names = ", ".join(self._name_of(p) for p in closed)
+            self._findings.say(f"no permission to read {names}: photos in there are left out")
+        self.name = root.parent.name if root.name.lower() in GENERIC else root.name
+        self._facts: dict[Path, PhotoFacts] = {}
+        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
+        photos, supposed = with_supposed_altitudes(photos)
+        if supposed:
+            self._findings.say(f"no photo says its altitude: {supposed}, heights above the sea are not known")
+            self._facts |= {p.path: facts_of(p) for p in photos}
+        if not any(p.position for p in photos):
+            raise InputError(f"{root}: no photo has a GPS position; photos need EXIF GPS latitude and longitude")
+        ordered = self._in_order(photos)[settings.sources.skip :: settings.sources.every]
+        if not any(p.position for _, p in ordered):
+            raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
+        self._photos = ordered
+        self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
+        self._names = _names([p for _, p in ordered], root)
+        self.length = len(ordered)
+        self.local = local_frame([p for _, p in ordered])
+        self.rig, self.notes = self._calibrate(settings)
+        self._note()
+        self._understand()
+
+    def events(self) -> Iterator[Event]:
+        for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
+            try:
+                self._memory.get(tags.path, tags.size)
+            except ValueError as e:
+                self._lose(tags.path, str(e))
+                continue
+            yield nav_sample(tags, t_ns, self.local)
+            pixels, own = PhotoPixels(tags.path, tags.size, self._memory), self._cameras.index(tags.camera)
+            yield Frame(t_ns, tuple(pixels if k == own else None for k in range(len(self._cameras))), name)
+
+    @property
+    def photos(self) -> list[PhotoFacts]:
+        """Facts about each photo, unused ones included; complete after `events`."""
+        return [self._facts[path] for path in sorted(self._facts)]
+
+    def digest(self) -> str:
+        """Digest of the names and the bytes of all photos that are used."""
+        of = blake2b()
+        for (_, tags), name in zip(self._photos, self._names, strict=True):
+            with tags.path.open("rb") as file:
+                of.update(f"{name} {file_digest(file, blake2b).hexdigest()}\n".encode(errors="surrogateescape"))
+        return of.hexdigest()
+
+    # -- opening
+
+    def _name_of(self, path: Path) -> str:
+        """Name of a file or folder within the set."""
+        return path.relative_to(self._root).as_posix()
+
+    def _lose(self, path: Path, why: str) -> None:
+        """Leave a photo out, with a warning."""
+        self._findings.lose("photos", self._name_of(path), why)
+        self._leave_out(path, why)
+
+    def _leave_out(self, path: Path, why: str) -> None:
+        facts = self._facts.get(path) or PhotoFacts(self._name_of(path), (0, 0), "")
+        self._facts[path] = replace(facts, left_out=why, t_ns=None)
+
+    def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
+        photos, damaged = [], list[str]()
+        for path in files:
+            try:
+                tags, problem = read_tags(path)
+            except UNREADABLE as e:
+                self._lose(path, "it is no image" if "identify" in str(e) else str(e))
+                continue
+            photos.append(tags)
+            self._facts[path] = facts_of(tags)
+            if problem:
+                damaged.append(f"{path.name}: {problem}")
+        if damaged:
+            self._findings.say(
+                f"{len(damaged)} photo(s) have damaged XMP (first: {damaged[0]}): of attitude and calibration, only "
+                "what can be picked out of it is used"
+            )
+        if not photos:
+            raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
+        return photos
+
+    def _without_thermal(self, photos: list[PhotoTags]) -> list[PhotoTags]:
+        thermal = thermal_photos(photos)
+        if thermal:
+            self._findings.say(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
+            self._findings.counts["thermal pictures"] = len(thermal)
+        for p in thermal:
+            self._leave_out(p.path, "a thermal picture")
+        aside = {p.path for p in thermal}
+        return [p for p in photos if p.path not in aside]
+
+    def _of_one_band(self, photos: list[PhotoTags]) -> list[PhotoTags]:
+        band = band_to_use(photos)
+        if band is None:
+            return photos
+        others = [p for p in photos if p.band != band]
+        used = f"band {band.removeprefix('band ')} is" if band else "the colour pictures are"
+        if others:
+            self._findings.say(
+                f"{len(others)} picture(s) of single bands are left out (first: {others[0].path.name}): of a "
+                f"multispectral camera {used} used"
+            )
+            self._findings.counts["pictures of other bands"] = len(others)
+        for p in others:
+            self._leave_out(p.path, f"{p.band or 'colour'}: {used} used")
+        return [p for p in photos if p.band == band]
+
+    def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
+        """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
+        groups = Counter(p.camera for p in photos).most_common()
+        first = groups[0][0]
+        out = dict[object, str]()
+        for camera, count in groups[1:]:
+            its = next(p for p in photos if p.camera == camera)
+            if settings.sources.calibration:
+                out[camera] = "sources.calibration is of another camera"
+            elif count < LEAST_OF_A_CAMERA:
+                out[camera] = f"fewer than {LEAST_OF_A_CAMERA} photos of its camera"
+            elif not has_focal_length(its):
+                out[camera] = "no focal length in its tags"
+            else:
+                continue
+            self._findings.say(
+                f"{count} photo(s) of another camera are left out: {camera.title} (first: {its.path.name}): "
+                f"{out[camera]}"
+            )
+        if out:
+            self._findings.counts["photos of another camera"] = sum(p.camera in out for p in photos)
+        for p in photos:
+            if p.camera in out:
+                self._leave_out(p.path, out[p.camera])
+        return [p for p in photos if p.camera not in out or p.camera == first]
+
+    def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
+        """Photos sorted by time of capture, then name; photos of one second are spread over it, so that time rises."""
+        times = {p.path: p.time_ns for p in photos}
+        if any(t is None for t in times.values()):
+            n = sum(t is None for t in times.values())
+            self._findings.say(f"{n} photo(s) have no capture time: the order of the file names is used")
+            return [(k * SECOND, p) for k, p in enumerate(sorted(photos, key=lambda p: p.path))]
+        ordered = sorted(photos, key=lambda p: (times[p.path] or 0, p.path))
+        return list(zip(_spread([times[p.path] or 0 for p in ordered]), ordered, strict=True))
+
+    def _calibrate(self, settings: Settings) -> tuple[Rig, dict[str, Any]]:
+        first = self._photos[0][1]
+        if settings.sources.calibration:
+            path = Path(settings.sources.calibration).expanduser()
+            blank = Rig((RigCamera("cam0", Camera(*first.size, 1, 1, 0, 0), BODY_FROM_CAM),))
+            lens = read_camchain(path, blank, BODY_FROM_CAM).cameras[0].camera
+            return Rig((RigCamera("cam0", lens, BODY_FROM_CAM),)), {
+                "focal_from": f"Kalibr {path.name}",
+                "focal_px": lens.fu,
+            }
+        found = [self._lens(camera) for camera in self._cameras]
+        readouts = [self._readout(camera) for camera in self._cameras]
+        cameras = enumerate(zip(found, readouts, strict=True))
+        rig = Rig(tuple(RigCamera(f"cam{k}", lens, BODY_FROM_CAM, r) for k, ((lens, _), r) in cameras))
+        notes = found[0][1]
+        if len(found) > 1:
+            notes["cameras"] = [
+                f"{c.title}: {n['focal_px']:g} px, {n['focal_from']}"
+                for c, (_, n) in zip(self._cameras, found, strict=True)
+            ]
+        return rig, notes
+
+    def _lens(self, camera: PhotoCamera) -> tuple[Camera, dict[str, Any]]:
+        """The lens of one camera, from the most frequent calibration that its photos carry."""
+        its = [p for _, p in self._photos if p.camera == camera]
+        dewarp = Counter(dewarp_text(p) for p in its).most_common()
+        chosen = next(p for p in its if dewarp_text(p) == dewarp[0][0])
+        if len(dewarp) > 1:
+            self._findings.say(
+                f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"
+            )
+        try:
+            return photo_camera(chosen)
+        except InputError:
+            lens, notes = guessed_camera(chosen)
+            self._findings.say(
+                f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
+                "quarter, and heights above ground scale with it; give the true one with --set "
+                "sources.calibration=camchain.yaml"
+            )
+            return lens, notes
+
+    def _readout(self, camera: PhotoCamera) -> float | None:
+        """The most frequent readout time in the tags of a camera's photos, in seconds."""
+        told = Counter(photo_readout(p) for _, p in self._photos if p.camera == camera)
+        return told.most_common(1)[0][0]
+
+    def _understand(self) -> None:
+        """Complete the facts that depend on the whole set: exposure, flight and camera, focal length in use."""
+        flight, before = 0, None
+        for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
+            taken = tags.time_ns
+            new = before is not None and taken is not None and taken - before > BETWEEN_FLIGHTS * SECOND
+            flight, before = flight + new, before if taken is None else taken
+            own = self._cameras.index(tags.camera)
+            lens = self.rig.cameras[own].camera
+            facts = self._facts[tags.path]
+            self._facts[tags.path] = replace(
+                facts, name=name, t_ns=t_ns, group=f"flight {flight + 1}, camera {own + 1}",
+                focal_px=round(lens.fu, 1), focal_from=facts.focal_from or GUESSED,
+            )  # fmt: skip
+            if "Kalibr" in str(self.notes["focal_from"]):
+                self._facts[tags.path] = replace(self._facts[tags.path], focal_from=str(self.notes["focal_from"]))
+        for path, facts in self._facts.items():
+            if facts.t_ns is None and not facts.left_out:
+                self._leave_out(path, "by sources.skip or sources.every")
+        if flight:
+            self.notes["flights"] = flight + 1
+
+    def _note(self) -> None:
+        photos = [p for _, p in self._photos]
+        kinds = Counter(photo_attitude(p)[1] or "none" for p in photos)
+        flags = Counter(rtk_fix(p) or "GPS" for p in photos if p.position)
+        self.notes |= {
+            "camera": photos[0].camera.title,
+            "image_size": list(photos[0].size),
+            "gps": dict(flags),
+            "attitude_from": dict(kinds),
+            "position_sigma": np.median([position_sigma(p) for p in photos], axis=0).round(3).tolist(),
+        }
+        if set(flags) - {"RTK fixed"}:
+            self.notes["height_note"] = (
+                "without an RTK fix a drone's altitude may be above sea level, not the ellipsoid"
+            )
+        if missing := sum(p.position is None for p in photos):
+            low = sum(p.position is None and p.place is not None for p in photos)
+            but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
+            self._findings.say(
+                f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the pictures "
+                "alone"
+            )
+        if half := sum(p.half_said for p in photos):
+            self._findings.say(
+                f"{half} photo(s) do not say whether their place is north or south, east or west: north and east are "
+                "taken"
+            )
+        if kinds["flight"]:
+            self._findings.say(
+                f"{kinds['flight']} photo(s) have no gimbal angles: a camera fixed to look down is assumed"
+            )
+        if turned := sum(p.turned > 0 for p in photos):
+            self._findings.say(
+                f"{turned} photo(s) have an EXIF orientation other than 1: their pixels are used as they are stored, "
+                "their attitude tags are not used"
+            )
+        if kinds["none"]:
+            self._findings.say(f"{kinds['none']} photo(s) say nothing about where the camera looked")
+
+
+def facts_of(tags: PhotoTags) -> PhotoFacts:
+    """Facts about one photo from its own tags."""
+    make, model, size, *_ = tags.camera
+    focal, focal_from = None, ""
+    with suppress(InputError):
+        lens, notes = photo_camera(tags)
+        focal, focal_from = round(lens.fu, 1), str(notes["focal_from"])
+    place, t_ns = tags.position, tags.time_ns
+    fix = rtk_fix(tags) or "GPS"
+    return PhotoFacts(
+        tags.path.name, size, f"{make or 'unknown'} {model or 'camera'}", focal, focal_from,
+        None if place is None else place[:2], "" if place is None else fix, None if place is None else place[2],
+        "" if place is None else tags.altitude_kind, photo_attitude(tags)[1],
+        "" if t_ns is None else f"{datetime.fromtimestamp(t_ns // SECOND, UTC):%Y-%m-%d %H:%M:%S}",
+    )  # fmt: skip
+
+
+def has_focal_length(tags: PhotoTags) -> bool:
+    """True if the focal length follows from a photo's tags."""
+    return facts_of(tags).focal_px is not None
+
+
+def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
+    """File names; with the folder where two folders have the same one."""
+    taken = Counter(p.path.name for p in photos)
+    return [p.path.name if taken[p.path.name] == 1 else p.path.relative_to(root).as_posix() for p in photos]
+
+
+def _spread(times: Sequence[int]) -> list[int]:
+    """Times in order, those that are equal spread over the time to the next one, a second at most."""
+    out: list[int] = []
+    for t, n in Counter(times).items():
+        after = len(out) + n
+        gap = min(SECOND, times[after] - t) if after < len(times) else SECOND
+        out += [t + k * gap // n for k in range(n)]
+    return out

@@ -1,0 +1,163 @@
+"""A video with telemetry (`.srt`) as photos: frames by distance, with tags that `Photos` reads."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from alight.arrays import U8
+from alight.photos.reading.photos import Photos
+from alight.photos.reading.sensor_sizes import FOUR_THIRDS, film_focal_px
+from alight.photos.reading.subtitles import Subtitle, read_srt
+from alight.records import InputError
+from alight.settings import Settings
+
+SUFFIXES = (".mp4", ".mov", ".m4v")
+OVERLAP = 0.8  # of one frame with the next, along the flight
+LEAST_STEP = 0.5  # metres
+USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not give it
+USUAL_FIELD = 0.56  # ground of a frame's height over the distance, where the focal length is unknown
+QUALITY = 95  # of the JPEGs
+COARSE_SIGMA = 11.0  # m, of a place with four decimals of a degree
+TENTHS = 200  # mm; whole numbers above are tenths of a millimetre
+
+
+def open_video(path: Path, settings: Settings) -> Photos:
+    """Extract frames from a video and open them as photos, in a temporary folder that lives as long as the source.
+
+    Raises:
+        InputError: it cannot be decoded, or there is no telemetry with a place.
+    """
+    subtitles = next((p for suffix in (".srt", ".SRT") if (p := path.with_suffix(suffix)).is_file()), None)
+    if subtitles is None:
+        raise InputError(
+            f"{path}: has no telemetry; put {path.stem}.srt beside it (subtitles in the video: ffmpeg -i {path.name} "
+            f"{path.stem}.srt)"
+        )
+    rows = [t for t in read_srt(subtitles.read_text(encoding="utf-8", errors="replace")) if t.place is not None]
+    if not rows:
+        raise InputError(
+            f"{subtitles}: no place in it; needs subtitles with [latitude: ...] [longitude: ...] [abs_alt: ...], or "
+            "with GPS(...) and BAROMETER:..."
+        )
+    folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
+    root = folder / path.stem
+    root.mkdir()
+    try:
+        source = _opened(path, rows, root, settings)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(source, shutil.rmtree, folder, True)
+    return source
+
+
+def _opened(path: Path, rows: Sequence[Subtitle], root: Path, settings: Settings) -> Photos:
+    files = list(_write_frames(path, rows, root))
+    if not files:
+        raise InputError(
+            f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
+        )
+    source = Photos(root, files, settings)
+    source.notes["video"] = f"{len(files)} frames of {path.name}, chosen by the distance flown"
+    return source
+
+
+def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[Path]:
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder repeats our own messages on stderr
+    film = cv2.VideoCapture(str(path))
+    try:
+        rate = film.get(cv2.CAP_PROP_FPS) or 30.0
+        at, last = np.array([t.seconds for t in rows]), None
+        number = -1
+        while film.grab():
+            number += 1
+            row = rows[max(int(np.searchsorted(at, number / rate, side="right")) - 1, 0)]
+            if last is not None and _apart(last, row) < _step(row, film):
+                continue
+            fine, frame = film.retrieve()
+            if not fine:
+                continue
+            last = row
+            file = root / f"frame_{number:06d}.jpg"
+            _write_photo(file, np.ascontiguousarray(frame[..., ::-1]), row, number / rate)
+            yield file
+    finally:
+        film.release()
+
+
+def _apart(a: Subtitle, b: Subtitle) -> float:
+    """Distance in metres between the places of two subtitles."""
+    assert a.place is not None
+    assert b.place is not None
+    north = 111_194.0 * (b.place[0] - a.place[0])
+    east = 111_194.0 * math.cos(math.radians(a.place[0])) * (b.place[1] - a.place[1])
+    return math.hypot(east, north, b.place[2] - a.place[2])
+
+
+def focal_px(row: Subtitle, width: float) -> float | None:
+    """Focal length in pixels from the 35 mm equivalent (DJI's 4:3 sensors, whose whole width is filmed)."""
+    film = row.said.get("focal_len")
+    if not film or film <= 0:
+        return None
+    if film > TENTHS and film == int(film):
+        film /= 10
+    return film_focal_px(film, width, FOUR_THIRDS)
+
+
+def _step(row: Subtitle, film: Any) -> float:
+    """Distance in metres from one frame to the next, for the overlap `OVERLAP`."""
+    width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    focal = focal_px(row, width)
+    field = USUAL_FIELD if focal is None else height / focal
+    above = row.said.get("rel_alt", USUAL_HEIGHT)
+    return max((1 - OVERLAP) * field * max(above, 1.0), LEAST_STEP)
+
+
+def _dms(degrees: float) -> tuple[float, float, float]:
+    whole = int(degrees)
+    minutes = int((degrees - whole) * 60)
+    return float(whole), float(minutes), (degrees - whole) * 3600 - minutes * 60
+
+
+def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
+    """Write a JPEG with the tags that a photo of the same drone would have, and no altitude where it is not known."""
+    assert row.place is not None
+    (latitude, longitude, _), altitude = row.place, row.altitude
+    taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110], exif[0x0112] = "video", "with telemetry", 1
+    exif.get_ifd(0x8769).update({0x9003: f"{taken:%Y:%m:%d %H:%M:%S}", 0x9291: f"{taken.microsecond // 1000:03d}"})
+    exif.get_ifd(0x8825).update(
+        {
+            1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude)),
+            **({} if altitude is None else {5: b"\x01" if altitude < 0 else b"\x00", 6: abs(altitude)}),
+        }
+    )  # fmt: skip
+    tags = {
+        "GpsLatitude": latitude, "GpsLongitude": longitude, "AbsoluteAltitude": altitude,
+        "RelativeAltitude": row.said.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
+        "GimbalYawDegree": row.said.get("gb_yaw"), "GimbalPitchDegree": row.said.get("gb_pitch"),
+        "GimbalRollDegree": row.said.get("gb_roll"),
+    }  # fmt: skip
+    attributes = " ".join(f"d:{k}={quoteattr(f'{v:.9g}')}" for k, v in tags.items() if v is not None)
+    if row.coarse:
+        attributes += f' c:GPSXYAccuracy="{COARSE_SIGMA}"'
+    xmp = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        f'<r:Description r:about="" xmlns:d="http://www.dji.com/drone-dji/1.0/" xmlns:c="http://pix4d.com/camera/1.0/" '
+        f"{attributes}/></r:RDF></x:xmpmeta>"
+    )
+    Image.fromarray(pixels).save(path, "JPEG", quality=QUALITY, exif=exif, xmp=xmp.encode())

@@ -1,6 +1,0 @@
-"""A landing that is flown: the live lanes, the executive, and an autopilot that takes its orders."""
-
-from alight.runner.fly.flight import FlightOutcome, FlightRequest, FlightStatus, fly_vehicle
-from alight.runner.fly.pilot import LandingPilot
-
-__all__ = ["FlightOutcome", "FlightRequest", "FlightStatus", "LandingPilot", "fly_vehicle"]

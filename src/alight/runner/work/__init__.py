@@ -1,6 +1,0 @@
-"""Workers for a set of photos: this process or a cluster; results from before an interruption are kept."""
-
-from alight.runner.work.cluster import ClusterJobs, cluster_jobs
-from alight.runner.work.saved import SavedJobs, work_key
-
-__all__ = ["ClusterJobs", "SavedJobs", "cluster_jobs", "work_key"]

@@ -1,0 +1,27 @@
+"""Campaigns: closed-loop landings over worlds, winds and faults, drawn from a seed, one line of a file each."""
+
+from alight.trials.campaign.folder import CampaignFolder
+from alight.trials.campaign.run import (
+    Campaign,
+    Ended,
+    again,
+    continued,
+    fly_campaign,
+    numbers_in,
+    outcome_lines,
+    wanted_landings,
+)
+from alight.trials.report.page import comparison
+
+__all__ = [
+    "Campaign",
+    "CampaignFolder",
+    "Ended",
+    "again",
+    "comparison",
+    "continued",
+    "fly_campaign",
+    "numbers_in",
+    "outcome_lines",
+    "wanted_landings",
+]

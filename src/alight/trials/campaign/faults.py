@@ -1,0 +1,138 @@
+"""Faults and events of a landing: the ranges of their numbers, and their effect on the vehicle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.flight.executive import ENDS
+from alight.records.campaign import FaultRecord
+from alight.records.executive import FlightState
+from alight_sim.steered import SteeredFlight
+
+Range = tuple[float, float]
+Numbers = Mapping[str, float]
+TURN: Range = (0.0, 2.0 * math.pi)
+IN_TIME = 2.5  # m above the ground: a body arrives before a vehicle that sinks by 1 m/s is lower. A landing is not
+# broken off below 1.5 m, and from there no camera that looks down sees a car come in time
+BRAKES = 2.0  # s, the most that braking adds to the time of arrival
+WALK = 1.4  # m/s
+
+
+@dataclass(frozen=True)
+class CampaignFault:
+    """A kind of fault or event: the ranges of its numbers, and its effect on the vehicle."""
+
+    ranges: Mapping[str, Range]  # its numbers are uniform in them
+    act: Callable[[SteeredFlight, Numbers], object]
+    is_body: bool = False  # a car or person that comes to the place of the vehicle
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """Draw each of its numbers, uniform in its range."""
+        return {name: float(rng.uniform(*r)) for name, r in self.ranges.items()}
+
+
+def _along(n: Numbers) -> tuple[float, float]:
+    return math.cos(n["direction"]), math.sin(n["direction"])
+
+
+def _time_left(v: SteeredFlight) -> float:
+    """Seconds in which a body must arrive, for a vehicle that sinks by 1 m/s."""
+    east, north, up = (float(c) for c in v.true_pose.translation)
+    return up - v.world.height_at(east, north) - IN_TIME
+
+
+def _start(v: SteeredFlight, n: Numbers, speed: float) -> tuple[float, float]:
+    """Start of a body, east and north in metres: nearer than planned if it would be late."""
+    (x, y), away = _along(n), min(n["from"], speed * max(_time_left(v) - BRAKES, 0.0))
+    return float(v.true_pose.translation[0] + away * x), float(v.true_pose.translation[1] + away * y)
+
+
+def _car(v: SteeredFlight, n: Numbers) -> None:
+    east, north, _ = v.true_pose.translation
+    v.park(float(east), float(north), start=_start(v, n, n["speed"]), speed=n["speed"])
+
+
+def _person(v: SteeredFlight, n: Numbers) -> None:
+    east, north, _ = v.true_pose.translation
+    v.walk_in(float(east), float(north), start=_start(v, n, WALK), speed=WALK)
+
+
+def _gust(v: SteeredFlight, n: Numbers) -> None:
+    x, y = _along(n)
+    v.gust((n["push"] * x, n["push"] * y, 0.0), n["seconds"])
+
+
+def _wind(v: SteeredFlight, n: Numbers) -> None:
+    x, y = _along(n)
+    v.wind(n["speed"] * x, n["speed"] * y)
+
+
+def _jump(v: SteeredFlight, n: Numbers) -> None:
+    x, y = _along(n)
+    v.jump_gps((n["by"] * x, n["by"] * y, n["up"]), n["seconds"])
+
+
+FAULTS: Mapping[str, CampaignFault] = {
+    "car": CampaignFault({"direction": TURN, "from": (20.0, 35.0), "speed": (4.0, 8.0)}, _car, is_body=True),
+    "person": CampaignFault({"direction": TURN, "from": (6.0, 12.0)}, _person, is_body=True),
+    "gust": CampaignFault({"direction": TURN, "push": (1.5, 3.0), "seconds": (1.5, 4.0)}, _gust),
+    "strong wind": CampaignFault({"direction": TURN, "speed": (9.0, 12.0)}, _wind),
+    "cameras frozen": CampaignFault({"seconds": (2.0, 10.0)}, lambda v, n: v.freeze_camera(n["seconds"])),
+    "cameras lost": CampaignFault({"seconds": (2.0, 25.0)}, lambda v, n: v.lose_camera(n["seconds"])),
+    "one camera lost": CampaignFault({"seconds": (2.0, 60.0)}, lambda v, n: v.lose_camera(n["seconds"], 1)),
+    "cameras covered": CampaignFault({"seconds": (3.0, 10.0)}, lambda v, n: v.cover_camera(n["seconds"])),
+    "pictures late": CampaignFault(
+        {"seconds": (5.0, 20.0), "by": (0.3, 0.9)}, lambda v, n: v.delay_frames(n["seconds"], n["by"])
+    ),
+    "GPS lost": CampaignFault({"seconds": (5.0, 60.0)}, lambda v, n: v.lose_gps(n["seconds"])),
+    "GPS jump": CampaignFault({"direction": TURN, "by": (3.0, 8.0), "up": (-2.0, 2.0), "seconds": (10.0, 30.0)}, _jump),
+    "IMU lost": CampaignFault({"seconds": (0.3, 2.0)}, lambda v, n: v.lose_imu(n["seconds"])),
+    "battery low": CampaignFault({"share": (0.82, 0.9)}, lambda v, n: v.drain(n["share"])),
+}
+
+
+class Happenings:
+    """Called before every order of a landing: triggers the planned faults, and measures the distance flown.
+
+    Args:
+        vehicle: the vehicle of the landing.
+        planned: its faults, in any order.
+    """
+
+    def __init__(self, vehicle: SteeredFlight, planned: tuple[FaultRecord, ...]) -> None:
+        self._vehicle, self._planned = vehicle, planned
+        self._entered: dict[str, float] = {}
+        self._happened: dict[int, float] = {}
+        self._at = vehicle.true_pose.translation.copy()
+        self.distance = 0.0  # metres
+        self.nearest: float | None = None  # metres, least height of the feet above all within the radius
+
+    def __call__(self, t: float, state: FlightState) -> None:
+        """Trigger the faults that are due; update `distance` and `nearest` with the flight since the last call.
+
+        Args:
+            t: s of the flight.
+            state: of the executive.
+        """
+        at = self._vehicle.true_pose.translation
+        self.distance += float(np.linalg.norm(at - self._at))
+        self._at = at.copy()
+        if state not in (FlightState.COMMIT, FlightState.ABORT, *ENDS):
+            gap = self._vehicle.gap
+            self.nearest = gap if self.nearest is None else min(self.nearest, gap)
+        self._entered.setdefault(state.value, t)
+        for k, fault in enumerate(self._planned):
+            since = 0.0 if fault.state is None else self._entered.get(fault.state)
+            late = FAULTS[fault.what].is_body and _time_left(self._vehicle) <= 0.0
+            if k not in self._happened and since is not None and t >= since + fault.after and not late:
+                self._happened[k] = t
+                FAULTS[fault.what].act(self._vehicle, fault.numbers)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """The planned faults, each with the second of the flight at which it happened; None: it did not."""
+        return tuple(f.model_copy(update={"happened": self._happened.get(k)}) for k, f in enumerate(self._planned))

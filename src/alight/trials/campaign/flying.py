@@ -1,0 +1,157 @@
+"""Fly one landing of a campaign and judge it. An exception in flight is an outcome like any other."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from alight.records import InputError
+from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
+from alight.records.executive import FlightState
+from alight.runner.replay import appearance_of
+from alight.settings import Settings
+from alight.trials.campaign.faults import Happenings
+from alight.trials.campaign.outcome import judge_landing, met
+from alight.trials.campaign.picture import ground_picture
+from alight.trials.campaign.plan import campaign_world
+from alight.trials.landing import Landing, fly_landing
+from alight_sim.campaign import CampaignWorld
+from alight_sim.oracle import OracleLander
+from alight_sim.scene import Scene
+from alight_sim.steered import SteeredFlight
+from alight_sim.world import World
+
+log = logging.getLogger(__name__)
+
+FlyLanding = Callable[..., Landing]
+LEAST_CELLS = 1.5  # of the ground, in the radius of a footprint: its plane needs three of them
+
+
+class Flown(NamedTuple):
+    """A landing, and the picture of an unsafe touchdown (WebP)."""
+
+    record: LandingRecord
+    picture: bytes | None = None
+
+
+def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding = fly_landing) -> Flown:
+    """Fly a landing; an exception becomes the outcome `failed`.
+
+    Args:
+        conditions: the drawn conditions.
+        settings: of the aircraft.
+        fly: replaces `fly_landing` in tests.
+
+    Raises:
+        InputError: it cannot begin: the scene, the lander or the model of appearance cannot be used.
+    """
+    begun = time.process_time()
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            flown = _fly(conditions, settings, fly)
+    except InputError:
+        raise
+    except Exception as e:
+        log.info("landing %d: %s", conditions.landing, traceback.format_exc())
+        flown = failed(conditions, e)
+    gc.collect()  # the world and the map lie in cycles: 4.4 GB after five landings, else 0.7 GB after each
+    cpu = round(time.process_time() - begun, 2)
+    return flown._replace(record=flown.record.model_copy(update={"cpu_s": cpu}))
+
+
+def failed(conditions: Conditions, error: BaseException) -> Flown:
+    """Return the record of a landing that raised, or whose process died: outcome `failed`, with the error in a line."""
+    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=_in_a_line(error)))
+
+
+def _in_a_line(error: BaseException) -> str:
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
+    return " ".join(f"{type(error).__name__}: {error}".split()) + where
+
+
+def _raised(vehicle: SteeredFlight, conditions: Conditions, settings: Settings, error: Exception) -> Flown:
+    """Record of a landing that raised in flight; its contacts until then count."""
+    touchdown, strike = met(vehicle, settings)
+    unsafe = strike is not None or (touchdown is not None and not touchdown.safe)
+    more: dict[str, object] = {"touchdown": touchdown, "strike": strike}
+    if unsafe:
+        more |= {"outcome": "landed unsafely", "why": "it raised, and had touched what is not safe"}
+    return Flown(failed(conditions, error).record.model_copy(update=more))
+
+
+def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
+    """The vehicle of a landing above its world.
+
+    Raises:
+        InputError: the scene cannot be flown over at this size, or the lander is too small for its cells.
+    """
+    vehicle = _vehicle(c, campaign_world(c.scene), settings)
+    least = LEAST_CELLS * vehicle.world.cell
+    if settings.lander.radius < least:
+        raise InputError(
+            f"lander.radius {settings.lander.radius:g} m: the ground of {c.scene} has cells of "
+            f"{vehicle.world.cell:g} m, and only footprints of {least:g} m and more can be judged on it"
+        )
+    return vehicle
+
+
+def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredFlight:
+    world = lit_world(kind.build(c.world_seed), c.light)
+    drift = {"position": c.gps_sigma, "position_tau": c.gps_tau}
+    nav = None if world.scene is None else world.scene.sensors.nav.model_copy(update=drift)
+    return SteeredFlight(
+        world, c.flight_seed, start=kind.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
+        radius=OracleLander.of(settings.lander.model_dump()).reach,
+    )  # fmt: skip
+
+
+def lit_world(world: World, drawn: LightRecord | None) -> World:
+    """The world under the sun and the sky that were drawn; its haze and its wind stay, and cameras adapt."""
+    if drawn is None:
+        return world
+    clouds = world.light.clouds.model_copy(update={"share": drawn.clouds})
+    light = world.light.model_copy(update={**drawn.model_dump(exclude={"clouds"}), "clouds": clouds})
+    scene = world.scene or Scene()
+    adapting = scene.model_copy(update={"imaging": scene.imaging.model_copy(update={"auto": True})})
+    return replace(world, light=light, scene=adapting)
+
+
+def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
+    vehicle, appearance = checked_vehicle(conditions, settings), appearance_of(settings)
+    happenings = Happenings(vehicle, conditions.faults)
+    try:
+        landing = fly(vehicle, settings, appearance, happenings)
+    except Exception as e:
+        log.info("landing %d: %s", conditions.landing, traceback.format_exc())
+        return _raised(vehicle, conditions.model_copy(update={"faults": happenings.faults}), settings, e)
+    judged = judge_landing(vehicle, landing, settings, campaign_world(conditions.scene).start[:2])
+    picture = None
+    if judged.outcome == "landed unsafely" and (at := judged.touchdown or judged.strike):
+        picture = ground_picture(vehicle.world, at, settings.lander.radius)
+    found = [x for x in landing.diary.transitions if x.after is FlightState.APPROACH]
+    record = LandingRecord(
+        conditions=conditions.model_copy(update={"faults": happenings.faults}),
+        outcome=judged.outcome, why=judged.why, touchdown=judged.touchdown, strike=judged.strike,
+        safe_share=judged.safe_share,
+        state=landing.state.value, p_at_commit=landing.p_at_commit, p_found=found[-1].p_safe if found else None,
+        found_after=found[0].t if found else None,
+        looks=tuple(LookLine(**{k: getattr(x, k) for k in LookLine.model_fields}) for x in landing.diary.looks),
+        transitions=tuple(
+            TransitionLine(
+                t=x.t, before=x.before.value, event=x.event.value, after=x.after.value, reason=x.reason, p_safe=x.p_safe
+            )
+            for x in landing.diary.transitions
+        ),
+        seconds=landing.seconds, distance=happenings.distance, nearest=happenings.nearest, verdicts=landing.verdicts,
+        cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},
+        picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",
+    )  # fmt: skip
+    return Flown(record, picture)

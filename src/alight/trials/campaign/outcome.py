@@ -1,0 +1,133 @@
+"""Outcome of a landing, by the oracle: the true lander on the true ground.
+
+A contact is judged wherever it happened, and is unsafe where no landing was intended. Without one, a landing that was
+given up is rightly refused if
+
+- the wind or the battery was truly beyond its limit when the executive gave up for that reason, or
+- the oracle finds no safe place, with the margin of the settings, in the square that is searched,
+
+and wrongly refused otherwise, also where the time or the search ended. The executive decides alone on `handed over`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from alight.records.campaign import Outcome, StrikeLine, TouchdownLine
+from alight.records.executive import FlightEvent, FlightState
+from alight.settings import Settings
+from alight.trials.landing import Landing
+from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
+from alight_sim.steered import SteeredFlight, TrueContact
+from alight_sim.steered.touchdown import contact_seconds, severity
+
+STEPS = (0.5, 0.25)  # m between the places that the oracle tries; the finer ones only where none is found
+
+
+class JudgedLanding(NamedTuple):
+    """An outcome with its reason in words."""
+
+    outcome: Outcome
+    why: str
+    touchdown: TouchdownLine | None = None
+    strike: StrikeLine | None = None
+    safe_share: float | None = None
+
+
+def judge_landing(
+    vehicle: SteeredFlight, landing: Landing, settings: Settings, start: tuple[float, float]
+) -> JudgedLanding:
+    """Judge a landing that has ended.
+
+    Args:
+        vehicle: in its state after the landing.
+        landing: its end and its diary.
+        settings: of the landing.
+        start: east, north, metres: the middle of the square that is searched.
+    """
+    if vehicle.contacts:
+        return _touched(vehicle, landing, settings)
+    last = landing.diary.transitions[-1] if landing.diary.transitions else None
+    if landing.state is FlightState.HANDED_OVER:
+        return JudgedLanding("handed over", last.reason if last else "")
+    keys, event = settings.executive, None if last is None else last.event
+    if event is FlightEvent.WIND and vehicle.wind_speed > keys.most_wind:
+        return JudgedLanding("rightly refused", f"the wind is {vehicle.wind_speed:.1f} m/s")
+    if event is FlightEvent.BATTERY and vehicle.battery < keys.least_battery:
+        return JudgedLanding("rightly refused", f"the battery is at {100 * vehicle.battery:.0f} %")
+    share = safe_share(vehicle, settings, start)
+    said = last.event.value if last else "the time is over"
+    if share == 0.0:
+        return JudgedLanding("rightly refused", f"{said}; there is no safe place", safe_share=share)
+    return JudgedLanding(
+        "wrongly refused", f"{said}; {100 * share:.2g} % of the searched area is safe", safe_share=share
+    )
+
+
+def met(
+    vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf
+) -> tuple[TouchdownLine | None, StrikeLine | None]:
+    """Judge all contacts: the worst touchdown, and the highest strike, one after `begun` before earlier ones.
+
+    Args:
+        vehicle: after its flight.
+        settings: of its flight.
+        begun: s, begin of the landing.
+    """
+    down = [_line(vehicle, c, settings) for c in vehicle.contacts if c.struck is None]
+    struck = [_strike(c, c.struck) for c in vehicle.contacts if c.struck is not None]
+    return (
+        max(down, key=lambda d: severity(d.safe, d.reasons), default=None),
+        max(struck, key=lambda s: (s.t >= begun, s.above), default=None),
+    )
+
+
+def _touched(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
+    """Judge a landing with contacts: one that was not intended, or a strike, makes it unsafe."""
+    begun = max((x.t for x in landing.diary.transitions if x.after is FlightState.COMMIT), default=-math.inf)
+    worst, strike = met(vehicle, settings, begun)
+    early = min((contact_seconds(c) for c in vehicle.contacts if c.struck is None), default=math.inf)
+    if strike is not None:
+        why = f"it struck what stands beside it, {strike.above:.1f} m above its feet"
+    elif landing.state is not FlightState.LANDED:
+        why = f"it touched the ground and was then in {landing.state.value}"
+    elif early < begun:
+        why = f"it touched the ground at {early:.1f} s, and its landing was begun at {begun:.1f} s"
+    elif worst is None or worst.safe:
+        return JudgedLanding("landed safely", "every limit is kept", worst)
+    else:
+        why = ", ".join(worst.reasons)
+    return JudgedLanding("landed unsafely", why, worst, strike)
+
+
+def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:
+    lander, t = OracleLander.of(settings.lander.model_dump()), contact_seconds(contact)
+    d = judge_touchdown(vehicle.world, lander, contact.pose, contact.velocity_world, t)
+    return TouchdownLine(
+        t=t, east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt, roughness=d.roughness,
+        sink=d.sink, drift=d.drift,
+    )  # fmt: skip
+
+
+def _strike(contact: TrueContact, above: float) -> StrikeLine:
+    east, north, _ = (float(v) for v in contact.pose.translation)
+    return StrikeLine(t=contact_seconds(contact), east=east, north=north, above=above)
+
+
+def safe_share(vehicle: SteeredFlight, settings: Settings, start: tuple[float, float]) -> float:
+    """Share of the searched square whose centres are safe with the margin, by the oracle."""
+    margin, (east, north) = settings.sites.margin, start
+    half = 0.5 * settings.executive.search_side
+    lander, share = OracleLander.of(settings.lander.model_dump()), 0.0
+    for step in STEPS:
+        rim = math.ceil(margin / step) * step  # the true ground beyond the square exists as well
+        out = half + rim
+        places = safe_places(vehicle.world, (east - out, north - out, east + out, north + out), lander, step=step)
+        k, whole = round(rim / step), places.with_margin(margin)
+        share = float(np.mean(whole[k : whole.shape[0] - k, k : whole.shape[1] - k]))
+        if share > 0.0 or not places.safe.any():  # a margin of half a metre holds a centre of the coarse grid
+            break
+    return share

@@ -1,0 +1,257 @@
+"""Fly a campaign: the landings that are not done yet, one line each, and the report at the end."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from alight import __version__
+from alight.documents import DocumentError, read_bytes
+from alight.outputs.atomic_write import write_whole
+from alight.records import AlightError, InputError
+from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, LandingRecord
+from alight.report.canvas import embedded
+from alight.runner.program import sources_digest
+from alight.runner.replay import appearance_of
+from alight.settings import Settings, settings_of_run
+from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
+from alight.trials.campaign.folder import HEAD, PAGE, CampaignFolder
+from alight.trials.campaign.identity import file_digests
+from alight.trials.campaign.plan import conditions_of, scenes_of
+from alight.trials.campaign.workers import fly_all
+from alight.trials.landing import fly_landing
+from alight.trials.report import CampaignNumbers, campaign_numbers, render_campaign
+from alight_sim.campaign import campaign_worlds
+
+log = logging.getLogger(__name__)
+
+USUAL = 20  # landings of a new campaign
+LARGEST_PICTURE = 1_000_000  # bytes: ours have 20,000
+
+
+class Ended(NamedTuple):
+    """A landing that has ended, and the progress of the campaign."""
+
+    record: LandingRecord
+    done: int
+    of: int
+    left_s: float  # estimated, until the campaign ends
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Scenes, number of landings, seed and settings: everything that its results depend on."""
+
+    scenes: tuple[str, ...]
+    landings: int
+    seed: int
+    settings: Settings
+
+    @classmethod
+    def of(cls, scenes: Sequence[str], landings: int, seed: int, settings: Settings) -> Campaign:
+        """A campaign over scenes by name, files, or `all`.
+
+        Raises:
+            InputError: no such scene, too few or too many landings, or a seed that is too large.
+        """
+        if not 1 <= landings <= MOST_LANDINGS:
+            raise InputError(f"a campaign of {landings} landings; give 1 to {MOST_LANDINGS}")
+        if not 0 <= seed <= LARGEST_SEED:
+            raise InputError(f"a campaign of seed {seed}; give 0 to {LARGEST_SEED}")
+        return cls(scenes_of(scenes), landings, seed, settings)
+
+    @property
+    def head(self) -> CampaignHead:
+        """The head of campaign.json, which identifies a campaign."""
+        settings = self.settings.model_dump(mode="json")
+        return CampaignHead(
+            alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings,
+            sources=sources_digest(), files=file_digests(self.scenes, self.settings),
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Test that landings can begin: one in each scene file, and one at least.
+
+        Raises:
+            InputError: they cannot; the message names the scene, the lander or the model of appearance.
+        """
+        known = campaign_worlds()
+        appearance_of(self.settings)
+        for k, scene in enumerate(self.scenes):
+            if k == 0 or scene not in known:
+                checked_vehicle(conditions_of(self.scenes, self.seed, k), self.settings)
+
+
+def wanted_landings(out: Path, asked: int | None) -> int:
+    """Number of landings of a campaign: `asked`, else that of the folder's campaign, else `USUAL`.
+
+    Raises:
+        InputError: the folder's campaign.json is damaged, or its campaign has more landings than `asked`.
+    """
+    head = CampaignFolder(out).head()
+    if head is None:
+        return USUAL if asked is None else asked
+    if asked is not None and asked < head.landings:
+        raise InputError(f"{out}: its campaign has {head.landings} landings; ask for as many or more, not for {asked}")
+    return head.landings if asked is None else asked
+
+
+def continued(out: Path, landings: int | None = None) -> Campaign:
+    """Return the campaign of a folder, to continue it or to report it again.
+
+    Args:
+        out: the folder.
+        landings: new number of landings; None: the number that it was begun with.
+
+    Raises:
+        InputError: the folder holds no campaign, one of scenes or settings that cannot be used any more, or one of
+            more landings.
+    """
+    folder = CampaignFolder(out)
+    head = folder.head()
+    if head is None:
+        raise InputError(f"{out}: holds no campaign; name scenes, or 'all', to begin one")
+    try:
+        settings = settings_of_run(head.settings)
+    except ValueError as e:
+        raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
+    return Campaign.of(head.scenes, wanted_landings(out, landings), head.seed, settings)
+
+
+def fly_campaign(
+    campaign: Campaign,
+    out: Path,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    beside: Path | None = None,
+    tell: Callable[[Ended], None] = lambda ended: None,
+    fly: FlyLanding = fly_landing,
+) -> CampaignNumbers:
+    """Fly the landings that the folder does not hold yet, and write the report, also after an interruption.
+
+    Args:
+        campaign: the campaign to fly.
+        out: folder of the campaign; an interrupted one is continued.
+        jobs: processes of this machine.
+        scheduler: address of a Dask cluster instead.
+        beside: folder of another campaign, for a table of both.
+        tell: called whenever a landing ends.
+        fly: replaces `fly_landing` in tests.
+
+    Raises:
+        OutputError: the folder is another campaign's, or cannot be written.
+        InputError: its lines are damaged, no scheduler answers, or landings cannot begin.
+    """
+    if beside is not None:
+        numbers_in(beside)  # a wrong name is reported before hours of work
+    campaign.check()
+    head, folder = campaign.head, CampaignFolder(out)
+    folder.begin(head)
+    try:
+        return _go_on(campaign, head, folder, jobs, scheduler, beside, tell, fly)
+    finally:
+        folder.end()
+
+
+def _go_on(
+    campaign: Campaign,
+    head: CampaignHead,
+    folder: CampaignFolder,
+    jobs: int,
+    scheduler: str | None,
+    beside: Path | None,
+    tell: Callable[[Ended], None],
+    fly: FlyLanding,
+) -> CampaignNumbers:
+    """Fly the open landings; the report is written however that ends."""
+    done = {k for k, r in folder.read().items() if not r.was_lost}
+    open_ = [k for k in range(campaign.landings) if k not in done]
+    job = partial(fly_conditions, settings=campaign.settings, fly=fly)
+    begun, before = time.monotonic(), campaign.landings - len(open_)
+    drawn = [conditions_of(campaign.scenes, campaign.seed, k) for k in open_]
+    try:
+        for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
+            folder.append(record, picture)
+            each = (time.monotonic() - begun) / n
+            tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
+    except BaseException:  # Ctrl-C, a full disk, a worker that cannot be had
+        try:
+            _report(folder, head, beside)
+        except AlightError as e:
+            log.warning("the report is not written: %s", e)
+        raise
+    return _report(folder, head, beside)
+
+
+def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
+    """Write campaign.json and campaign.html from the lines of a campaign."""
+    records = list(folder.read().values())
+    numbers = campaign_numbers(records)
+    other = None if beside is None else (beside.resolve().name, numbers_in(beside))
+    folder.write_head(head, {"numbers": numbers.as_json()})
+    pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(folder.out / r.picture))}
+    page = render_campaign(folder.out.resolve().name, head, records, numbers, pictures, other)
+    write_whole(folder.out / PAGE, page.encode())
+    return numbers
+
+
+def _embedded(path: Path) -> str | None:
+    try:
+        return embedded(read_bytes(path, LARGEST_PICTURE))
+    except (OSError, DocumentError) as e:
+        log.warning("%s: cannot be read (%s); the report shows no picture of that touchdown", path, e)
+        return None
+
+
+def numbers_in(out: Path) -> CampaignNumbers:
+    """The numbers of a campaign's folder.
+
+    Raises:
+        InputError: it holds no campaign.
+    """
+    folder = CampaignFolder(out)
+    if folder.head() is None:
+        raise InputError(f"{out}: holds no campaign; name a folder that 'alight campaign' left")
+    return campaign_numbers(list(folder.read().values()))
+
+
+class Again(NamedTuple):
+    """A landing that was flown again, beside its line."""
+
+    record: LandingRecord
+    differing: list[str]  # names of the fields that are not the same
+    not_compared: str | None  # reason why there was no line to compare with; None: there was one
+
+
+def again(campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_landing) -> Again:
+    """Fly one landing once more, and return the differences from its line in the folder; nothing is written.
+
+    Raises:
+        InputError: the folder's campaign is damaged; this is raised before the flight.
+    """
+    folder = CampaignFolder(out)
+    there, why, old = folder.head(), "holds no campaign", None
+    if there is not None:
+        other = there.differing(campaign.head)
+        old = folder.read().get(landing) if other is None else None
+        why = f"holds a campaign with {other}" if other is not None else f"holds no line of landing {landing}"
+    record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
+    if old is None:
+        return Again(record, [], f"{out}: {why}")
+    one, two = record.repeatable(), old.repeatable()
+    return Again(record, [name for name in one if one[name] != two[name]], None)
+
+
+def outcome_lines(numbers: CampaignNumbers) -> list[str]:
+    """The outcomes and the bound, a line each."""
+    lines = [f"{name:<16} {count}" for name, count in numbers.outcomes.items()]
+    return [
+        *lines,
+        f"unsafe landings: at most {100 * numbers.bound:.2g} % with 95 % confidence; on unsafe ground: "
+        f"{numbers.unsafe_ground}, at most {100 * numbers.ground_bound:.2g} %",
+    ]

@@ -1,0 +1,92 @@
+"""The demo: a landing in closed loop over simulated ground. Also compiles all loops, by a recorded flight."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import alight_sim as simulate
+from alight import compiled
+from alight.outputs import prepare_folder
+from alight.records import RunResult
+from alight.records.executive import FlightState
+from alight.runner import replay
+from alight.settings import Settings
+from alight.sources import open_source
+from alight.trials.landing import fly_landing
+from alight_sim.oracle import OracleLander, Touchdown
+from alight_sim.steered import SteeredFlight
+from alight_sim.steered.touchdown import judge_flight
+
+START = (-4.0, -12.0, 30.0)  # metres east and north, and above the ground there
+SHARE = {  # of a landing that is done, about
+    FlightState.SEARCH: 0.05, FlightState.APPROACH: 0.2, FlightState.LOOK: 0.5, FlightState.DESCEND: 0.6,
+    FlightState.COMMIT: 0.8,
+}  # fmt: skip
+
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class DemoLanding:
+    """The end of the demo's landing, and the truth about its touchdown."""
+
+    result: RunResult
+    state: FlightState
+    seconds: float
+    touchdown: Touchdown | None  # by the simulator's truth; None: it did not land
+
+    @property
+    def lines(self) -> list[str]:
+        """The flight in words, one line a look or change of state; then the truth."""
+        diary = self.result.diary
+        out = [e.line for e in diary.entries] if diary is not None else []
+        t = self.touchdown
+        if t is None:
+            return [*out, f"no touchdown: {self.state.value} after {self.seconds:.0f} s"]
+        safe = "safe" if t.safe else f"NOT safe ({', '.join(t.reasons)})"
+        shape = f"tilt {math.degrees(t.tilt):.1f} deg, rough {t.roughness:.2f} m"
+        return [*out, f"touchdown by the simulator's truth: {safe}; {shape}, {t.sink:.1f} m/s down"]
+
+
+def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -> DemoLanding:
+    """Search simulated ground for a place, look at it again from lower down, and land or give up.
+
+    Raises:
+        AlightError: the folder cannot be written.
+    """
+    prepare_folder(out, overwrite)
+    lander = OracleLander.of(settings.lander.model_dump())
+    vehicle = SteeredFlight("demo", seed, start=START, radius=lander.reach)
+    done = [0.0]
+
+    def happening(t: float, state: FlightState) -> None:
+        done[0] = max(done[0], SHARE.get(state, 0.0))
+        tell(state.value, done[0])
+
+    flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, keep_pictures=True, map_all=True)
+    assert flown.decision is not None
+    ended, _ = flown.diary.end or (flown.state, "")
+    tell(ended.value, 1.0)
+    result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
+    notes = {**result.notes, "landing": ended.value}
+    result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
+    return DemoLanding(result, ended, flown.seconds, judge_flight(vehicle, lander))
+
+
+def compile_kernels(tell: Tell) -> None:
+    """Compile all loops and keep them, by running each stage over a flight of a second."""
+    folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
+    try:
+        flight = simulate.fly("demo", 0, 1.0)
+        simulate.write(flight, folder / "flight", lambda done, total: tell("flying", done / total))
+        for method in ("batch", "ring"):
+            settings = Settings.model_validate({"parallax": {"method": method}})
+            replay.replay(open_source(folder / "flight", settings), settings, None, tell)
+        compiled.mark_warm()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,134 @@
+"""Pictures for an autopilot without cameras: a scene, rendered at the poses that the vehicle reports."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from alight.flight.autopilot import Autopilot, Link, border, open_link
+from alight.flight.autopilot.clock import VehicleClock
+from alight.records import ImuSample, InputError, NavSample
+from alight_sim.followed import FollowedCameras, ReportedPlace
+from alight_sim.oracle import Touchdown
+from alight_sim.rehearsal import CameraFolder
+
+RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
+SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
+STEP = 0.02  # s
+UNHEARD = 120.0  # s without a vehicle, after which this is an error; a SITL waits for the first link before this one
+LINGER = 5.0  # s after the touchdown, for the reader of the pictures
+
+
+class _TrackReader:
+    """Makes the track of the cameras from telemetry."""
+
+    def __init__(self, cameras: FollowedCameras) -> None:
+        self._cameras, self.starts = cameras, 1
+
+    def forget(self, starts: int) -> None:
+        """Begin anew after a restart of the autopilot: its frame is another one."""
+        self.starts = starts
+        self._cameras.restart()
+
+    def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
+        """Take a message of the vehicle, attitude or position, into the track."""
+        if clock.known and name == "ATTITUDE_QUATERNION":
+            R = border.world_from_body_of_quaternion([message.q1, message.q2, message.q3, message.q4])
+            if R is not None:
+                self._cameras.track.add_attitude(clock.ours_ns(message.time_boot_ms * 1_000_000), R)
+        elif clock.known and name == "LOCAL_POSITION_NED":
+            t_ns = clock.ours_ns(message.time_boot_ms * 1_000_000)
+            position = border.enu(message.x, message.y, message.z)
+            self._cameras.track.add_place(ReportedPlace(t_ns, position, border.enu(message.vx, message.vy, message.vz)))
+        return ()
+
+
+class VehicleFollower:
+    """Renders the pictures of a vehicle's cameras, and never sends orders. Bytes in, bytes out; no socket.
+
+    Args:
+        cameras: of a scene.
+        folder: takes their exposures.
+    """
+
+    def __init__(self, cameras: FollowedCameras, folder: CameraFolder) -> None:
+        self._cameras, self._folder = cameras, folder
+        self.autopilot = Autopilot(RATES, _TrackReader(cameras), component=SECOND_COMPANION)
+        self.exposures = 0
+        self._flown = False
+
+    @property
+    def touchdown(self) -> Touchdown | None:
+        """The oracle's verdict, once the vehicle has flown and stands disarmed; None: not yet."""
+        heard = self.autopilot.telemetry
+        return self._cameras.touchdown() if self._flown and heard is not None and heard.is_down else None
+
+    def tick(self, now_ns: int) -> None:
+        """Let time pass, and draw the exposures that are due."""
+        self.autopilot.tick(now_ns)
+        self.autopilot.notices()
+        heard, places = self.autopilot.telemetry, self._cameras.track.places
+        if heard is None:
+            return
+        self._flown |= heard.armed
+        if heard.has_position and heard.place is not None and places:
+            self._cameras.place(places[-1].position, heard.place.above_home)
+        for t_ns, frame in self._cameras.take():
+            self._folder.write(frame, t_ns)
+            self.exposures += 1
+
+
+def follow_vehicle(
+    link: str, cameras: FollowedCameras, folder: Path, seconds: float, say: Callable[[str], None]
+) -> Touchdown | None:
+    """Fill a folder with pictures of a scene at the poses that an autopilot reports, until it has landed.
+
+    Args:
+        link: to the autopilot, one of its own beside that of `alight fly`.
+        cameras: of the scene.
+        folder: for the pictures, in the layout of a flight log.
+        seconds: after which it ends in any case.
+        say: called with a line when `alight fly` may be started, and when the first picture was written.
+
+    Returns:
+        The oracle's verdict on the touchdown; None: there was none.
+
+    Raises:
+        InputError: the link's name is wrong, or no supported vehicle is heard.
+        OutputError: the folder cannot be made, or holds pictures already.
+    """
+    opened = open_link(link, patient=True)
+    try:
+        pictures = CameraFolder(folder, cameras.rig, cameras.rate_hz)
+        try:
+            say(f"ready: alight fly --link LINK --camera {shlex.quote(str(folder))} --out OUT --take-off 30")
+            return _follow(opened, VehicleFollower(cameras, pictures), seconds, say)
+        finally:
+            pictures.close()
+    finally:
+        opened.close()
+
+
+def _follow(link: Link, follower: VehicleFollower, seconds: float, say: Callable[[str], None]) -> Touchdown | None:
+    begin = time.monotonic()
+    end, found = begin + seconds, None
+    while time.monotonic() < end:
+        for data in link.read(STEP):
+            follower.autopilot.receive(data, time.monotonic_ns())
+        before = follower.exposures
+        follower.tick(time.monotonic_ns())
+        for data in follower.autopilot.pending():
+            link.write(data)
+        if not before and follower.exposures:
+            say("the first picture is written")
+        if follower.autopilot.vehicle is None and time.monotonic() - begin > UNHEARD:
+            reason = f" ({link.broken})" if link.broken else ""
+            raise InputError(
+                f"{link.name}: no vehicle was heard for {UNHEARD:.0f} s{reason}; is the autopilot running?"
+            )
+        if found is None and (found := follower.touchdown) is not None:
+            end = min(end, time.monotonic() + LINGER)
+    return found
