@@ -17,7 +17,7 @@ from damage import write_flight, write_photos
 from hypothesis import settings
 
 from alight import compiled
-from alight.trials.demo import compile_kernels
+from alight.trials.warmup import compile_kernels
 
 T = TypeVar("T")
 

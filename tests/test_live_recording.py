@@ -221,7 +221,6 @@ def test_only_the_recording_of_a_finished_run_makes_room(tmp_path: Path) -> None
 def test_a_live_run_keeps_the_recording_of_one_that_crashed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(run.compiled, "is_warm", lambda: True)
     monkeypatch.setattr(run, "Live", lambda *_, **__: SimpleNamespace(close=lambda: None))
     out = tmp_path / "out"
     out.mkdir()
@@ -238,7 +237,7 @@ def test_a_live_run_keeps_the_recording_of_one_that_crashed(
 def test_a_recording_is_not_flown_into_its_own_folder(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run.compiled, "is_warm", lambda: True)
+    monkeypatch.setattr("alight.compiled.is_warm", lambda: True)
     for module, work in ((run, "Live"), (replay, "replay")):
         monkeypatch.setattr(module, work, lambda *_, **__: pytest.fail("the work was begun"))
     write_run(some_run(), tmp_path / "out")

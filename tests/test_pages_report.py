@@ -69,7 +69,9 @@ def errors() -> list[list[str]]:
 @pytest.mark.parametrize("pieces", errors(), ids=" ... ".join)
 def test_an_error_of_the_page_is_one_of_the_code(pieces: list[str]) -> None:
     files = [
-        p for part in ("sources", "outputs", "pipeline/mapping") for p in (ROOT / "src" / "alight" / part).glob("*.py")
+        p
+        for part in ("sources", "outputs", "pipeline/mapping", "photos/reading")
+        for p in (ROOT / "src" / "alight" / part).glob("*.py")
     ]
     said = re.compile(r"[^\n]*(?:\n[^\n]*)?".join(map(re.escape, pieces)))  # a message takes two lines at most
     assert any(said.search(path.read_text(encoding="utf-8")) for path in files)

@@ -275,10 +275,10 @@ def campaign(
 
 def warmup(progress: Progress = _quiet) -> None:
     """Compile all loops, so that the first run does not wait for it."""
-    from alight.trials import demo as shown
+    from alight.trials.warmup import compile_kernels
 
     with single_threaded_algebra():
-        shown.compile_kernels(progress)
+        compile_kernels(progress)
 
 
 def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05, progress: Progress = _quiet) -> str:

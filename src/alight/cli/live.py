@@ -21,6 +21,7 @@ from alight.cli.app import (
     SettingsOption,
     VerboseOption,
     app,
+    complain,
     read_settings,
     stderr,
 )
@@ -92,6 +93,7 @@ def live(
         from alight.flight.live.telemetry import with_telemetry
 
         opened = with_telemetry(opened, telemetry, separation)
+    compile_if_cold()  # a lane that compiles does not answer
     with Display(console=stderr, transient=True, auto_refresh=False) as display:
 
         def tell(health: FlightHealth) -> None:
@@ -103,3 +105,14 @@ def live(
             opened.source, opened.events, out, chosen, record, opened.real_time, force, tell, inputs=inputs
         )
     leave_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
+
+
+def compile_if_cold() -> None:
+    """Compile all loops if they are not in the cache: once, before a flight."""
+    from alight import compiled
+
+    if not compiled.is_warm():
+        from alight.trials.warmup import compile_kernels
+
+        complain("loops are compiled before the flight, once; 'alight warmup' does it ahead of time", "yellow")
+        compile_kernels(lambda stage, share: None)

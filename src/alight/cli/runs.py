@@ -155,8 +155,8 @@ def show_settings(
 @app.command()
 def warmup(verbose: VerboseOption = False) -> None:
     """Compile all loops, so that the first run does not wait for it."""
-    from alight.trials import demo as show
+    from alight.trials.warmup import compile_kernels
 
     with progress_bar() as tell:
-        show.compile_kernels(tell)
+        compile_kernels(tell)
     say("ready")

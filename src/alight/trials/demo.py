@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import alight_sim as simulate
-from alight import compiled
 from alight.outputs import prepare_folder
 from alight.records import RunResult
 from alight.records.executive import FlightState
 from alight.runner import replay
 from alight.settings import Settings
-from alight.sources import open_source
 from alight.trials.landing import fly_landing
 from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
@@ -76,17 +71,3 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
     notes = {**result.notes, "landing": ended.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
     return DemoLanding(result, ended, flown.seconds, judge_flight(vehicle, lander))
-
-
-def compile_kernels(tell: Tell) -> None:
-    """Compile all loops and keep them, by running each stage over a flight of a second."""
-    folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
-    try:
-        flight = simulate.fly("demo", 0, 1.0)
-        simulate.write(flight, folder / "flight", lambda done, total: tell("flying", done / total))
-        for method in ("batch", "ring"):
-            settings = Settings.model_validate({"parallax": {"method": method}})
-            replay.replay(open_source(folder / "flight", settings), settings, None, tell)
-        compiled.mark_warm()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -14,24 +14,18 @@ from alight import terrain
 from alight.arrays import F64
 from alight.flight.executive import ENDS, Executive
 from alight.flight.session.pictures import PictureWatch
-from alight.geometry import Grid
-from alight.pipeline import Decision, Pipeline, Verdict
-from alight.pipeline.map_frame import MapFrame
+from alight.flight.session.verdicts import as_seen, judged_every, look_picture
+from alight.pipeline import Decision, Pipeline
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, MotionState, NavSample
-from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
+from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
 from alight.settings import Settings
 from alight.trials.mean_tie import MeanTie
 from alight_sim.steered import SteeredFlight, Wanted
 
 TICK = 0.1  # s between two orders
-JUDGE_EVERY = {  # s between two judgements
-    FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
-    FlightState.COMMIT: 0.5,
-}  # fmt: skip
-CROSSING = 2.0  # s between two judgements while a look leg is flown
 LATENCY = 0.5  # s from a map to its verdict, which the loop may not use before
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
@@ -75,11 +69,6 @@ def fly_landing(
         happening(loop.t, loop.executive.state)
         loop.step()
     return loop.result(map_all)
-
-
-def judged_every(executive: Executive) -> float | None:
-    """Seconds between two judgements that the executive can use; None: it needs none."""
-    return CROSSING if executive.crosses else JUDGE_EVERY.get(executive.state)
 
 
 class _MeasuredPipeline(Pipeline):
@@ -240,28 +229,3 @@ class _Loop:
             "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
             "judging": spent.get("judging", 0.0),
         }  # fmt: skip
-
-
-def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
-    """The ground about the place of a look, `reach` metres each way, on `size` pixels a side."""
-    cell, (east, north, _) = 2 * reach / size, look.place
-    edge = reach - cell / 2  # the middle of the first pixel
-    shown = Grid(east - edge, north + edge, cell, size, size)
-    photo = seen.elevation.grid.nearest_on(shown, seen.elevation.rgb)
-    return LookPicture(look, photo, seen.hazards.grid.nearest_on(shown, seen.hazards.p_safe), reach)
-
-
-def as_seen(verdict: Verdict, number: int, t: float) -> Seen:
-    """Return a verdict in the frame of its map, for the executive.
-
-    Args:
-        verdict: in the world.
-        number: of the verdict, rising.
-        t: s, of the newest exposure that its map holds.
-    """
-    frame = verdict.frame
-    back = MapFrame(frame.frame_id, -frame.offset_world, frame.covariance)
-    elevation = back.elevation(verdict.elevation)
-    heights = elevation.height[elevation.trusted]
-    ground = float(np.median(heights)) if heights.size else 0.0
-    return Seen(number, t, frame.frame_id, back.sites(verdict.sites), back.on_grid(verdict.danger), elevation, ground)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from alight import compiled
 from alight.flight.live.health import FlightHealth
 from alight.flight.live.interface import SILENT, Listener
 from alight.flight.live.live import NAVIGATION, Live
@@ -21,7 +20,6 @@ from alight.records.codec import FlightHead
 from alight.runner.replay import appearance_of, result_of
 from alight.settings import Settings
 from alight.sources import Source
-from alight.trials.demo import compile_kernels
 
 log = logging.getLogger(__name__)
 
@@ -86,9 +84,6 @@ class LiveRun:
         overwrite: bool = False, listener: Listener = SILENT, inputs: Sequence[Path] = (),
     ) -> None:  # fmt: skip
         prepare_folder(out, overwrite, inputs)
-        if not compiled.is_warm():  # a lane that compiles does not answer
-            log.warning("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
-            compile_kernels(lambda stage, share: None)
         self._source, self._settings = source, (settings := for_flight(settings))
         head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
         if (kept := make_room(out / RECORDING)) is not None:

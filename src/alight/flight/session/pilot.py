@@ -19,12 +19,12 @@ from alight.flight.session.near import own_way
 from alight.flight.session.order_taker import OrderTaker
 from alight.flight.session.orders import OrderSender
 from alight.flight.session.pictures import PictureWatch
+from alight.flight.session.verdicts import as_seen, judged_every, look_picture
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
 from alight.settings import Settings
-from alight.trials.landing import as_seen, judged_every, look_picture
 
 TICK_NS = 100_000_000  # between two decisions of the executive
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)

@@ -1,0 +1,30 @@
+"""Compile all loops ahead of time, by a run over a short simulated flight."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import alight_sim as simulate
+from alight import compiled
+from alight.runner import replay
+from alight.settings import Settings
+from alight.sources import open_source
+
+Tell = Callable[[str, float], None]
+
+
+def compile_kernels(tell: Tell) -> None:
+    """Compile all loops and keep them, by running each stage over a flight of a second."""
+    folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
+    try:
+        flight = simulate.fly("demo", 0, 1.0)
+        simulate.write(flight, folder / "flight", lambda done, total: tell("flying", done / total))
+        for method in ("batch", "ring"):
+            settings = Settings.model_validate({"parallax": {"method": method}})
+            replay.replay(open_source(folder / "flight", settings), settings, None, tell)
+        compiled.mark_warm()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
