@@ -117,7 +117,7 @@ def blow(r: PilotRig) -> None:
 
 
 def drain(r: PilotRig) -> None:
-    r.sim._flown = 1000.0
+    r.sim.vehicle.battery = 1.0 - 1000.0 / 1200.0
 
 
 FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightState]] = {

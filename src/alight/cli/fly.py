@@ -160,7 +160,7 @@ def rehearse(
     lander = OracleLander()
     flight = SteeredFlight(
         scene, seed, size=_size(width), rate_hz=rate, start=(*PLACE, height), wind=(wind, 0.0, 0.0),
-        steered_by="truth", radius=lander.reach,
+        radius=lander.reach,
     )  # fmt: skip
     with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
         say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {shlex.quote(str(folder))} --out OUT")

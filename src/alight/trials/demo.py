@@ -63,7 +63,7 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
         done[0] = max(done[0], SHARE.get(state, 0.0))
         tell(state.value, done[0])
 
-    flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, keep_pictures=True, map_all=True)
+    flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, map_all=True)
     assert flown.decision is not None
     ended, _ = flown.diary.end or (flown.state, "")
     tell(ended.value, 1.0)

@@ -12,14 +12,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from alight.arrays import F64
 from alight.geometry import Pose
 from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
-from alight_sim.autopilot.estimate import EstimateError
+from alight_sim.autopilot.estimate import Estimate, EstimateError
 from alight_sim.autopilot.flight_logic import FlightItem, FlightLogic
 from alight_sim.autopilot.mission_store import MissionStore
 from alight_sim.autopilot.reports import Reports, SimulatedState
 from alight_sim.point_mass import PointMass, Wanted
 
 _START_UP = 3.0  # s from a start until it may be armed
-_ENDURANCE = 1200.0  # s of flight with a full battery
+_NO_FIX = 0.5  # s without a position, after which the receiver reports no fix
 _ACCEPTED, _FOR_NOW, _DENIED, _UNSUPPORTED, _FAILED = 0, 1, 2, 3, 4
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_YAW = 7, 56, 1024
 _RELATIVE_FRAMES, _BODY_FRD = (3, 6), 12
@@ -36,15 +36,13 @@ class TrueVehicle(Protocol):
     @property
     def wind_world(self) -> F64: ...
     @property
-    def heading(self) -> float: ...
-    @property
     def stands(self) -> bool: ...
     @property
     def world_from_body(self) -> Pose: ...
     @property
-    def angular_velocity_body(self) -> F64: ...
+    def imu(self) -> tuple[F64, F64] | None: ...
     @property
-    def specific_force_body(self) -> F64: ...
+    def battery(self) -> float: ...
     def step(self, dt: float, wanted: Wanted | None) -> None: ...
 
 
@@ -93,7 +91,7 @@ class SimulatedAutopilot:
         dialect: Dialect | None = None,
         vehicle: TrueVehicle | None = None,
         home: SimulatedHome | None = None,
-        estimate: EstimateError | None = None,
+        estimate: Estimate | None = None,
         drift: float = 0.0,
         system: int = 1,
         kind: int = 2,
@@ -101,13 +99,12 @@ class SimulatedAutopilot:
         self.dialect = dialect or SpokenArduPilot()
         self.vehicle: TrueVehicle = vehicle or PointMass()
         self.home = home or SimulatedHome()
-        self.estimate = estimate or EstimateError()
+        self.estimate: Estimate = estimate or EstimateError()
         self.healthy = self.checks = True  # checks: before arming, switched on
         self._drift, self._system, self._kind = drift, system, kind
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._mavlink.robust_parsing = True
         self._out: list[bytes] = []
-        self._flown = 0.0
         self._start()
 
     def _start(self) -> None:
@@ -125,7 +122,12 @@ class SimulatedAutopilot:
     @property
     def ready(self) -> bool:
         """True if it may be armed."""
-        return self.healthy and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
+        return self.located and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
+
+    @property
+    def located(self) -> bool:
+        """True while it has an absolute position, for some time after the last one of its receiver as well."""
+        return self.healthy and self.estimate.blind < self.dialect.dead_reckoning
 
     @property
     def estimated(self) -> F64:
@@ -159,7 +161,6 @@ class SimulatedAutopilot:
         self.estimate.step(dt)
         wanted = self.logic.step(self._boot, self.estimated, self.vehicle.stands)
         self.vehicle.step(dt, None if wanted is None else self._in_truth(wanted))
-        self._flown += dt if self.logic.armed else 0.0
         self.missions.step(self._boot)
         if self.missions.fresh:
             self.missions.fresh = False
@@ -174,10 +175,12 @@ class SimulatedAutopilot:
         return replace(wanted, position=position)
 
     def _snapshot(self) -> SimulatedState:
-        here = self.home.degrees(self.estimated)
+        estimated, estimate = self.estimated, self.estimate
         return SimulatedState(
-            self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot, self._middle,
-            max(0.0, 1 - self._flown / _ENDURANCE), self.checks,
+            self.logic, self.vehicle, self.home.degrees(estimated), estimated,
+            self.vehicle.velocity + estimate.velocity_error, estimate.attitude(self.vehicle.world_from_body.rotation),
+            self.home, self.ready, self.healthy and estimate.blind < _NO_FIX, estimate.accuracy,
+            self._boot, self._middle, self.checks,
         )  # fmt: skip
 
     def _flight_item(self, m: Any) -> FlightItem:
@@ -234,7 +237,7 @@ class SimulatedAutopilot:
             angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
             if np.abs(angles).max() > 0.05 * max(m.distance, 1.0):
                 return  # angles and position contradict each other
-            target = self.estimated + self.vehicle.world_from_body.rotation @ line
+            target = self.estimated + self.estimate.attitude(self.vehicle.world_from_body.rotation) @ line
         else:
             target = np.array([m.y, m.x, -m.z])
         self.logic.aim_landing(target, self._boot)
