@@ -24,9 +24,10 @@ from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Event, Frame
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Transition
+from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
-from alight_sim.autopilot import SimulatedAutopilot, SimulatedHome
-from alight_sim.autopilot.dialects import Dialect, Doing
+from alight_sim.autopilot import SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4
+from alight_sim.autopilot.dialects import Doing
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.flown import FlownEstimate, FlownVehicle
 
@@ -57,9 +58,9 @@ def fly_landing(
     vehicle: SteeredFlight,
     settings: Settings,
     appearance: terrain.Model | None = None,
-    happening: Callable[[float, FlightState], None] = lambda t, state: None,
+    happening: Callable[[Trial], None] = lambda trial: None,
+    firmware: FirmwareName = "ardupilot",
     map_all: bool = False,
-    dialect: Dialect | None = None,
 ) -> Landing:
     """Search, look, look again, and land or give up.
 
@@ -67,14 +68,14 @@ def fly_landing(
         vehicle: the simulated vehicle, in the air.
         settings: all settings; the map is always built recursively.
         appearance: model of the appearance of ground; None: there is none.
-        happening: called with the time (s) and the state before every decision; it may act on the vehicle.
+        happening: called before every decision; it may act on the vehicle, the autopilot and the link.
+        firmware: of the simulated autopilot.
         map_all: make and judge the map of the whole flight at its end.
-        dialect: of the simulated autopilot; None: ArduPilot's.
     """
-    trial = Trial(vehicle, settings, appearance, dialect)
+    trial = Trial(vehicle, settings, appearance, firmware)
     while not trial.over:
         if trial.begun:
-            happening(trial.t, trial.state)
+            happening(trial)
         trial.step()
     return trial.result(map_all)
 
@@ -102,39 +103,45 @@ class TrialLink:
 
     def __init__(self, ours: Autopilot, theirs: SimulatedAutopilot) -> None:
         self._ours, self._theirs = ours, theirs
-        self.cut = False  # nothing arrives
+        self._now_ns = self._cut_until_ns = 0
+
+    def cut(self, seconds: float) -> None:
+        """Lose all bytes of the next seconds."""
+        self._cut_until_ns = self._now_ns + round(seconds * 1e9)
 
     def carry(self, now_ns: int) -> None:
         """Deliver the pending bytes of both sides; the autopilot's answers to them arrive at once."""
-        self._inward(now_ns)
+        self._now_ns = now_ns
+        self._inward()
         self._ours.tick(now_ns)
         for data in self._ours.pending():
-            if not self.cut:
+            if now_ns >= self._cut_until_ns:
                 self._theirs.receive(data)
-        self._inward(now_ns)
+        self._inward()
 
-    def _inward(self, now_ns: int) -> None:
+    def _inward(self) -> None:
         data = b"".join(self._theirs.pending())
-        if data and not self.cut:
-            self._ours.receive(data, now_ns)
+        if data and self._now_ns >= self._cut_until_ns:
+            self._ours.receive(data, self._now_ns)
 
 
 class Trial:
     """One landing, step by step.
 
     Args:
-        vehicle, settings, appearance, dialect: as of `fly_landing`.
+        vehicle, settings, appearance, firmware: as of `fly_landing`.
     """
 
     def __init__(
         self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
-        dialect: Dialect | None = None,
+        firmware: FirmwareName = "ardupilot",
     ) -> None:  # fmt: skip
         self._vehicle, self._settings = vehicle, as_flown(settings)
         self._costs = Timings(time.process_time)
         self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs)
         local, self._flown = vehicle.local, FlownVehicle(vehicle)
         home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
+        dialect = SpokenPx4() if firmware == "px4" else SpokenArduPilot()
         self.autopilot = SimulatedAutopilot(dialect, self._flown, home, FlownEstimate(vehicle))
         self.autopilot.hover(Doing.PILOT)
         self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE}, TelemetryEvents(local))

@@ -108,7 +108,7 @@ class SimulatedAutopilot:
         self._start()
 
     def _start(self) -> None:
-        self._boot = self._middle = 0.0  # s, of its own clock
+        self._boot = self._middle = self._refuses_until = 0.0  # s, of its own clock
         self.logic = FlightLogic(self.dialect, interlock=False if self._kind == _HELICOPTER else None)
         self.missions = MissionStore(self.dialect, self._send)
         self.reports = Reports(self.dialect, self._send, self._kind)
@@ -144,6 +144,10 @@ class SimulatedAutopilot:
         self.logic.step(self._boot, self.estimated, False)
         self.logic.doing = Doing.TAKE_OFF
         self.logic.enter(doing, self._boot)
+
+    def refuse_modes(self, seconds: float) -> None:
+        """Refuse all commands that change the mode for some time."""
+        self._refuses_until = self._boot + seconds
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
         """Change the mode as a pilot does."""
@@ -251,7 +255,7 @@ class SimulatedAutopilot:
         if command == 511:
             return _ACCEPTED if self.reports.ask(round(p[0]), p[1]) else _DENIED
         if command == 176:
-            doing = self.dialect.doing(p)
+            doing = self.dialect.doing(p) if self._boot >= self._refuses_until else None
             return _ACCEPTED if doing is not None and self.logic.enter(doing, self._boot) else _FAILED
         if command == 400:
             refused = p[0] > 0.5 and not self.ready

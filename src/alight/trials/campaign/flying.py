@@ -128,7 +128,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     vehicle, appearance = checked_vehicle(conditions, settings), appearance_of(settings)
     happenings = Happenings(vehicle, conditions.faults)
     try:
-        landing = fly(vehicle, settings, appearance, happenings)
+        landing = fly(vehicle, settings, appearance, happenings, conditions.firmware)
     except Exception as e:
         log.info("landing %d: %s", conditions.landing, traceback.format_exc())
         return _raised(vehicle, conditions.model_copy(update={"faults": happenings.faults}), settings, e)
