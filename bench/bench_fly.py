@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from alight.arrays import F64
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.session.pilot import LandingPilot
-from alight.pipeline import Pipeline
+from alight.pipeline import FlightPolicy, Pipeline, Verdict
 from alight.records import Event, Frame
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.settings import load_settings
@@ -43,8 +42,6 @@ class Loop:
     assignments: list[str]
     later: list[tuple[int, Callable[[], None]]] = field(default_factory=list)
     pilot: LandingPilot | None = None
-    asked: bool = False
-    about: F64 | None = None
 
     def __post_init__(self) -> None:
         size = (self.width, self.width * 3 // 4)
@@ -57,8 +54,12 @@ class Loop:
         self.sim = SimulatedAutopilot(vehicle=self.vehicle, home=home, estimate=wrong)
         self.sim.hover(Doing.PILOT)
         self.ours = Autopilot({"HIGHRES_IMU": 100.0}, TelemetryEvents(local))
-        self.settings = load_settings("", ["sites.every=0", *self.assignments])
-        self.pipeline = Pipeline(self.flight.rig, "flight", self.settings, history=False, imu=self.flight.imu_noise)
+        self.settings = load_settings("", self.assignments)
+        self.policy = FlightPolicy(every=0)  # judged as the executive needs it
+        self.pipeline = Pipeline(
+            self.flight.rig, "flight", self.settings, history=False, policy=self.policy, on_verdict=self._judged,
+            imu=self.flight.imu_noise,
+        )  # fmt: skip
 
     def run(self) -> None:
         """Fly until it is over."""
@@ -75,7 +76,7 @@ class Loop:
         self.ours.tick(now)
         events: list[Event] = [*self.ours.samples(), *self.vehicle.take()]
         if self.pilot is None and (vehicle := self.ours.vehicle) is not None:
-            self.pilot = LandingPilot(self.settings, self.flight.local, vehicle, vehicle, self._ask, self)
+            self.pilot = LandingPilot(self.settings, self.flight.local, vehicle, vehicle, self.policy, self)
         for event in sorted(events, key=lambda e: (e.t_ns, isinstance(e, Frame))):
             self._feed(event, now)
         for due in [x for x in self.later if x[0] <= now]:
@@ -104,12 +105,10 @@ class Loop:
         if pilot is None or motion is None or not isinstance(event, Frame):
             return
         self.later.append((now + MOTION, lambda: pilot.moved(motion)))
-        if self.asked and (verdict := self.pipeline.judge_now(self.about)) is not None:
-            self.asked = False
-            self.later.append((now + VERDICT, lambda: pilot.judged(verdict, event.t_ns)))
 
-    def _ask(self, about: F64 | None) -> None:
-        self.asked, self.about = True, about
+    def _judged(self, verdict: Verdict, t_ns: int) -> None:
+        if (pilot := self.pilot) is not None:
+            self.later.append((self.flight.time_ns + VERDICT, lambda: pilot.judged(verdict, t_ns)))
 
     def order(self, t_ns: int, state: str, words: str) -> None:
         """Print nothing: there are many orders."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -14,8 +13,8 @@ from alight import terrain
 from alight.arrays import F64
 from alight.flight.executive import ENDS, Executive
 from alight.flight.session.pictures import PictureWatch
-from alight.flight.session.verdicts import as_seen, judged_every, look_picture
-from alight.pipeline import Decision, Pipeline
+from alight.flight.session.verdicts import as_seen, look_picture
+from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
@@ -72,14 +71,15 @@ def fly_landing(
 
 
 class _MeasuredPipeline(Pipeline):
-    """The pipeline of a vehicle, which adds the time that mapping takes to `costs`."""
+    """The pipeline of a vehicle, which adds the time that mapping and judging take to `costs`."""
 
     def __init__(
-        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings
-    ) -> None:
+        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings,
+        policy: FlightPolicy, on_verdict: Callable[[Verdict, int], None],
+    ) -> None:  # fmt: skip
         super().__init__(
             vehicle.rig, "flight", settings, clock=time.perf_counter, history=False, appearance=appearance,
-            imu=vehicle.imu_noise,
+            policy=policy, on_verdict=on_verdict, imu=vehicle.imu_noise,
         )  # fmt: skip
         self._costs = costs
 
@@ -87,6 +87,11 @@ class _MeasuredPipeline(Pipeline):
         """As `Pipeline.map`, measured."""
         with self._costs.of("mapping"):
             return super().map(navigation)
+
+    def judge(self, seen: MapSnapshot) -> Verdict:
+        """As `Pipeline.judge`, measured."""
+        with self._costs.of("judging"):
+            return super().judge(seen)
 
 
 class _Loop:
@@ -99,20 +104,19 @@ class _Loop:
     ) -> None:
         self._vehicle, self._keep = vehicle, keep_pictures
         self._settings = settings.model_copy(
-            update={
-                "sites": settings.sites.model_copy(update={"every": 0}),  # judged when the executive needs it
-                "parallax": settings.parallax.model_copy(update={"method": "ring"}),
-            }
+            update={"parallax": settings.parallax.model_copy(update={"method": "ring"})}
         )
         self._costs = Timings(time.process_time)
-        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs)
+        self._policy = FlightPolicy(every=0)  # judged when the executive needs it
+        self._pipeline = _MeasuredPipeline(
+            vehicle, self._settings, appearance, self._costs, self._policy, self._judged
+        )  # fmt: skip
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
         self._pictures = PictureWatch()
         self._seen: Seen | None = None
         self._pending: tuple[float, Seen] | None = None  # and when it is known
-        self._judged_at = -math.inf
         self._number, self._most = 0, LONGEST * settings.executive.time_budget
         self._landing = Landing()
         self._rows: deque[tuple[int, F64]] = deque(maxlen=40)  # GPS/INS, ns and metres
@@ -145,10 +149,13 @@ class _Loop:
                 self._tie_to_autopilot(motion)
         if self._motion is None:  # there is no motion before the first exposure
             return
-        self._judge()
+        if self._pending is not None and self.t >= self._pending[0]:
+            _, self._seen = self._pending
+            self._pending = None
         diary = self.executive.diary
         before = len(diary.looks)
         order = self.executive.tick(self._situation())
+        self._policy.need = None if self._pending is not None else self.executive.need
         if self._keep and len(diary.looks) > before and self._seen is not None:
             diary.pictures.append(look_picture(diary.looks[-1], self._seen))
         self._obey(order)
@@ -164,23 +171,12 @@ class _Loop:
             holds=bool(self._rows) and self._vehicle.time_ns - self._rows[-1][0] < SILENT_NS,
         )  # fmt: skip
 
-    def _judge(self) -> None:
-        """Judge the map as often as the state needs; the verdict is used `LATENCY` seconds later."""
-        if self._pending is not None and self.t >= self._pending[0]:
-            _, self._seen = self._pending
-            self._pending = None
-        every = judged_every(self.executive)
-        if every is None or self._pending is not None or self.t - self._judged_at < every:
-            return
-        self._judged_at = self.t
-        assert self._motion is not None
-        seen = (self._motion.t_ns - self._begin) * 1e-9  # as late as the pictures
-        with self._costs.of("judging"):
-            verdict = self._pipeline.judge_now(self.executive.about)
-        if verdict is not None:
-            self._number += 1
-            self._landing.verdicts += 1
-            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, seen))
+    def _judged(self, verdict: Verdict, t_ns: int) -> None:
+        """Take a verdict, which is used `LATENCY` seconds later; none is needed until then."""
+        self._number += 1
+        self._landing.verdicts += 1
+        self._pending = (self.t + LATENCY, as_seen(verdict, self._number, (t_ns - self._begin) * 1e-9))
+        self._policy.need = None
 
     def _tie_to_autopilot(self, motion: Motion) -> None:
         """Tie commands to the autopilot's own estimate of the same instant: the error of GPS cancels."""
@@ -216,16 +212,17 @@ class _Loop:
         d = self.executive.diary
         commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
         p = commits[-1].p_safe if commits else None
+        cpu_of = self._cpu_of()  # of the flight alone
         decision = self._pipeline.finish() if map_all else None
         return replace(
             self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p, decision=decision,
-            timings=self._pipeline.timings, cpu_of=self._cpu_of(),
+            timings=self._pipeline.timings, cpu_of=cpu_of,
         )  # fmt: skip
 
     def _cpu_of(self) -> dict[str, float]:
         spent = {name: sum(steps) for name, steps in self._costs.stages.items()}
-        mapping, pipeline = spent.get("mapping", 0.0), spent.get("pipeline", 0.0)
+        mapping, judging, pipeline = (spent.get(k, 0.0) for k in ("mapping", "judging", "pipeline"))
         return {
-            "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
-            "judging": spent.get("judging", 0.0),
+            "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping - judging, "mapping": mapping,
+            "judging": judging,
         }  # fmt: skip
