@@ -22,6 +22,7 @@ from alight.flight.executive.known_places import KnownPlaces
 from alight.flight.executive.look_leg import LookLeg
 from alight.flight.executive.look_planner import LookPlanner
 from alight.flight.executive.search import SearchLanes, square_spiral
+from alight.flight.executive.table import CROSSING, JUDGE_EVERY
 from alight.geometry import Grid
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
@@ -184,14 +185,15 @@ def test_a_look_passes_beside_the_place() -> None:
 
 
 def test_a_look_is_judged_at_the_end_of_its_leg() -> None:
-    """`crosses` is true while a leg is flown, and every look is recorded at the end of its leg."""
+    """Few verdicts are needed while a leg is flown, and every look is recorded at the end of its leg."""
     crossed = list[tuple[float, bool]]()
 
     def note(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.LOOK:
-            crossed.append((now.t, executive.crosses))
-        else:
-            assert not executive.crosses
+            assert executive.need is not None
+            crossed.append((now.t, executive.need.seconds == CROSSING))
+        elif executive.need is not None:
+            assert executive.need.seconds == JUDGE_EVERY[executive.state]
         return now
 
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), note)
@@ -1258,7 +1260,7 @@ def test_what_it_keeps_level_at_is_never_below_where_it_has_climbed_to() -> None
 
     def blow(now: Situation, executive: Executive) -> Situation:
         assert now.position is not None
-        if executive.state is not S.APPROACH or executive.about is None or executive.about[0] < 20.0:
+        if executive.state is not S.APPROACH or executive.target is None or executive.target.east < 20.0:
             return now
         aside = 0.0 if now.position[0] > 30.0 else 4.0 if now.position[0] > 17.0 else 1.0
         return replace(now, position=now.position + aside * np.array([0.0, 1.0, 0.0]))

@@ -91,6 +91,14 @@ class Situation:
 
 
 @dataclass(frozen=True, eq=False)
+class Need:
+    """Verdicts that the executive needs now."""
+
+    seconds: float  # from one verdict to the next, counted between the newest exposures of their maps
+    about: F64 | None = None  # (2,) metres in the map's frame, a place that the map must show as well; None: none
+
+
+@dataclass(frozen=True, eq=False)
 class Order:
     """Present order to the vehicle."""
 

@@ -13,7 +13,7 @@ from alight.elevation import TileStore
 from alight.jobs import Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
 from alight.photos.work import SavedJobs, cluster_jobs, work_key
-from alight.pipeline import Decision, Pipeline, TimedPoses
+from alight.pipeline import Decision, Pipeline, ScheduledPolicy, TimedPoses
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
 from alight.runner.home import with_home
 from alight.settings import Settings
@@ -80,7 +80,7 @@ def replay(
         far,
         history=source.schedule is None,  # a live run has none
         appearance=appearance_of(settings),
-        schedule=source.schedule,
+        policy=None if source.schedule is None else ScheduledPolicy(source.schedule),
         imu=source.imu_noise,
         jobs=jobs,
         prior=prior,

@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from alight import terrain
-from alight.arrays import F64
 from alight.checks import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive import ENDS
 from alight.flight.session.pilot import LandingPilot
 from alight.flight.session.preflight import judge_motion
-from alight.pipeline import Decision, Pipeline
+from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
@@ -81,14 +80,15 @@ def fly_landing(
 
 
 class _MeasuredPipeline(Pipeline):
-    """The pipeline of a vehicle, which adds the time that mapping takes to `costs`."""
+    """The pipeline of a vehicle, which adds the time that mapping and judging take to `costs`."""
 
     def __init__(
-        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings
-    ) -> None:
+        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings,
+        policy: FlightPolicy, on_verdict: Callable[[Verdict, int], None],
+    ) -> None:  # fmt: skip
         super().__init__(
             vehicle.rig, "flight", settings, clock=time.perf_counter, history=False, appearance=appearance,
-            imu=vehicle.imu_noise,
+            policy=policy, on_verdict=on_verdict, imu=vehicle.imu_noise,
         )  # fmt: skip
         self._costs = costs
 
@@ -96,6 +96,11 @@ class _MeasuredPipeline(Pipeline):
         """As `Pipeline.map`, measured."""
         with self._costs.of("mapping"):
             return super().map(navigation)
+
+    def judge(self, seen: MapSnapshot) -> Verdict:
+        """As `Pipeline.judge`, measured."""
+        with self._costs.of("judging"):
+            return super().judge(seen)
 
 
 class TrialLink:
@@ -138,7 +143,8 @@ class Trial:
     ) -> None:  # fmt: skip
         self._vehicle, self._settings = vehicle, as_flown(settings)
         self._costs = Timings(time.process_time)
-        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs)
+        policy = FlightPolicy(every=0)  # judged when the executive needs it
+        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs, policy, self._judged)
         local, self._flown = vehicle.local, FlownVehicle(vehicle)
         home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
         dialect = SpokenPx4() if firmware == "px4" else SpokenArduPilot()
@@ -149,16 +155,11 @@ class Trial:
         self._connect()
         assert self._ours.vehicle is not None
         self._log = TrialLog()
-        self._pilot = LandingPilot(
-            self._settings, local, self._ours.vehicle, self._ours.vehicle, self._request, self._log
-        )
+        self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, self._log)
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
-        self._wanted, self._about, self._judging = False, None, False
-        self._start_ns, self._begin_ns = vehicle.time_ns, None
+        self._start_ns = vehicle.time_ns
+        self._begin_ns: int | None = None
         self._numbers = self._verdicts = 0
-
-    _about: F64 | None
-    _begin_ns: int | None
 
     def _connect(self) -> None:
         """Let the autopilot send its first heartbeat."""
@@ -196,7 +197,7 @@ class Trial:
             self.link.carry(now_ns)
             events: list[Event] = [*self._ours.samples(), *self._flown.take()]
         for event in sorted(events, key=lambda e: (e.t_ns, isinstance(e, Frame))):
-            self._feed(event, now_ns)
+            self._feed(event)
         while self._later and self._later[0][0] <= now_ns:
             heapq.heappop(self._later)[2]()
         with self._costs.of("link"):
@@ -218,39 +219,22 @@ class Trial:
         known = m is not None and judge_motion(m, (now_ns - m.t_ns) * 1e-9).verdict is not Judged.BAD
         return (known and vehicle.telemetry.has_position) or (now_ns - self._start_ns) * 1e-9 > READY
 
-    def _feed(self, event: Event, now_ns: int) -> None:
-        fresh = self._pilot.saw(event, now_ns) if isinstance(event, Frame) else event
+    def _feed(self, event: Event) -> None:
+        fresh = self._pilot.saw(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
         if fresh is None:
             return
         with self._costs.of("pipeline"):
             motion = self._pipeline.feed(fresh)
-        if motion is None or not isinstance(fresh, Frame):
-            return
-        self._after(now_ns + MOTION_NS, lambda: self._pilot.moved(motion))
-        if self._wanted and not self._judging:
-            self._judge(fresh.t_ns, now_ns)
+        if motion is not None:
+            self._after(MOTION_NS, lambda: self._pilot.moved(motion))
 
-    def _judge(self, t_ns: int, now_ns: int) -> None:
-        self._wanted = False
-        with self._costs.of("judging"):
-            verdict = self._pipeline.judge_now(self._about)
-        if verdict is None:
-            return
+    def _judged(self, verdict: Verdict, t_ns: int) -> None:
         self._verdicts += 1
-        self._judging = True
+        self._after(VERDICT_NS, lambda: self._pilot.judged(verdict, t_ns))
 
-        def known() -> None:
-            self._judging = False
-            self._pilot.judged(verdict, t_ns)
-
-        self._after(now_ns + VERDICT_NS, known)
-
-    def _request(self, about: F64 | None) -> None:
-        self._wanted, self._about = True, about
-
-    def _after(self, due_ns: int, call: Callable[[], None]) -> None:
+    def _after(self, delay_ns: int, call: Callable[[], None]) -> None:
         self._numbers += 1
-        heapq.heappush(self._later, (due_ns, self._numbers, call))
+        heapq.heappush(self._later, (self._vehicle.time_ns + delay_ns, self._numbers, call))
 
     def result(self, map_all: bool = False) -> Landing:
         """The landing as it is now; `map_all`: with the decision on the map of the whole flight."""
@@ -263,19 +247,13 @@ class Trial:
 
     def _cpu_of(self) -> dict[str, float]:
         spent = {name: sum(steps) for name, steps in self._costs.stages.items()}
-        mapping = spent.get("mapping", 0.0)
-        found = {name: spent.get(name, 0.0) for name in ("simulator", "link", "judging")}
-        return {**found, "mapping": mapping, "navigation": spent.get("pipeline", 0.0) - mapping}
+        found = {name: spent.get(name, 0.0) for name in ("simulator", "link", "mapping", "judging")}
+        return {**found, "navigation": spent.get("pipeline", 0.0) - found["mapping"] - found["judging"]}
 
 
 def as_flown(settings: Settings) -> Settings:
-    """The settings of a landing: a recursive map, judged when the executive needs it."""
-    return settings.model_copy(
-        update={
-            "sites": settings.sites.model_copy(update={"every": 0}),
-            "parallax": settings.parallax.model_copy(update={"method": "ring"}),
-        }
-    )
+    """The settings of a landing, whose map is recursive."""
+    return settings.model_copy(update={"parallax": settings.parallax.model_copy(update={"method": "ring"})})
 
 
 class TrialLog:

@@ -25,7 +25,7 @@ from alight.flight.executive.look_outcome import look_outcome
 from alight.flight.executive.look_planner import LookPlanner
 from alight.flight.executive.opinion import Opinion, Standing, opinion
 from alight.flight.executive.search import SearchLanes
-from alight.flight.executive.table import AT_A_PLACE, ENDS, TABLE
+from alight.flight.executive.table import AT_A_PLACE, CROSSING, ENDS, JUDGE_EVERY, TABLE
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.records import MotionState, Site, p_safe_text
 from alight.records.executive import (
@@ -33,6 +33,7 @@ from alight.records.executive import (
     FlightEvent,
     FlightState,
     LookRecord,
+    Need,
     Order,
     Seen,
     Situation,
@@ -81,14 +82,12 @@ class Executive:
         self._places = KnownPlaces(settings)
 
     @property
-    def about(self) -> F64 | None:
-        """(2,) metres, the place that a verdict is wanted on; None: the ground below."""
-        return None if self.target is None else np.array([self.target.east, self.target.north])
-
-    @property
-    def crosses(self) -> bool:
-        """True while a look leg is being flown: the look is judged at its end."""
-        return self.state is S.LOOK and self._across is not None
+    def need(self) -> Need | None:
+        """Verdicts that it needs now; None: none. While a look leg is flown they are few: a look counts at its end."""
+        crosses = self.state is S.LOOK and self._across is not None
+        seconds = CROSSING if crosses else JUDGE_EVERY.get(self.state)
+        about = None if self.target is None else np.array([self.target.east, self.target.north])
+        return None if seconds is None else Need(seconds, about)
 
     # -- the step
 

@@ -1,25 +1,13 @@
-"""Verdicts for the executive: when it needs one, and in the frame of its map."""
+"""Verdicts for the executive, in the frame of their map."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from alight.flight.executive import Executive
 from alight.geometry import Grid
 from alight.pipeline import Verdict
 from alight.pipeline.map_frame import MapFrame
-from alight.records.executive import FlightState, LookPicture, LookRecord, Seen
-
-JUDGE_EVERY = {  # s between two judgements
-    FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
-    FlightState.COMMIT: 0.5,
-}  # fmt: skip
-CROSSING = 2.0  # s between two judgements while a look leg is flown
-
-
-def judged_every(executive: Executive) -> float | None:
-    """Seconds between two judgements that the executive can use; None: it needs none."""
-    return CROSSING if executive.crosses else JUDGE_EVERY.get(executive.state)
+from alight.records.executive import LookPicture, LookRecord, Seen
 
 
 def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
