@@ -80,12 +80,12 @@ class Ground:
                 continue
             p, (row, col) = p_of(float(at[2])), (round(v) for v in grid.index(np.array(e), np.array(n)))
             off_list = self.unlisted[0] < at[2] < self.unlisted[1]
-            doubt = int(Hazard.DOUBT) if off_list and p < 0.95 else 0
-            p_map[row, col], reasons[row, col] = p, doubt if p > 0 else int(Hazard.ROUGHNESS)
+            doubtful = p < 0.95
+            p_map[row, col], reasons[row, col] = p, doubtful * Hazard.DOUBT if p > 0 else Hazard.ROUGHNESS
             if p > 0 and not off_list:
                 look = NextView(e, n, 8.0, 8.0, True)
-                kind = "site" if p >= 0.95 else "candidate"
-                listed.append(replace(some_site(), east=e, north=n, up=0.0, p_safe=p, kind=kind, look=look, doubt=None))
+                doubt = "relief" if doubtful else None
+                listed.append(replace(some_site(), east=e, north=n, up=0.0, p_safe=p, look=look, doubt=doubt))
         listed.sort(key=lambda s: -s.p_safe)
         sites = tuple(s for s in listed if s.kind == "site")
         found = Sites(sites, "", self.frame_id, tuple(s for s in listed if s.kind == "candidate"))
@@ -1624,9 +1624,9 @@ def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: flo
 
 def test_of_places_alike_the_plain_one_is_visited_first() -> None:
     """Near looks settle paved ground and leave most grass in doubt; a site comes before both."""
-    grass = replace(some_site(), east=20.0, kind="candidate", p_safe=0.91, terrain=Terrain.SHORT_GRASS)
+    grass = replace(some_site(), east=20.0, doubt="relief", p_safe=0.91, terrain=Terrain.SHORT_GRASS)
     paved = replace(grass, east=40.0, p_safe=0.87, terrain=Terrain.PAVED)
-    site = replace(grass, east=60.0, p_safe=0.95, kind="site")
+    site = replace(grass, east=60.0, p_safe=0.95, doubt=None)
     sure = replace(grass, p_safe=0.98)
     for listed, first in (((grass, paved), paved), ((grass, paved, site), site), ((sure, paved), sure)):
         places = KnownPlaces(settings())

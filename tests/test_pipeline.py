@@ -15,9 +15,9 @@ from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
 from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
 from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper, recursive_map
+from alight.pipeline.mapping.cell_size import nice_cell
 from alight.pipeline.mapping.frame_store import FrameStore
 from alight.pipeline.mapping.ground_map import lone
-from alight.pipeline.mapping.view_geometry import nice_cell
 from alight.pipeline.navigation import FilterLane, GivenLane, Navigation, Trajectory
 from alight.pipeline.remembered import CELL
 from alight.pipeline.timing import Timings
@@ -472,7 +472,7 @@ def test_given_poses_replace_what_navigation_says() -> None:
     ("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.22, 0.5), (0.55, 1.0)]
 )
 def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
-    assert nice_cell(sampling, 1.8) == cell
+    assert nice_cell(1.8 * sampling) == cell
 
 
 # -- damaged streams through the lane

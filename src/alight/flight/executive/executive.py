@@ -49,14 +49,13 @@ class Executive:
     """One landing. Call `tick` several times a second.
 
     Args:
-        settings: of all stages; `executive`, `hazards.p_safe`, `sites.margin`, `route` and the lander are used.
+        settings: of all stages; `executive`, `sites.margin`, `route` and the lander are used.
     """
 
     def __init__(self, settings: StageSettings) -> None:
         self._limits, self._recovery = AttemptLimits(settings.executive), Recovery(settings.executive)
         self._held = S.SEARCH  # the state before HOLD
         self._keys, self._route, self._margin = settings.executive, settings.route, settings.sites.margin
-        self._limit = settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
         self._clear_way = ClearWay(settings)
         self._looks = LookPlanner(settings, self._clear_way)
@@ -268,7 +267,7 @@ class Executive:
         least = self._keys.fallen if low else self._keys.hopeless
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
-        said = opinion(self.target, seen, self._limit, same, least, may, self._margin)
+        said = opinion(self.target, seen, same, least, may, self._margin)
         if low and self._descent.judged(seen.t, said, self._left):
             self._refusals = self._keys.sure
         elif said.standing is not Standing.NOT_SEEN:

@@ -17,11 +17,11 @@ class KnownPlaces:
     """Listed places as they were seen last, without those that were refused.
 
     Args:
-        settings: of all stages; `executive` and `hazards.p_safe` are used.
+        settings: of all stages; `executive` is used.
     """
 
     def __init__(self, settings: StageSettings) -> None:
-        self._keys, self._limit = settings.executive, settings.hazards.p_safe
+        self._keys = settings.executive
         self._noted: list[Site] = []
         self._noted_by = 0  # verdict
         self._refused: list[tuple[float, float]] = []
@@ -90,4 +90,4 @@ class KnownPlaces:
 
     def _judged_in(self, place: Site, seen: Seen) -> bool:
         """True if a verdict has an opinion of its own on a place."""
-        return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
+        return opinion(place, seen, self._keys.same_place).standing is not Standing.NOT_SEEN
