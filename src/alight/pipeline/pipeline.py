@@ -16,7 +16,7 @@ from alight.pipeline.decision import Decision
 from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.navigation import Navigation, TimedPoses
+from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses
 from alight.pipeline.timing import Clock, Tell, Timings
 from alight.pipeline.turns import turns
 from alight.records import Event, Motion, PriorHeights, Rig, Route, Schedule
@@ -28,7 +28,7 @@ class Pipeline:
 
     Args:
         rig: the cameras.
-        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may override it.
+        kind: `flight` (continuous) or `photos` (far apart).
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
         far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
@@ -36,6 +36,7 @@ class Pipeline:
         appearance: model of appearance; None: land cover from the map's own evidence alone.
         schedule: of a live run, to be repeated; None: every exposure in its turn.
         lanes: to use instead of those for `kind` and the settings, such as processes of their own.
+        navigation: a lane whose motions all come at the end, such as bundle adjustment; None: the filter, or `poses`.
         imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
     """
 
@@ -51,6 +52,7 @@ class Pipeline:
         appearance: terrain.Model | None = None,
         schedule: Schedule | None = None,
         lanes: Lanes | None = None,
+        navigation: NavigationLane | None = None,
         imu: ImuNoise | None = None,
         jobs: Jobs | None = None,
         prior: PriorHeights | None = None,
@@ -58,7 +60,7 @@ class Pipeline:
         self._settings = stages = (settings or Settings()).stages(imu)
         self._timings, self._turns = Timings(clock, history), turns(schedule, stages.sites.every)
         lanes = lanes or Lanes.of(
-            rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs, prior
+            rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs, prior, navigation
         )
         self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
 

@@ -17,7 +17,7 @@ from alight.records import AlightError, InputError
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, LandingRecord
 from alight.report.canvas import embedded
 from alight.runner.program import sources_digest
-from alight.runner.replay import appearance_of
+from alight.runs import appearance_of
 from alight.settings import Settings, settings_of_run
 from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
 from alight.trials.campaign.folder import HEAD, PAGE, CampaignFolder
