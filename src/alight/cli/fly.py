@@ -83,7 +83,7 @@ def fly(
     chosen = read_settings(settings, assign)
     refuse_unused(camera, False, rig)
     from alight.flight.session import FlightRequest, fly_vehicle
-    from alight.runner.home import wanted_home
+    from alight.runs import wanted_home
 
     request = FlightRequest(
         link, camera, out, chosen, rig, dry_run, wanted_home(home, geoid), separation, take_off,

@@ -16,8 +16,9 @@ from alight.geometry import Grid, so3_log
 from alight.outputs import Run, read_bands
 from alight.raster import clearance_of, gradient
 from alight.records import Flag, Hazard, InputError, Terrain, is_site
+from alight.runner.opening import open_source
 from alight.settings import Lander, Settings
-from alight.sources import open_source, read_tum
+from alight.sources import read_tum
 from alight.sources.source import Trajectory
 from alight.spread import nmad
 from alight_sim import TrueFootprint

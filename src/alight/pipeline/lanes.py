@@ -19,7 +19,6 @@ from alight.pipeline.navigation import (
     NavigationLane,
     TimedPoses,
     Trajectory,
-    all_at_end,
     navigation_lane,
 )
 from alight.pipeline.policy import LanePolicy
@@ -70,19 +69,20 @@ class Lanes:
         policy: LanePolicy | None = None,
         jobs: Jobs | None = None,
         prior: PriorHeights | None = None,
+        navigation: NavigationLane | None = None,
     ) -> Lanes:
         """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
         jobs = jobs or InTurn()
-        judging, at_end = JudgingLane(stages, appearance, timings), all_at_end(kind, stages, poses)
+        judging = JudgingLane(stages, appearance, timings)
         if policy is not None and (policy.navigation_anew or policy.mapping_anew):
-            navigation = FilterAgain(
+            again = FilterAgain(
                 lambda number: FilterLane(rig, stages, history, frame_id=number), policy.navigation_anew
             )
             mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), policy.mapping_anew)
-            return cls(navigation, mapping, judging)
+            return cls(again, mapping, judging)
         return cls(
-            navigation_lane(rig, kind, stages, poses, history, jobs),
-            mapping_lane(rig, stages, at_end, far, timings, history, jobs, prior),
+            navigation or navigation_lane(rig, kind, stages, poses, history),
+            mapping_lane(rig, stages, navigation is not None, far, timings, history, jobs, prior),
             judging,
         )
 

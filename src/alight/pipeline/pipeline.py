@@ -15,7 +15,7 @@ from alight.pipeline.decision import Decision
 from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.navigation import Navigation, TimedPoses
+from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses
 from alight.pipeline.policy import FlightPolicy, LanePolicy
 from alight.pipeline.timing import Clock, Tell, Timings
 from alight.records import Event, Motion, PriorHeights, Rig, Route
@@ -27,7 +27,7 @@ class Pipeline:
 
     Args:
         rig: the cameras.
-        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may override it.
+        kind: `flight` (continuous) or `photos` (far apart).
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
         far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
@@ -36,6 +36,7 @@ class Pipeline:
         policy: chooses exposures, effort and the maps that are judged; None: a `FlightPolicy` by `sites.every`.
         on_verdict: called with the verdict on a map that was judged in flight, and the stamp of its newest exposure.
         lanes: to use instead of those for `kind` and the settings, such as processes of their own.
+        navigation: a lane whose motions all come at the end, such as bundle adjustment; None: the filter, or `poses`.
         imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
     """
 
@@ -52,6 +53,7 @@ class Pipeline:
         policy: LanePolicy | None = None,
         on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None,
         lanes: Lanes | None = None,
+        navigation: NavigationLane | None = None,
         imu: ImuNoise | None = None,
         jobs: Jobs | None = None,
         prior: PriorHeights | None = None,
@@ -60,7 +62,7 @@ class Pipeline:
         self._timings, self._on_verdict = Timings(clock, history), on_verdict
         self._policy = policy or FlightPolicy(stages.sites.every)
         lanes = lanes or Lanes.of(
-            rig, kind, stages, self._timings, poses, far, history, appearance, self._policy, jobs, prior
+            rig, kind, stages, self._timings, poses, far, history, appearance, self._policy, jobs, prior, navigation
         )
         self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
 

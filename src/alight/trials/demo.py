@@ -10,7 +10,7 @@ from pathlib import Path
 from alight.outputs import prepare_folder
 from alight.records import RunResult
 from alight.records.executive import FlightState
-from alight.runner import replay
+from alight.runs import appearance_of, result_of
 from alight.settings import Settings
 from alight.trials.landing import Trial, fly_landing
 from alight_sim.oracle import OracleLander, Touchdown
@@ -63,11 +63,11 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
         done[0] = max(done[0], SHARE.get(trial.state, 0.0))
         tell(trial.state.value, done[0])
 
-    flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, map_all=True)
+    flown = fly_landing(vehicle, settings, appearance_of(settings), happening, map_all=True)
     assert flown.decision is not None
     ended, _ = flown.diary.end or (flown.state, "")
     tell(ended.value, 1.0)
-    result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
+    result = result_of(vehicle, settings, flown.decision, flown.timings)
     notes = {**result.notes, "landing": ended.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
     return DemoLanding(result, ended, flown.seconds, judge_flight(vehicle, lander))

@@ -67,7 +67,7 @@ class Reports:
         self.silent: set[int] = set()  # messages that it could send but has no data for
         self._make: dict[int, Callable[[SimulatedState], Any]] = {
             1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 27: self._raw_imu,
-            30: self._attitude, 31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission,
+            30: self._attitude, 31: self._quaternion, 32: self._local, 33: self._position,
             65: self._sticks, 105: self._highres_imu, 242: self._home, 245: self._extended,
             dialect.estimator_message: self._estimator, dialect.wind_message: self._wind,
         }  # fmt: skip
@@ -95,11 +95,8 @@ class Reports:
         self._events(now)
 
     def _events(self, now: SimulatedState) -> None:
-        for item in now.logic.reached:
-            self._send(mavlink.MAVLink_mission_item_reached_message(item))
         for text in now.logic.spoken:
             self._send(mavlink.MAVLink_statustext_message(6, text.encode()))
-        now.logic.reached.clear()
         now.logic.spoken.clear()
 
     def _sys_status(self, now: SimulatedState) -> Any:
@@ -177,9 +174,6 @@ class Reports:
             now.boot_ms, round(lat * 1e7), round(lon * 1e7), round(msl * 1e3), round(now.metres[2] * 1e3), north, east,
             down, heading,
         )  # fmt: skip
-
-    def _mission(self, now: SimulatedState) -> Any:
-        return mavlink.MAVLink_mission_current_message(now.logic.current)
 
     def _sticks(self, now: SimulatedState) -> Any:
         return mavlink.MAVLink_rc_channels_message(now.boot_ms, 4, *self.sticks, *([0xFFFF] * 14), 200)

@@ -13,8 +13,7 @@ from alight.arrays import F64
 from alight.geometry import Pose
 from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
 from alight_sim.autopilot.estimate import Estimate, EstimateError
-from alight_sim.autopilot.flight_logic import FlightItem, FlightLogic
-from alight_sim.autopilot.mission_store import MissionStore
+from alight_sim.autopilot.flight_logic import FlightLogic
 from alight_sim.autopilot.reports import Reports, SimulatedState
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -110,7 +109,6 @@ class SimulatedAutopilot:
     def _start(self) -> None:
         self._boot = self._middle = self._refuses_until = 0.0  # s, of its own clock
         self.logic = FlightLogic(self.dialect, interlock=False if self._kind == _HELICOPTER else None)
-        self.missions = MissionStore(self.dialect, self._send)
         self.reports = Reports(self.dialect, self._send, self._kind)
         self._mavlink.seq = 0
 
@@ -135,7 +133,7 @@ class SimulatedAutopilot:
         return self.vehicle.position + self.estimate.error
 
     def reboot(self) -> None:
-        """Start again: motors off, clock at 0, missions and streams forgotten."""
+        """Start again: motors off, clock at 0, streams forgotten."""
         self._start()
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
@@ -165,12 +163,6 @@ class SimulatedAutopilot:
         self.estimate.step(dt)
         wanted = self.logic.step(self._boot, self.estimated, self.vehicle.stands)
         self.vehicle.step(dt, None if wanted is None else self._in_truth(wanted))
-        self.missions.step(self._boot)
-        if self.missions.fresh:
-            self.missions.fresh = False
-            self.logic.items = [self._flight_item(m) for m in self.missions.items]
-            if not self.missions.receiving:
-                self.logic.current = self.dialect.first_item
         self.reports.step(self._boot, self._snapshot())
 
     def _in_truth(self, wanted: Wanted) -> Wanted:
@@ -187,11 +179,6 @@ class SimulatedAutopilot:
             self._boot, self._middle, self.checks,
         )  # fmt: skip
 
-    def _flight_item(self, m: Any) -> FlightItem:
-        altitude = m.z + self.home.altitude_msl if m.frame in _RELATIVE_FRAMES else m.z
-        position = self.home.metres(m.x * 1e-7, m.y * 1e-7, altitude)
-        return FlightItem(m.command, (m.param1, m.param2, m.param3, m.param4), position)
-
     def _send(self, message: Any) -> None:
         self._out.append(bytes(message.pack(self._mavlink)))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
@@ -206,15 +193,6 @@ class SimulatedAutopilot:
     def _on_timesync(self, m: Any, sender: tuple[int, int]) -> None:
         if m.tc1 == 0:
             self._send(mavlink.MAVLink_timesync_message(self.boot_ns, m.ts1))
-
-    def _on_mission_count(self, m: Any, sender: tuple[int, int]) -> None:
-        self.missions.announce(m, sender, self._boot)
-
-    def _on_mission_item_int(self, m: Any, sender: tuple[int, int]) -> None:
-        self.missions.item(m, sender, self._boot)
-
-    def _on_mission_clear_all(self, m: Any, sender: tuple[int, int]) -> None:
-        self.missions.clear(sender)
 
     def _on_set_position_target_global_int(self, m: Any, sender: tuple[int, int]) -> None:
         altitude = m.alt + self.home.altitude_msl if m.coordinate_frame in _RELATIVE_FRAMES else m.alt
@@ -264,8 +242,6 @@ class SimulatedAutopilot:
             return self._said(
                 self.logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
             )
-        if command == 300:
-            return self._said(self.logic.start_mission())
         if command == 178:
             return self._said(self.logic.limit(p[0], p[1]))
         if command == 115 and not self.dialect.needs_setpoints:

@@ -17,7 +17,7 @@ from alight.outputs.recorder import Recorder, make_room
 from alight.pipeline import FlightPolicy, Verdict
 from alight.records import AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
-from alight.runner.replay import appearance_of, result_of
+from alight.runs import appearance_of, result_of
 from alight.settings import Settings
 from alight.sources import Source
 

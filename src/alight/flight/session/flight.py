@@ -26,12 +26,11 @@ from alight.outputs import prepare_folder
 from alight.pipeline import FlightPolicy
 from alight.records import Event, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
 from alight.records.executive import FlightState, LookRecord, Transition
-from alight.runner.home import flown_home, with_home
+from alight.runs import flown_home, with_home
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
-from alight.sources.capture import PREFIXES
 from alight.sources.flight_log import CalibratedFolder
-from alight.sources.live import LiveSource, open_live
+from alight.sources.live import LiveSource, open_sensors
 
 PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are accepted
@@ -110,9 +109,7 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
         raise InputError("executive.look_again=false lands without looking: it is for campaigns; leave it out")
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
-    opened = open_live(
-        plan.camera, plan.settings, follow=not plan.camera.startswith(PREFIXES), rig=plan.rig, stopped=over.is_set
-    )
+    opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
     machine = preflight.judge_machine(
         compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget, plan.record
     )

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from alight.records import InputError
 from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
 from alight.records.executive import FlightState
-from alight.runner.replay import appearance_of
+from alight.runs import appearance_of
 from alight.settings import Settings
 from alight.trials.campaign.faults import Happenings
 from alight.trials.campaign.outcome import judge_landing, met

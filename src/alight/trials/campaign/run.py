@@ -24,7 +24,7 @@ from alight.records.campaign import (
 from alight.records.telemetry import FirmwareName
 from alight.report.canvas import embedded
 from alight.runner.program import sources_digest
-from alight.runner.replay import appearance_of
+from alight.runs import appearance_of
 from alight.settings import Settings, settings_of_run
 from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
 from alight.trials.campaign.folder import HEAD, PAGE, CampaignFolder
