@@ -13,13 +13,13 @@ from alight import terrain
 from alight.arrays import F64
 from alight.flight.executive import ENDS, Executive
 from alight.flight.session.pictures import PictureWatch
-from alight.flight.session.verdicts import as_seen, look_picture
+from alight.flight.session.verdicts import for_executive, look_picture
 from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, MotionState, NavSample
-from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
+from alight.records.executive import FlightDiary, FlightState, MapVerdict, Order, Situation
 from alight.settings import Settings
 from alight.trials.mean_tie import MeanTie
 from alight_sim.steered import SteeredFlight, Wanted
@@ -115,8 +115,8 @@ class _Loop:
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
         self._pictures = PictureWatch()
-        self._seen: Seen | None = None
-        self._pending: tuple[float, Seen] | None = None  # and when it is known
+        self._seen: MapVerdict | None = None
+        self._pending: tuple[float, MapVerdict] | None = None  # and when it is known
         self._number, self._most = 0, LONGEST * settings.executive.time_budget
         self._landing = Landing()
         self._rows: deque[tuple[int, F64]] = deque(maxlen=40)  # GPS/INS, ns and metres
@@ -175,7 +175,7 @@ class _Loop:
         """Take a verdict, which is used `LATENCY` seconds later; none is needed until then."""
         self._number += 1
         self._landing.verdicts += 1
-        self._pending = (self.t + LATENCY, as_seen(verdict, self._number, (t_ns - self._begin) * 1e-9))
+        self._pending = (self.t + LATENCY, for_executive(verdict, self._number, (t_ns - self._begin) * 1e-9))
         self._policy.need = None
 
     def _tie_to_autopilot(self, motion: Motion) -> None:
