@@ -26,7 +26,7 @@ from alight.flight.executive.table import CROSSING, JUDGE_EVERY
 from alight.geometry import Grid
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
-from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
+from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order, Situation
 from alight.settings import Settings, load_settings, settings_of_run
 from alight.settings.user import ExecutiveKeys
 
@@ -70,7 +70,7 @@ class Ground:
         blank["flags"][:, np.abs(east) < 2.0] = int(Flag.UNSEEN) if self.gap else 0
         return replace(m, grid=grid, **blank | {"height": flat, "sigma": np.full(grid.shape, 0.02, np.float32)})
 
-    def seen(self, number: int, t: float, at: np.ndarray) -> Seen:
+    def seen(self, number: int, t: float, at: np.ndarray) -> MapVerdict:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
         p_map = np.full(grid.shape, np.nan, np.float32)
         reasons = np.full(grid.shape, int(Hazard.UNKNOWN), np.uint16)
@@ -92,7 +92,7 @@ class Ground:
         blank = np.zeros(grid.shape, np.float32)
         room = np.full(grid.shape, self.room, np.float32)
         danger = HazardMap(grid, blank, blank, blank, room, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
-        return Seen(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
+        return MapVerdict(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
 
 
 @dataclass
@@ -600,8 +600,8 @@ class Late:
     """Verdicts that are old when they come."""
 
     age: float  # s
-    waiting: list[Seen] = field(default_factory=list)
-    newest: Seen | None = None
+    waiting: list[MapVerdict] = field(default_factory=list)
+    newest: MapVerdict | None = None
 
     def __call__(self, now: Situation, executive: Executive) -> Situation:
         if now.seen is not None and (not self.waiting or now.seen is not self.waiting[-1]):
@@ -769,7 +769,7 @@ def test_a_landing_that_waited_long_is_let_touch_down(aside: float) -> None:
 
 @pytest.mark.parametrize("height", [3.4, 3.0, 2.2])
 def test_verdicts_that_end_low_down_break_the_landing_off_soon(height: float) -> None:
-    last: list[Seen | None] = []
+    last: list[MapVerdict | None] = []
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
 
     def stall(now: Situation, executive: Executive) -> Situation:
@@ -881,7 +881,7 @@ def test_a_place_that_is_not_seen_any_more_breaks_a_landing_off_while_it_is_high
 
 
 def test_a_landing_without_verdicts_is_broken_off() -> None:
-    last: list[Seen | None] = []
+    last: list[MapVerdict | None] = []
 
     def stall(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.COMMIT:
@@ -1424,7 +1424,7 @@ def test_a_new_frame_drops_the_place_and_searches_again() -> None:
 
 def test_no_verdict_no_landing() -> None:
     """No landing begins if verdicts stop when the first look begins."""
-    frozen: list[Seen | None] = []
+    frozen: list[MapVerdict | None] = []
 
     def stop(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.LOOK or frozen:

@@ -81,10 +81,10 @@ def map_bits(m: ElevationMap) -> list[bytes]:
 
 def verdict_bits(v: Verdict | Decision) -> list[object]:
     """Return grid, map, P(safe), reasons and sites, as bytes and text."""
-    danger = v.danger if isinstance(v, Verdict) else v.hazards
     assert v.elevation is not None
-    assert danger is not None
-    return [v.elevation.grid, *map_bits(v.elevation), danger.p_safe.tobytes(), danger.reasons.tobytes(), repr(v.sites)]
+    assert v.hazards is not None
+    p_safe, reasons = v.hazards.p_safe.tobytes(), v.hazards.reasons.tobytes()
+    return [v.elevation.grid, *map_bits(v.elevation), p_safe, reasons, repr(v.sites)]
 
 
 class Heard:

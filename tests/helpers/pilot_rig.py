@@ -15,7 +15,7 @@ from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
 from alight.records import Frame, Motion, MotionState
-from alight.records.executive import FlightState, LookRecord, Seen, Transition
+from alight.records.executive import FlightState, LookRecord, MapVerdict, Transition
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError
 from alight_sim.point_mass import FlightLimits, PointMass
@@ -28,7 +28,7 @@ HARMLESS = {"HEARTBEAT", "TIMESYNC"}
 SET_MESSAGE_INTERVAL = 511
 LATER = 1_000  # ns from the newest message to the tick that uses it: no heartbeat is of this very instant
 
-See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the vehicle
+See = Callable[[int, float, np.ndarray], MapVerdict]  # number, second, place of the vehicle
 
 
 def seldom(r: PilotRig, period: float) -> None:

@@ -109,12 +109,12 @@ class Pipeline:
         if found.snapshot is None:
             return Decision.none(trajectory, found.reason, *found.warnings, judge=self._judging)
         tell("judging", 0.2)
-        way = self._route(verdict := self.judge(found.snapshot), found.snapshot)
+        way = self._route(verdict := self.judge(found.snapshot).in_world(), found.snapshot)
         tell("judging", 1.0)
         return Decision.of(trajectory, found, verdict, way, self._judging)
 
     def _route(self, verdict: Verdict, seen: MapSnapshot) -> Route | None:
-        """The way to the best site, planned in the world."""
+        """The way to the best site, planned in the world as the verdict is."""
         if not verdict.sites.sites:
             return None
         vehicle, site = seen.frame.point(seen.vehicle.position), verdict.sites.sites[0]

@@ -33,9 +33,9 @@ from alight.records.executive import (
     FlightEvent,
     FlightState,
     LookRecord,
+    MapVerdict,
     Need,
     Order,
-    Seen,
     Situation,
     Transition,
 )
@@ -383,7 +383,7 @@ class Executive:
             self._plan(leg)
         return leg is None
 
-    def _seen(self, now: Situation) -> Seen | None:
+    def _seen(self, now: Situation) -> MapVerdict | None:
         """The newest verdict, if it is on a map of this frame."""
         return None if now.seen is None or now.seen.frame_id != self._frame else now.seen
 

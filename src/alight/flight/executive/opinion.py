@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.landing.reasons import REASON_WORDS
 from alight.records import Hazard, Site
-from alight.records.executive import Seen
+from alight.records.executive import MapVerdict
 
 
 class Standing(Enum):
@@ -35,7 +35,7 @@ class Opinion:
 
 def opinion(
     place: Site,
-    seen: Seen,
+    seen: MapVerdict,
     same: float,
     least: float = 0.0,
     free: Callable[[Site], bool] = lambda listed: True,
@@ -79,6 +79,6 @@ def opinion(
     return Opinion(Standing.CANDIDATE if why else Standing.SITE, found, p, why)
 
 
-def _is_tight(seen: Seen, row: int, col: int, margin: float) -> bool:
+def _is_tight(seen: MapVerdict, row: int, col: int, margin: float) -> bool:
     """True if a touchdown is refused within the margin."""
     return not float(seen.hazards.clearance[row, col]) >= margin

@@ -156,5 +156,5 @@ class _Told:
 
     def _verdict(self, verdict: Verdict, t_ns: int) -> None:
         if self._recorder is not None:
-            self._recorder.sites(t_ns, verdict.sites)
+            self._recorder.sites(t_ns, verdict.in_world().sites)
         self._to.verdict(verdict, t_ns)

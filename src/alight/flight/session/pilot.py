@@ -17,11 +17,11 @@ from alight.flight.session.near import own_way
 from alight.flight.session.order_taker import OrderTaker
 from alight.flight.session.orders import OrderSender
 from alight.flight.session.pictures import PictureWatch
-from alight.flight.session.verdicts import as_seen, look_picture
+from alight.flight.session.verdicts import for_executive, look_picture
 from alight.geometry import LocalFrame
 from alight.pipeline import FlightPolicy, Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
-from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
+from alight.records.executive import FlightDiary, FlightState, LookRecord, MapVerdict, Situation, Transition
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
@@ -84,7 +84,7 @@ class LandingPilot:
         self.pictures, self._battery = PictureWatch(), BatteryWatch()
         self.motion: Motion | None = None
         self._known: Motion | None = None  # that the newest situation's position is of; None: it has none
-        self._seen: Seen | None = None
+        self._seen: MapVerdict | None = None
         self._seen_ns = self._acted_ns = 0  # newest exposure of the newest verdict, and of the one acted upon
         self._guided_ns = 0  # newest motion that a set-point was made of
         self._number = 0
@@ -130,15 +130,15 @@ class LandingPilot:
         """Take a verdict.
 
         Args:
-            verdict: in the world.
+            verdict: in the frame of its map.
             t_ns: the newest exposure that its map holds.
         """
         if self._begin_ns is None:
             return
         self._number += 1
-        self.take_seen(as_seen(verdict, self._number, (t_ns - self._begin_ns) * 1e-9), t_ns)
+        self.take_seen(for_executive(verdict, self._number, (t_ns - self._begin_ns) * 1e-9), t_ns)
 
-    def take_seen(self, seen: Seen, t_ns: int) -> None:
+    def take_seen(self, seen: MapVerdict, t_ns: int) -> None:
         """Take a verdict in the frame of its map; numbers rise. The next tick decides by it, whenever it comes."""
         self._seen, self._seen_ns, self._waiting = seen, t_ns, True
 
