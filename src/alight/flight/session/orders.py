@@ -11,7 +11,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
 from alight.flight.session.contact import Contact
-from alight.flight.session.near import near_way, own_way
+from alight.flight.session.near import own_way
 from alight.flight.session.order_taker import OrderTaker, words_of
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, Landed, Motion, Place
@@ -56,7 +56,6 @@ class OrderSender:
     ) -> None:  # fmt: skip
         self._vehicle, self.hand, self._local, self._tell = vehicle, hand, local, tell
         self._farthest, self._stale = farthest, stale
-        self._next = near_way if hand is vehicle else _whole_way  # orders in words are given with their goal
         self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
         self._accepted_ns: int | None = None  # instant at which the mode was accepted
@@ -191,11 +190,10 @@ class OrderSender:
         return f"{self._hold(FlightState.HOLD, now_ns)}: the autopilot's place is not known, or has jumped"
 
     def _guide(self, leg: _Leg, order: Order) -> str:
-        """Send the next target on the way, whatever mode is flown."""
+        """Send the target, whatever mode is flown."""
         self._held = None
         speed, sink = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
-        to = leg.here + self._next(leg.way, speed, sink)
-        self.hand.guide(Setpoint(to, None, self._nose(), speed, sink), leg.tie)
+        self.hand.guide(Setpoint(leg.here + leg.way, None, self._nose(), speed, sink), leg.tie)
         return f"fly to {words_of(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
@@ -272,7 +270,3 @@ class OrderSender:
         if not (np.isfinite(way).all() and math.hypot(way[0], way[1]) <= over and way[2] <= up):
             return None
         return _Leg(tie, here, way, tie.place_of(to))
-
-
-def _whole_way(way: F64, speed: float, sink: float) -> F64:
-    return way
