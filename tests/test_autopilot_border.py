@@ -208,7 +208,7 @@ def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
     assert (near.latitude - here.latitude) * 111_132 == pytest.approx(4.0, abs=0.01)
     assert (near.longitude, near.altitude_msl) == (pytest.approx(13.4, abs=1e-9), pytest.approx(539.0))
     assert near.above_home == pytest.approx(39.0)
-    up = target_of(Setpoint(np.array([3.0, 1.0, 32.0]), speed=2.0, sink=0.5), tie())
+    up = target_of(Setpoint(np.array([3.0, 1.0, 42.0]), speed=2.0, sink=0.5), tie())
     assert up.near(here, reach).place == up.place
     high = target_of(Setpoint(np.array([3.0, 0.0, 90.0]), speed=2.0, sink=0.5), tie()).near(here, reach).place
     assert high is not None
