@@ -166,7 +166,7 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
 
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    window = f.keyframes()
+    window = f.clone_window()
     assert window is not None
     ring = window.posterior().motions
     assert len(ring) == FilterSettings().clones
@@ -177,7 +177,7 @@ def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Moti
 
 def test_the_joint_covariance_of_the_ring_belongs_to_its_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
     """The blocks are the covariances of the poses in the map; relative to each other, poses are known far better."""
-    window = flown[0].keyframes()
+    window = flown[0].clone_window()
     assert window is not None
     ring = window.posterior()
     K, P = len(ring.motions), ring.covariance
@@ -467,7 +467,7 @@ def test_the_posterior_follows_from_the_window_alone() -> None:
     events = PointFlight(seed=4, seconds=2.0, count=40).events
     half = len(events) // 2
     estimator, _ = run(events[:half])
-    at_once, later = estimator.keyframes(), estimator.keyframes()
+    at_once, later = estimator.clone_window(), estimator.clone_window()
     assert at_once is not None
     assert later is not None
     elsewhere = pickle.loads(pickle.dumps(later))

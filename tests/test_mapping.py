@@ -58,7 +58,7 @@ def test_the_bytes_of_a_store_are_counted_once(monkeypatch: pytest.MonkeyPatch) 
     """Summed anew at each photo, they took seconds for some thousand photos."""
     counted = []
     monkeypatch.setattr(Keyframe, "bytes", property(lambda k: counted.append(k) or 6))
-    store = FrameStore(turn=0.15)
+    store = FrameStore()
     for k in range(10):
         store.keep(frame(k))
     assert (store.bytes, len(counted)) == (60, 10)

@@ -516,7 +516,7 @@ def test_of_frames_with_one_stamp_the_first_is_used() -> None:
 
 
 def test_thinning_keeps_the_newest_and_every_second() -> None:
-    store = FrameStore(turn=0.15)
+    store = FrameStore()
     for k in range(7):
         store.keep(Frame(k, (np.zeros((2, 3), np.uint8),)))
     store.thin()

@@ -27,7 +27,7 @@ from alight.motion.dynamics import (
 )
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, CourseAttitude, PositionedExposure
-from alight.motion.ekf.keyframe_posterior import KeyframeWindow
+from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import Gate
 from alight.motion.ekf.memory import FilterMemory, Snapshot
 from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
@@ -171,8 +171,8 @@ class MotionFilter:
             m.last_positioned = now
         return found
 
-    def keyframes(self) -> KeyframeWindow | None:
-        """Return the keyframe window by value, from which the joint posterior follows; None before any exposure."""
+    def clone_window(self) -> CloneWindow | None:
+        """Return the clones by value, from which the joint posterior follows; None before any exposure."""
         m = self._memory
         if m.state is None or m.last_exposure_ns == NEVER_NS:
             return None

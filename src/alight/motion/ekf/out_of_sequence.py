@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from alight.motion.ekf.filter import MotionFilter
-from alight.motion.ekf.keyframe_posterior import KeyframeWindow
+from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.memory import Snapshot
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import FilterState
@@ -105,9 +105,9 @@ class RollbackFilter:
         """Return the predictor of later exposures; None before the first GPS/INS row."""
         return self._filter.predictor()
 
-    def keyframes(self) -> KeyframeWindow | None:
-        """Return the keyframe window by value (M23); None before any exposure."""
-        return self._filter.keyframes()
+    def clone_window(self) -> CloneWindow | None:
+        """Return the clones by value (M23); None before any exposure."""
+        return self._filter.clone_window()
 
     def smoothed(self) -> list[Motion]:
         """Return the motions of all exposures so far, smoothed together (M18-M22)."""

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from alight.elevation import TileStore
 from alight.jobs import Jobs
-from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
+from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
 from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, VehiclePosition
-from alight.pipeline.mapping.recursive import RecursiveMapper
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.timing import Timings
 from alight.records import PriorHeights, Rig
 from alight.settings import StageSettings

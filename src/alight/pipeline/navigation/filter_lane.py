@@ -171,7 +171,7 @@ class FilterHalf:
         self._motions.append(motion)
         self.next_frame = max(self.next_frame, motion.frame_id + 1)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
-        return Navigation(tracked.frame, motion, self._filter.keyframes(), self.attitude)
+        return Navigation(tracked.frame, motion, self._filter.clone_window(), self.attitude)
 
     def refined(self) -> RefinedMotions:
         """The motions refined together; empty where that is switched off or not possible."""
