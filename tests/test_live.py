@@ -125,17 +125,17 @@ def test_tracking_may_run_ahead_of_the_filter_by_one_exposure() -> None:
         if navigation is not None and navigation.motion is not None:
             found.append(navigation.motion)
 
-    batches = [b for e in flight()[1] if (b := lane.batch(e)) is not None]
+    batches = [b for e in flight()[1] if (b := lane.batcher.take(e)) is not None]
     assert len(batches) == 31
     for k, batch in enumerate(batches):
         if k < 2:  # 0 needs the rows before it, 1 the state after 0
-            lane.hear(batch)
-        tracked = lane.track(batch)
+            lane.take_rows(batch)
+        tracked = lane.tracking.track(batch)
         assert tracked is not None
         while waiting:
             take_in()
         if k >= 2:
-            lane.hear(batch)
+            lane.take_rows(batch)
         waiting.append(tracked)
         if k < 1:
             take_in()

@@ -153,16 +153,6 @@ class JudgingLane:
         self._settings, self._appearance, self._timings = settings, appearance, timings
         self.memory = memory
 
-    @property
-    def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
-        return self.memory.reserve
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings on the sites, where the motion began anew."""
-        return self.memory.warnings
-
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and candidates with the views that would settle their doubt."""
         s, frame = self._settings, seen.frame
@@ -221,7 +211,7 @@ class JudgingLane:
                 f"{self._settings.parallax.quality}: heights on cells of {found.hazards.grid.cell:g} m; on half of the "
                 f"ground an obstacle of {float(np.median(resolved)):.2f} m would be found with a chance of 95 %"
             )
-        out |= reserve_notes(self.reserve.sites[len(found.sites.sites) :])
+        out |= reserve_notes(self.memory.reserve.sites[len(found.sites.sites) :])
         if self.memory.lost:
             out["sites given up"] = list(self.memory.lost)
         return out

@@ -10,8 +10,7 @@ from alight import terrain
 from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
-from alight.landing.reserve import Reserve
-from alight.pipeline.judging import JudgingLane, Verdict
+from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
 from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, RecursiveMapper, mapping_lane
 from alight.pipeline.navigation import (
     FilterLane,
@@ -33,12 +32,8 @@ class Judge(Protocol):
     """One way to judge a map: in this process, or in another one."""
 
     @property
-    def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings on the sites, where the motion began anew."""
+    def memory(self) -> JudgingMemory:
+        """The sites of all maps judged so far, and warnings on them."""
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map."""
@@ -96,9 +91,9 @@ class FilterAgain:
     def feed(self, event: Event) -> Navigation | None:
         """As the lane; a new lane first takes the rows since the last exposure of the one before."""
         if isinstance(event, Frame) and event.t_ns in self._before:
-            waiting = self._lane.waiting()
+            rows = self._lane.batcher.rest().rows
             self._lane = self._make(self._lane.next_frame)
-            for row in waiting:
+            for row in rows:
                 self._lane.feed(row)
         return self._lane.feed(event)
 

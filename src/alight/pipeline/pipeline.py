@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
 from alight import terrain
 from alight.elevation import TileStore
 from alight.jobs import Jobs
-from alight.landing import route
 from alight.landing.reserve import Reserve
-from alight.pipeline.decision import Decision
+from alight.pipeline.decision import Decision, conclude
 from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses
 from alight.pipeline.policy import FlightPolicy, LanePolicy
 from alight.pipeline.timing import Clock, Tell, Timings
-from alight.records import Event, Motion, PriorHeights, Rig, Route
+from alight.records import Event, Motion, PriorHeights, Rig
 from alight.settings import ImuNoise, Settings
 
 
@@ -91,8 +89,8 @@ class Pipeline:
 
     @property
     def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
-        return self._judging.reserve
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
+        return self._judging.memory.reserve
 
     @property
     def timings(self) -> Mapping[str, Sequence[float]]:
@@ -101,22 +99,4 @@ class Pipeline:
 
     def finish(self, tell: Tell = lambda stage, share: None) -> Decision:
         """Refine the motion, build the map, judge it and choose."""
-        with self._timings.of("motion, all frames together"):
-            trajectory = self._navigation.finish(lambda f: tell("motion", f))
-        if not trajectory.usable:
-            return Decision.none(trajectory, trajectory.reason)
-        found = self._mapping.finish(trajectory, lambda f: tell("heights", f))
-        if found.snapshot is None:
-            return Decision.none(trajectory, found.reason, *found.warnings, judge=self._judging)
-        tell("judging", 0.2)
-        way = self._route(verdict := self.judge(found.snapshot).in_world(), found.snapshot)
-        tell("judging", 1.0)
-        return Decision.of(trajectory, found, verdict, way, self._judging)
-
-    def _route(self, verdict: Verdict, seen: MapSnapshot) -> Route | None:
-        """The way to the best site, planned in the world as the verdict is."""
-        if not verdict.sites.sites:
-            return None
-        vehicle, site = seen.frame.point(seen.vehicle.position), verdict.sites.sites[0]
-        way = route.plan_route(site, seen.frame.elevation(seen.elevation), vehicle, self._settings.route)
-        return replace(way, frame_id=seen.frame.frame_id)
+        return conclude(self._navigation, self._mapping, self._judging, self._settings, self._timings, tell)

@@ -29,10 +29,12 @@ from alight.flight.live.nursery import Nursery
 from alight.flight.live.schedule_log import ScheduleLog
 from alight.flight.live.stream_clock import Clocks
 from alight.flight.live.worker import LaneLost, Spec
-from alight.pipeline import Decision, FlightPolicy, Lanes, Pipeline
+from alight.pipeline import Decision, FlightPolicy
+from alight.pipeline.decision import conclude
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
+from alight.pipeline.timing import Timings
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
 from alight.settings import ImuNoise, Settings
 
@@ -114,13 +116,13 @@ class Live:
         self, rig: Rig, settings: Settings, folder: Path, appearance: terrain.Model | None, imu: ImuNoise | None,
         makers: Mapping[str, Callable[..., Any]],
     ) -> None:  # fmt: skip
-        stages, clock, nursery = settings.stages(imu), time.perf_counter, self._nursery
+        self._settings, nursery = (stages := settings.stages(imu)), self._nursery
         assert nursery is not None
-        navigation, judging = RemoteNavigation(), RemoteJudging()
+        navigation, judging = self._navigation, self._judging = RemoteNavigation(), RemoteJudging()
         usual: dict[str, tuple[Any, Callable[[], tuple[Any, ...]]]] = {
             NAVIGATION: (processes.NavigationProcess, lambda: (rig, stages, navigation.next_frame)),
-            MAPPING: (processes.MappingProcess, lambda: (rig, stages, clock, folder)),
-            JUDGING: (processes.JudgingProcess, lambda: (stages, clock, appearance, judging.memory)),
+            MAPPING: (processes.MappingProcess, lambda: (rig, stages, folder)),
+            JUDGING: (processes.JudgingProcess, lambda: (stages, appearance, judging.memory)),
         }
 
         def post(name: str) -> Post:
@@ -130,9 +132,7 @@ class Live:
 
         self.posts = {name: post(name) for name in LANES}
         navigation.post, judging.post = self.posts[NAVIGATION], self.posts[JUDGING]
-        self._navigation, mapping = navigation, RemoteMapping(self.posts[MAPPING])
-        self.pipeline = Pipeline(rig, "flight", settings, lanes=Lanes(self._navigation, mapping, judging))
-        self._mapping = mapping
+        self._mapping = RemoteMapping(self.posts[MAPPING])
 
     def _start_threads(self) -> list[Thread]:
         """A thread for each lane; at its end the mailbox that it feeds is closed."""
@@ -205,7 +205,7 @@ class Live:
             self._raise()
             for p in self.posts.values():
                 p.patience = AT_END
-            return self._said(self.pipeline.finish())
+            return self._said(conclude(self._navigation, self._mapping, self._judging, self._settings, Timings()))
         except LaneLost as e:
             raise AlightError(f"a lane was lost when the flight was over: {e}; the recording can be replayed") from e
         finally:
@@ -338,20 +338,20 @@ class Live:
                 continue
             if anew:
                 self._used.anew(MAPPING, t_ns)
-                anew = False
             self._used.mapped(t_ns, effort)
             due = self.policy.due_verdict(navigation, update, self._judge_waits.is_set() or not self._capacity.drop)
-            if due is not None:
-                self._hand_to_judge(navigation, due.about)
+            anew = due is not None and not self._hand_to_judge(navigation, due.about)
 
-    def _hand_to_judge(self, navigation: Navigation, about: F64 | None) -> None:
+    def _hand_to_judge(self, navigation: Navigation, about: F64 | None) -> bool:
+        """Pass the map on to be judged; False: the mapping lane was lost."""
         try:
             seen = self._mapping.snapshot(about)
         except LaneLost:
-            return
+            return False
         if seen is not None:
             self._judge_waits.clear()
             self._maps.put(_Shown(navigation.frame.t_ns, seen, about))
+        return True
 
     def _judge(self) -> None:
         while True:
@@ -359,7 +359,7 @@ class Live:
             shown = self._maps.get()
             try:
                 with self.watch.work(JUDGING, "verdict"):
-                    verdict = self.pipeline.judge(shown.seen)
+                    verdict = self._judging.judge(shown.seen)
             except LaneLost:
                 if self.posts[JUDGING].given_up:
                     raise Closed from None

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch, Handover, TrackedFrame
 from alight.pipeline.navigation.given import GivenLane
-from alight.pipeline.navigation.lane import Navigation, NavigationLane, TimedPoses, Trajectory
+from alight.pipeline.navigation.lane import MotionSource, Navigation, NavigationLane, TimedPoses, Trajectory
 from alight.records import Rig, SettingsError
 from alight.settings import StageSettings
 
 __all__ = [
-    "FilterLane", "FrameBatch", "GivenLane", "Handover", "Navigation", "NavigationLane", "TimedPoses", "TrackedFrame",
-    "Trajectory", "navigation_lane",
+    "FilterLane", "FrameBatch", "GivenLane", "Handover", "MotionSource", "Navigation", "NavigationLane", "TimedPoses",
+    "TrackedFrame", "Trajectory", "navigation_lane",
 ]  # fmt: skip
 
 
