@@ -18,6 +18,7 @@ from alight.records.executive import FlightState
 from alight.runner.replay import appearance_of
 from alight.settings import Settings
 from alight.trials.campaign.error_line import error_line
+from alight.trials.campaign.factories import is_factory, made_world
 from alight.trials.campaign.faults import Happenings
 from alight.trials.campaign.outcome import judge_landing, met
 from alight.trials.campaign.picture import ground_picture
@@ -108,6 +109,8 @@ def _vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
 
 
 def _world(c: Conditions) -> World:
+    if is_factory(c.scene):
+        return made_world(c.scene, c.world_seed)
     return lit_world(campaign_world(c.scene).build(c.world_seed), c.light)
 
 
