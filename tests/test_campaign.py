@@ -171,8 +171,8 @@ def test_the_vehicle_flies_in_that_light_with_cameras_that_adapt(tmp_path: Path)
         flown(scene(tmp_path), looks, light=light)
     lit, own = (v.world.light for v in seen)
     assert (lit.elevation_deg, lit.azimuth_deg, lit.clouds.share) == (70.0, 10.0, 0.3)
-    assert own == seen[1].scene.light
-    assert [v.scene.imaging.auto for v in seen] == [True, False]
+    assert own == seen[1].world.scene.light
+    assert [v.world.imaging.auto for v in seen] == [True, False]
 
 
 def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -
 def done_to(vehicle: SteeredFlight) -> str:
     """Text of everything that a fault may change."""
     sensors = vehicle._sensors.imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
-    return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.world.bodies), *sensors))
+    return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.bodies), *sensors))
 
 
 @pytest.mark.parametrize("what", FAULTS)
@@ -213,10 +213,10 @@ def test_what_comes_stands_there_while_a_landing_can_be_broken_off(what: str, tm
     happenings = [Happenings(v, (fault,)) for v in (high, low)]
     for h in happenings:
         h(moment(1.0, S.COMMIT))
-    (body,) = high.world.bodies
+    (body,) = high.bodies
     assert body.goal == pytest.approx((0.0, 0.0), abs=0.01)
     assert 1.0 < body.arrives - high.seconds < 5.5 - 2.5 + 0.4  # the middle of the vehicle is above its feet
-    assert not low.world.bodies  # too low: nothing could be done
+    assert not low.bodies  # too low: nothing could be done
     assert happenings[1].faults[0].happened is None
 
 
@@ -848,8 +848,8 @@ def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]
     [
         (["medow"], "no scene is called 'medow'"),
         ([], "holds no campaign; name scenes"),
-        (["--seed", "0"], "name SCENES beside the options"),
-        (["--look-again"], "name SCENES beside the options"),
+        (["--seed", "0"], "name SCENES or --world beside"),
+        (["--look-again"], "name SCENES or --world beside"),
         (["demo", "--compare", "nowhere"], "nowhere: holds no campaign"),
         (["demo", "--scheduler", "tcp://127.0.0.1:9"], "distributed (Dask) is not installed"),
     ],

@@ -302,16 +302,17 @@ def test_a_parked_car_is_in_the_pictures_and_in_the_truth(level):
     hold(flight, 0.5)
     before, pose = picture(flight), flight.true_pose
     lander = OracleLander(radius=1.0)
-    assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe
+    assert judge_touchdown(level, lander, pose, seconds=flight.seconds, bodies=flight.bodies).safe
     car = flight.park(0.0, 0.0, start=(20.0, 0.0))
-    assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe  # the car is still on its way
+    safe = judge_touchdown(level, lander, pose, seconds=flight.seconds, bodies=flight.bodies).safe
+    assert safe  # the car is still on its way
     hold(flight, car.arrives - flight.seconds + 0.1)
     after = picture(flight)
     changed = (np.abs(after - before).max(axis=2) > 25).mean()
     share = 4.4 * 1.8 / (64 * 48 * (12.0 / 48.1) ** 2)  # of the picture that a car covers
     assert 0.6 * share < changed < 2.5 * share
-    assert not judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe
-    assert not level.bodies  # the original world has no bodies
+    assert not judge_touchdown(level, lander, pose, seconds=flight.seconds, bodies=flight.bodies).safe
+    assert not SteeredFlight(level, 1, **BLIND).bodies  # of another flight over the same world
     hold(flight, 9.0, Wanted(velocity=np.array([0.0, 0.0, -1.5])))
     assert flight.contact.pose.translation[2] == pytest.approx(level.height_at(0, 0) + 1.5 + flight.standing, abs=0.1)
 

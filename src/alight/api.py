@@ -264,7 +264,7 @@ def campaign(
     """Fly simulated landings in closed loop; those that the folder `out` holds already are not flown again.
 
     Args:
-        scenes: names, scene files, or `all`.
+        scenes: names, scene files, `package.module:factory` of other worlds, or `all`.
         out: folder of the campaign.
         landings: number of landings, those that the folder holds included; None: as many as the folder's campaign was
             begun with, or 20.

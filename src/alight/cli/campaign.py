@@ -33,6 +33,10 @@ def campaign(
     scenes: Annotated[
         list[str] | None, typer.Argument(metavar="SCENES", help="Names, scene files, or 'all'; none: go on with OUT.")
     ] = None,
+    worlds: Annotated[
+        list[str] | None,
+        typer.Option("--world", metavar="PACKAGE.MODULE:FACTORY", help="A world of another package; may be repeated."),
+    ] = None,
     landings: Annotated[int | None, typer.Option(min=1, max=MOST_LANDINGS, help="How many landings; 20.")] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, max=LARGEST_SEED, help="Of everything that chance decides; 0.")
@@ -63,12 +67,13 @@ def campaign(
     chosen = read_settings(settings, assign)
     from alight.trials import campaign as runner
 
-    if scenes:
-        planned = runner.Campaign.of(
-            scenes, runner.wanted_landings(out, landings), seed or 0, chosen, link_faults, autopilot
-        )
+    if wrong := [w for w in worlds or [] if not runner.is_factory(w)]:
+        raise InputError(f"--world {wrong[0]}: {runner.FORM}")
+    if named := [*(scenes or []), *(worlds or [])]:
+        wanted = runner.wanted_landings(out, landings)
+        planned = runner.Campaign.of(named, wanted, seed or 0, chosen, link_faults, autopilot)
     elif settings or assign or seed is not None or link_faults or autopilot != "ardupilot":
-        raise InputError("name SCENES beside the options of a new campaign; without them, OUT's own are used")
+        raise InputError("name SCENES or --world beside the options of a new campaign; without, OUT's own are used")
     else:
         planned = runner.continued(out, landings)
     if only is not None:

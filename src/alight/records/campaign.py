@@ -51,7 +51,7 @@ class Conditions(_Line):
 
     landing: int = Field(ge=0)  # its number in the campaign
     seed: int  # of the campaign
-    scene: str
+    scene: str  # name, file, or package.module:factory
     world_seed: int
     flight_seed: int  # of noise, gusts and drift
     heading: float  # rad, clockwise from north
@@ -59,7 +59,7 @@ class Conditions(_Line):
     gusts: float  # m/s^2, standard deviation
     gps_sigma: tuple[float, float, float]  # of the drift: east, north, up
     gps_tau: float  # s, its correlation time
-    light: LightRecord | None = None  # None: the scene's own
+    light: LightRecord | None = None  # None: the world's own
     faults: tuple[FaultRecord, ...] = ()
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
 
@@ -197,7 +197,7 @@ class CampaignHead(_Line):
     link_faults: float = Field(0.0, ge=0, le=1)  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
     sources: str = ""  # digest of the program; empty: not known
-    files: dict[str, str] = {}  # digests of scene files, their rasters, and the model of appearance
+    files: dict[str, str] = {}  # digests of scene files, their rasters, modules of worlds, the model of appearance
 
     def differing(self, other: CampaignHead) -> str | None:
         """The first difference from another campaign, in words; None: it is the same."""

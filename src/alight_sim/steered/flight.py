@@ -19,13 +19,14 @@ from alight_sim.faults import Faults
 from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, START_NS, WIND, flight_notes
 from alight_sim.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.scene import Scene
+from alight_sim.scene_world import build
 from alight_sim.sensors import BiasWalk, ImuErrors, ImuStream, Jump, NavErrors, NavStream, Outage, TrueMotion
 from alight_sim.steered.bodies import Body
 from alight_sim.steered.cameras import CameraFault, SteeredCameras
 from alight_sim.steered.ground import GroundBelow
 from alight_sim.steered.sensing import SteeredSensors
 from alight_sim.steered.track import TrueTrack
-from alight_sim.world import World, build
+from alight_sim.world import World
 
 NIMBLE = FlightLimits(lag=0.08)
 IMU_RATE_HZ = 100.0  # of a flight without an IMU of its own; the vehicle moves in steps of the IMU
@@ -73,7 +74,7 @@ class SteeredFlight:
     Args:
         scene: a built-in scene's name, a scene file, a scene, or a world.
         seed: of all random draws.
-        size: of the pictures, pixels; the scene's rig is scaled to it.
+        size: of the pictures, pixels; the world's rig is scaled to it.
         stereo: all cameras of the rig, or the first alone.
         rate_hz: exposures a second.
         start: east and north, and metres above the ground there.
@@ -82,7 +83,7 @@ class SteeredFlight:
         wind: (3,) m/s, east, north, up: velocity of the air.
         gusts: m/s^2, standard deviation of their acceleration.
         battery: charge and consumption; None: `TrueBattery()`.
-        faults, nav, imu: instead of the scene's, whose IMU is read `IMU_RATE_HZ` times a second.
+        faults, nav, imu: instead of the world's, whose IMU is read `IMU_RATE_HZ` times a second.
         standing: metres from the plane of the feet to the body's origin.
         radius: metres about its middle within which it strikes things higher than its feet; 0: it strikes none.
 
@@ -115,18 +116,16 @@ class SteeredFlight:
         standing: float = 0.35,
         radius: float = 0.0,
     ) -> None:
-        made = scene if isinstance(scene, World) else build(scene, seed)
-        self.world = replace(made, bodies=[])  # its tiles are shared, bodies on command are not
-        self.scene, self.seed, self.rate_hz, self.standing = made.scene or Scene(), seed, rate_hz, standing
-        self.warnings = list(made.warnings)
-        self._faults = faults or self.scene.faults
-        self.true_rig = sized_rig(self.scene.rig.rig, size, stereo)
+        self.world: World = build(scene, seed) if isinstance(scene, str | Path | Scene) else scene
+        self.bodies: list[Body] = []  # that have come on command
+        self.seed, self.rate_hz, self.standing = seed, rate_hz, standing
+        self.warnings = list(self.world.warnings)
+        self._faults = faults or self.world.faults
+        self.true_rig = sized_rig(self.world.rig, size, stereo)
         self.rig = self._faults.claimed(self.true_rig)
-        self._cameras = SteeredCameras(
-            self.world, self.true_rig, self.scene.imaging, self._faults, rate_hz, self._seeds
-        )
-        self._imu_errors = imu or self.scene.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
-        self._nav = NavStream(nav or self.scene.sensors.nav, self._seeds(NAV))
+        self._cameras = SteeredCameras(self.world, self.true_rig, self._faults, rate_hz, self._seeds, self.bodies)
+        self._imu_errors = imu or self.world.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
+        self._nav = NavStream(nav or self.world.sensors.nav, self._seeds(NAV))
         self._track = TrueTrack()
         self._sensors = SteeredSensors(
             ImuStream(self._imu_errors, self._seeds(IMU_NOISE)),
@@ -138,7 +137,7 @@ class SteeredFlight:
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
         self.contacts: list[TrueContact] = []
-        self._below, self._radius, self._strikes = GroundBelow(self.world, radius), radius, False
+        self._below, self._radius, self._strikes = GroundBelow(self.world, self.bodies, radius), radius, False
         self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
         self._pushes: list[tuple[float, float, F64]] = []
         self._leant = np.zeros(3)  # m/s^2, learned part of the gusts
@@ -332,7 +331,7 @@ class SteeredFlight:
     ) -> Body:
         goal = (float(east), float(north))
         body = Body(car, start or goal, goal, self.seconds, speed, heading, self.world.height_at)
-        self.world.bodies.append(body)
+        self.bodies.append(body)
         return body
 
     def gust(self, acceleration: Sequence[float], seconds: float) -> None:
