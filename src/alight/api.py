@@ -124,8 +124,8 @@ def run(
     Raises:
         AlightError: the input or a setting cannot be used; the message says how to mend it.
     """
+    from alight.cluster import open_jobs
     from alight.outputs import FileStore
-    from alight.photos.work import cluster_jobs
     from alight.runner.home import known_home, with_home
     from alight.runner.replay import prior_heights, replay, settings_for
     from alight.sources import open_source
@@ -136,7 +136,7 @@ def run(
     chosen = settings_for(recording, chosen)
     prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
     store = FileStore(Path(tempfile.gettempdir()))
-    with single_threaded_algebra(), closing(store), cluster_jobs(scheduler) as jobs:
+    with single_threaded_algebra(), closing(store), open_jobs(scheduler) as jobs:
         return Result(with_home(replay(recording, chosen, poses, progress, store, jobs, prior), armed_at))
 
 

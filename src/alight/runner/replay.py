@@ -9,10 +9,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from alight.cluster import open_jobs
 from alight.elevation import TileStore
 from alight.jobs import Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
-from alight.photos.work import SavedJobs, cluster_jobs, work_key
+from alight.photos.work import SavedJobs, work_key
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
 from alight.runner.home import with_home
@@ -223,7 +224,7 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
     given += [how.prior] if how.prior else []
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
-    with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
+    with closing(FileStore(out)) as far, open_jobs(how.scheduler) as jobs:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
         work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)

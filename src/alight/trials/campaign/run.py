@@ -13,10 +13,10 @@ from typing import NamedTuple
 from alight import __version__
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
+from alight.program import sources_digest
 from alight.records import AlightError, InputError
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, LandingRecord
 from alight.report.canvas import embedded
-from alight.runner.program import sources_digest
 from alight.runner.replay import appearance_of
 from alight.settings import Settings, settings_of_run
 from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
