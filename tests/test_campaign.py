@@ -20,11 +20,11 @@ from length import first, long
 import alight
 from alight.cli import call
 from alight.cli import campaign as campaign_command
+from alight.cluster import do_alike
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
-from alight.runner import dask_client
 from alight.settings import Settings, load_settings
 from alight.trials import campaign as runner
 from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
@@ -700,14 +700,14 @@ def test_a_cluster_that_loses_a_landing_time_and_again_is_told_and_keeps_what_th
 def test_a_worker_with_another_program_flies_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
     with distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:
-        monkeypatch.setattr(dask_client, "sources_digest", lambda: "0123456789abcdef")  # in this process alone
+        monkeypatch.setattr("alight.cluster.sources_digest", lambda: "0123456789abcdef")  # in this process alone
         with pytest.raises(InputError, match="has another Alight than this program"):
             fly_campaign(small([scene(tmp_path)], 1), tmp_path / "out", scheduler=cluster.scheduler_address, fly=lands)
 
 
 def test_a_worker_that_comes_later_is_compared_as_well() -> None:
     with pytest.raises(InputError, match="install the same everywhere"):
-        dask_client.done_alike("0123456789abcdef", lambda c: pytest.fail("flown"), conditions("demo"))
+        do_alike("0123456789abcdef", lambda c: pytest.fail("flown"), conditions("demo"))
 
 
 # -- the report

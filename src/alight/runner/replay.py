@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from alight.cluster import open_jobs
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
@@ -188,9 +189,9 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     with closing(FileStore(out)) as far:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
-        from alight.photos.work import SavedJobs, cluster_jobs, work_key
+        from alight.photos.work import SavedJobs, work_key
 
-        with cluster_jobs(how.scheduler) as jobs:
+        with open_jobs(how.scheduler) as jobs:
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
             try:
                 saved = SavedJobs(jobs, work)

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from alight.program import DIGITS
 from alight.records import InputError
-from alight.runner.program import DIGITS
 from alight.settings import Settings
 from alight.trials.campaign.factories import is_factory, source_of
 from alight_sim.campaign import campaign_worlds

@@ -13,17 +13,11 @@ from typing import NamedTuple
 from alight import __version__
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
+from alight.program import sources_digest
 from alight.records import AlightError, InputError
-from alight.records.campaign import (
-    LARGEST_SEED,
-    MOST_LANDINGS,
-    CampaignHead,
-    Conditions,
-    LandingRecord,
-)  # fmt: skip
+from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, Conditions, LandingRecord
 from alight.records.telemetry import FirmwareName
 from alight.report.canvas import embedded
-from alight.runner.program import sources_digest
 from alight.runs import appearance_of
 from alight.settings import Settings, settings_of_run
 from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
