@@ -182,9 +182,6 @@ class LandingPilot:
         known = state in (MotionState.GOOD, MotionState.DEGRADED)
         wind = heard.wind_world
         self._flying |= self._sender.hand.in_control
-        if strayed := self._sender.strayed(now_ns):
-            self._log.note("autopilot", strayed)
-            self._sender.hand.release()
         rebooted = self._vehicle.starts != self._starts
         position = self._position(m, now_ns) if m is not None and known else None
         self._known = m if position is not None else None
