@@ -24,7 +24,7 @@ import numpy as np
 from PIL import Image
 
 import alight_sim
-from alight.outputs import Run, read_run
+from alight.outputs.reading import Run, read_run
 from alight.runner.replay import Find, find, write_run
 from alight.settings import Settings
 

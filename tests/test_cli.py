@@ -23,7 +23,8 @@ from alight import __version__, cli
 from alight.outputs import write_run
 from alight.records import InputError, Sites
 from alight.runner import replay
-from alight.settings import Settings, settings_page
+from alight.settings import Settings
+from alight.settings.page import settings_page
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]
 

@@ -13,11 +13,14 @@ from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
 from alight.pipeline import Decision, Pipeline
-from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper, recursive_map
+from alight.pipeline.mapping import FinishedMap, recursive_map
+from alight.pipeline.mapping.batch import BatchMapper
 from alight.pipeline.mapping.frame_store import FrameStore
 from alight.pipeline.mapping.ground_map import lone
+from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.mapping.view_geometry import nice_cell
-from alight.pipeline.navigation import FilterLane, GivenLane, Trajectory
+from alight.pipeline.navigation import FilterLane, Trajectory
+from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.remembered import CELL
 from alight.pipeline.timing import Timings
 from alight.records import (

@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, TextIO
@@ -29,6 +30,11 @@ MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
+FILES = {  # of each command, in the order of --help
+    "campaign": "campaign", "check": "check", "run": "runs", "evaluate": "runs", "demo": "runs", "settings": "runs",
+    "warmup": "runs", "live": "live", "fly": "fly", "rehearse": "fly", "hazards": "hazards", "simulate": "simulate",
+    "terrain": "terrain",
+}  # fmt: skip
 _ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
 _unsaid: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
 _signals: list[int] = []  # received requests to end
@@ -232,9 +238,17 @@ def _usage(error: Any) -> str:
     return f"{error.format_message().rstrip('.')}; see '{where} --help'"
 
 
+def load_commands(words: Sequence[str] = ()) -> None:
+    """Import the file of the command that is named first; the files of all commands where none is."""
+    named = next((w for w in words if not w.startswith("-")), "")
+    for file in dict.fromkeys([FILES[named]] if named in FILES else FILES.values()):
+        import_module(f"alight.cli.{file}")
+
+
 def _exit_code(arguments: Sequence[str] | None) -> int:
     """Exit code of a command that ended without an error; typer turns Ctrl-C into a code of its own or into Abort."""
     try:
+        load_commands(sys.argv[1:] if arguments is None else arguments)
         return int(app(arguments, prog_name="alight", standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED

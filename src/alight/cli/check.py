@@ -32,7 +32,8 @@ def check(
     Of photos: the facts in their tags, one line a photo.
     """
     chosen = read_settings(settings, assign)
-    from alight.checks import Judged, check_source
+    from alight.checks.checking import check_source
+    from alight.checks.result import Judged
     from alight.runner.opening import open_source
 
     recording = open_source(source, chosen)

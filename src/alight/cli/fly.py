@@ -41,7 +41,7 @@ from alight.records import InputError, p_safe_text
 from alight.records.executive import FlightState
 
 if TYPE_CHECKING:
-    from alight.checks import CheckResult
+    from alight.checks.result import CheckResult
     from alight.flight.session import FlightOutcome, FlightStatus
     from alight_sim.oracle import Touchdown
 

@@ -26,7 +26,6 @@ from alight.cli.app import (
     tell_answer,
 )
 from alight.records import RunResult
-from alight.settings import settings_page
 
 Quality = Literal["fast", "normal", "fine"]
 
@@ -149,7 +148,12 @@ def show_settings(
 ) -> None:
     """Print every setting with its value, as YAML that --settings takes back."""
     chosen = read_settings(settings, assign)
-    say((settings_page() if markdown else chosen.to_yaml(tuning=everything)).rstrip("\n"))
+    if markdown:
+        from alight.settings.page import settings_page
+
+        say(settings_page().rstrip("\n"))
+    else:
+        say(chosen.to_yaml(tuning=everything).rstrip("\n"))
 
 
 @app.command()

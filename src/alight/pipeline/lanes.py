@@ -12,15 +12,8 @@ from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.landing.reserve import Reserve
 from alight.pipeline.judging import JudgingLane, Verdict
-from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, RecursiveMapper, mapping_lane
-from alight.pipeline.navigation import (
-    FilterLane,
-    Navigation,
-    NavigationLane,
-    TimedPoses,
-    Trajectory,
-    navigation_lane,
-)
+from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, mapping_lane
+from alight.pipeline.navigation import FilterLane, Navigation, NavigationLane, TimedPoses, Trajectory, navigation_lane
 from alight.pipeline.timing import Timings
 from alight.records import Event, Frame, PriorHeights, Rig, Schedule
 from alight.settings import StageSettings
@@ -74,6 +67,8 @@ class Lanes:
         jobs = jobs or InTurn()
         judging = JudgingLane(stages, appearance, timings)
         if schedule is not None and (schedule.navigation_anew or schedule.mapping_anew):
+            from alight.pipeline.mapping.recursive import RecursiveMapper
+
             again = FilterAgain(
                 lambda number: FilterLane(rig, stages, history, frame_id=number), schedule.navigation_anew
             )

@@ -18,7 +18,7 @@ from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, Ph
 from alight.runner.opening import open_source
 from alight.runs import appearance_of, result_of, with_home
 from alight.settings import Settings
-from alight.sources import Source, read_tum
+from alight.sources import Source
 
 __all__ = ["Find", "find", "given_poses", "replay", "write_run"]
 
@@ -40,6 +40,8 @@ def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
     if poses is None:
         return None
     if poses != "truth":
+        from alight.sources.tum import read_tum
+
         return read_tum(Path(poses), source.local)
     if source.truth_trajectory is None:
         raise InputError(f"--poses truth: {source.name} has no state_groundtruth_estimate0; give a TUM file instead")

@@ -18,7 +18,6 @@ from alight.settings import ImuNoise, Settings
 from alight.sources.clocks import apart, said_apart
 from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image
-from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
 from alight.sources.source import Findings, RecordedSource, Trajectory
 from alight.sources.streams import (
@@ -117,6 +116,8 @@ class CalibratedFolder(RecordedSource):
             return rig
         path = Path(settings.sources.calibration).expanduser()
         self.notes["focal_from"] = f"Kalibr {path.name}"
+        from alight.sources.kalibr import read_camchain
+
         return read_camchain(path, rig, body_from_imu)
 
 

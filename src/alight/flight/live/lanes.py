@@ -15,7 +15,8 @@ from alight.flight.live.worker import LaneLost, Spec, Worker
 from alight.landing.reserve import Reserve
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
-from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate, RecursiveMapper
+from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate
+from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation, Trajectory
 from alight.pipeline.timing import Clock, Timings
 from alight.records import Event, Frame, Rig

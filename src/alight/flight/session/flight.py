@@ -11,8 +11,7 @@ from pathlib import Path
 
 from alight import compiled
 from alight.arrays import F64
-from alight.checks import CheckResult, Judged
-from alight.checks.result import bad
+from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live import FlightHealth, Listener
 from alight.flight.live.live import NAVIGATION

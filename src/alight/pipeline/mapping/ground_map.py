@@ -11,7 +11,8 @@ import numpy as np
 from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
-from alight.parallax import NO_POINTS, find_points, ground_sampling, height_range, supported
+from alight.parallax.sparse_points import NO_POINTS, find_points, height_range, supported
+from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
 from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings

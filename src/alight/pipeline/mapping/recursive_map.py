@@ -10,7 +10,8 @@ import numpy as np
 from alight.arrays import F64, U16, Mask
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
-from alight.parallax import RecursiveParallax, ground_sampling
+from alight.parallax.recursive import RecursiveParallax
+from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
 from alight.pipeline.mapping.size import BYTES_A_CELL, BYTES_A_STEP, refuse_too_large
