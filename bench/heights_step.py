@@ -26,8 +26,8 @@ from alight.parallax import plane_sweep as sweep
 from alight.parallax import recursive as ring
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import views as pictures
-from alight.parallax.batch import judged
 from alight.parallax.recursive import RecursiveParallax
+from alight.parallax.uncertainty import judged
 from alight.parallax.views import Buffers, Prepared, prepare_view
 from alight.records import ElevationMap, View
 from alight.settings import ParallaxSettings

@@ -298,10 +298,11 @@ SLOW = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background start with it ignored
 from alight import cli
+from alight.outputs import write_run
 from alight.runner import replay
 from some_run import some_run
 def find(source, out, *_):
-    replay.write_run(some_run(), out)
+    write_run(some_run(), out)
     (out / "run.json").unlink()
     print("working", flush=True)
     time.sleep(60)

@@ -18,7 +18,7 @@ from alight.flight.session import follow
 from alight.geometry import Pose, so3_exp
 from alight.records import FlightMode
 from alight.settings import Settings
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 from alight.trials.rehearse import VehicleFollower
 from alight_sim import rehearsal, steered
 from alight_sim.followed import FollowedCameras, ReportedPlace, ReportedTrack

@@ -21,19 +21,19 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from alight import __version__, memory
 from alight.documents import DocumentError, read_text
-from alight.records import AlightError, OutputError, SettingsError, Site, Sites, p_safe_text
+from alight.records import AlightError, InputError, OutputError, SettingsError, Site, Sites, p_safe_text
 from alight.settings import Settings, load_settings
 
 SPEED_OVER = 300.0  # s of progress from which the time left is estimated: a tile may take a minute
-MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
+MENDABLE, WRONG, INTERRUPTED, TERMINATED = 2, 3, 130, 143  # exit codes; 3: a check is bad, or landings failed
 # typer's errors descend from its own copy of click or, in older versions, from click; this leaf class exists in both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
 FILES = {  # of each command, in the order of --help
     "campaign": "campaign", "check": "check", "run": "runs", "evaluate": "runs", "demo": "runs", "settings": "runs",
-    "warmup": "runs", "live": "live", "fly": "fly", "rehearse": "fly", "hazards": "hazards", "simulate": "simulate",
-    "terrain": "terrain",
+    "warmup": "runs", "live": "live", "fly": "fly", "rehearse": "rehearse", "hazards": "hazards",
+    "simulate": "simulate", "terrain": "terrain",
 }  # fmt: skip
 _ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
 _unsaid: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
@@ -129,6 +129,29 @@ def _fails(text: str) -> bool:
     except ValueError:
         return True
     return False
+
+
+def refuse_unused(source: str, follow: bool, rig: Path | None, speed: float = 1.0) -> None:
+    """Refuse options that have no effect on this source.
+
+    Args:
+        source: a recording, a folder, or cameras.
+        follow: the folder is being filled.
+        rig: folder with the calibration of cameras.
+        speed: of a recording.
+
+    Raises:
+        InputError: the message names the option.
+    """
+    from alight.sources.live import is_cameras
+
+    cameras = is_cameras(source)
+    if cameras and follow:
+        raise InputError("--follow: is for a folder that is being filled, and cameras are none; leave it out")
+    if speed != 1.0 and (cameras or follow):
+        raise InputError("--speed: is of a flight log or a recording; cameras and folders that fill have their own")
+    if rig is not None and not cameras:
+        raise InputError(f"--rig: is for cameras; {source} brings its own calibration; leave it out")
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from alight.cli.app import (
+    WRONG,
     OutOption,
     SetOption,
     SettingsOption,
@@ -22,8 +23,6 @@ from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS
 
 if TYPE_CHECKING:
     from alight.trials.campaign import Campaign, Ended
-
-WRONG = 3  # exit code: landings failed, or one that was flown again differs from its line, or has none
 
 
 @app.command()

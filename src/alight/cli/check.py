@@ -9,10 +9,18 @@ from typing import Annotated
 
 import typer
 
-from alight.cli.app import SetOption, SettingsOption, VerboseOption, app, complain, progress_bar, read_settings, say
+from alight.cli.app import (
+    WRONG,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    complain,
+    progress_bar,
+    read_settings,
+    say,
+)
 from alight.records import PhotoRow
-
-WRONG = 3  # exit code: a check is bad
 
 
 @app.command()

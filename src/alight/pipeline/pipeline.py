@@ -27,16 +27,14 @@ class Pipeline:
     """Three lanes in turn: navigation, mapping, judging. Feed it events in the order of arrival, then `finish`.
 
     Args:
-        rig: the cameras.
-        kind: `flight` (continuous) or `photos` (far apart).
+        rig, kind: the cameras; `flight` (continuous) or `photos` (far apart).
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
         far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
         history: keep the data for `finish`; without it a flight may last for ever.
         appearance: model of appearance; None: land cover from the map's own evidence alone.
         schedule: of a live run, to be repeated; None: every exposure in its turn.
-        lanes: to use instead of those for `kind` and the settings, such as processes of their own.
-        navigation: a lane whose motions all come at the end, such as bundle adjustment; None: the filter, or `poses`.
+        lanes, navigation: used instead of the usual ones; one whose motions all come at the end (bundle adjustment).
         imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
     """
 

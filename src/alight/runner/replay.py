@@ -11,7 +11,7 @@ from pathlib import Path
 
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
-from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
+from alight.outputs import FileStore, is_finished, prepare_folder
 from alight.pipeline import Pipeline, TimedPoses
 from alight.pipeline.navigation import NavigationLane
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
@@ -19,8 +19,6 @@ from alight.runner.opening import open_source
 from alight.runs import appearance_of, result_of, with_home
 from alight.settings import Settings
 from alight.sources import Source
-
-__all__ = ["Find", "find", "given_poses", "replay", "write_run"]
 
 log = logging.getLogger(__name__)
 
@@ -190,7 +188,7 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     with closing(FileStore(out)) as far:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
-        from alight.photos.work import SavedJobs, cluster_jobs, work_key
+        from alight.photos.work import SavedJobs, WorkFolder, cluster_jobs, work_key
 
         with cluster_jobs(how.scheduler) as jobs:
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
