@@ -24,8 +24,9 @@ import numpy as np
 from PIL import Image
 
 import alight_sim
-from alight.outputs import Run, read_run
-from alight.runner.replay import Find, find, write_run
+from alight.outputs import write_run
+from alight.outputs.reading import Run, read_run
+from alight.runner.replay import Find, find
 from alight.settings import Settings
 
 KEPT, OF = 5, 10  # the rows and images with this number of every ten are good

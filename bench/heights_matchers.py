@@ -14,7 +14,7 @@ from heights_points import Answer, Mask, Points
 from matchers import by_pair, map_of_pair
 
 from alight.arrays import F64
-from alight.parallax import ground_sampling
+from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.cell_size import nice_cell
 from alight.pipeline.mapping.ground_map import GroundMap

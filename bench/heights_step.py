@@ -20,13 +20,14 @@ from heights_table import Row
 
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
-from alight.parallax import RecursiveParallax, blocks, window
+from alight.parallax import blocks, window
 from alight.parallax import gauss_newton as refine
 from alight.parallax import plane_sweep as sweep
 from alight.parallax import recursive as ring
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import views as pictures
-from alight.parallax.batch import judged
+from alight.parallax.recursive import RecursiveParallax
+from alight.parallax.uncertainty import judged
 from alight.parallax.views import Buffers, Prepared, prepare_view
 from alight.records import ElevationMap, View
 from alight.settings import ParallaxSettings

@@ -12,7 +12,8 @@ import garbage
 import numpy as np
 from some_run import some_run
 
-from alight.outputs import read_run, write_run
+from alight.outputs import write_run
+from alight.outputs.reading import read_run
 
 ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "bench" / "garbage.py"

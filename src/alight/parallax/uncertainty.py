@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, U16
+from alight.arrays import F32, U8, U16
 from alight.geometry import Grid
 from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.gauss_newton import Fit
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
 from alight.raster import nearest_known, upsample, whole_blocks
-from alight.records import Flag
+from alight.records import Flag, Heights
 from alight.settings.tuning.parallax import UncertaintyTuning
 
 LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
@@ -169,3 +169,18 @@ def sigma_and_flags(
 
 def _bit(where: NDArray[np.bool_], flag: Flag) -> U16:
     return where.astype(np.uint16) * np.uint16(flag)
+
+
+def judged(
+    fine: list[Prepared],
+    grid: Grid,
+    fit: Fit,
+    ratio: F32,
+    searched: tuple[float, float],
+    sampling: F32,
+    rgb: U8,
+    tuning: UncertaintyTuning,
+) -> Heights:
+    """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
+    sigma, flags, residual = sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
+    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from alight import terrain
-from alight.checks import Judged
+from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive import ENDS
 from alight.flight.session.pilot import LandingPilot

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight import compiled
-from alight.checks import CheckResult, Judged
-from alight.checks.result import bad
+from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live import FlightHealth, Listener
 from alight.flight.live.live import NAVIGATION
@@ -29,7 +28,7 @@ from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runs import flown_home, with_home
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, open_sensors
 
 PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40

@@ -11,7 +11,7 @@ import numpy as np
 from alight.arrays import F64, U16, Mask
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
-from alight.parallax import RecursiveParallax
+from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.mapping.cell_size import cell_size, level_for
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
