@@ -10,8 +10,8 @@ from alight.geometry import Grid
 from alight.jobs import Jobs
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
+from alight.pipeline.mapping.keyframe_step import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
-from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Timings

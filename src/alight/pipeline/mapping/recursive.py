@@ -11,8 +11,8 @@ from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, views_of
+from alight.pipeline.mapping.keyframe_step import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, VehiclePosition, vehicle_at_end
-from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import looking_down
 from alight.pipeline.navigation import Navigation, Trajectory

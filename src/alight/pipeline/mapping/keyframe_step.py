@@ -1,4 +1,4 @@
-"""Common policy of both ways of mapping for keyframes."""
+"""The step from one keyframe to the next, in both ways of mapping."""
 
 from __future__ import annotations
 
