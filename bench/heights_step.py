@@ -25,9 +25,9 @@ from alight.parallax import gauss_newton as refine
 from alight.parallax import plane_sweep as sweep
 from alight.parallax import recursive as ring
 from alight.parallax import temporal_consistency as witness
+from alight.parallax import uncertainty as trust
 from alight.parallax import views as pictures
 from alight.parallax.recursive import RecursiveParallax
-from alight.parallax.uncertainty import judged
 from alight.parallax.views import Buffers, Prepared, prepare_view
 from alight.records import ElevationMap, View
 from alight.settings import ParallaxSettings
@@ -50,7 +50,7 @@ PARTS = {  # functions that are timed separately, outer before inner
     "...... its normal equations": (refine.kernels, "normal_equations"),
     "...... its solution": (refine.kernels, "solve_window"),
     "...... its plane prior": (refine.visibility_kernels, "plane_prior"),
-    "... sigma and flags": (window, "judged"),
+    "... sigma and flags": (trust, "judged"),
     "... fuse with the map": (window, "fused"),
     "... what moves": (witness, "moving"),
     "the map: read": (TiledElevation, "read"),
@@ -124,7 +124,7 @@ def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap
     fit = refine.gauss_newton(fine, grid, known.height, per_px, visible, t.recursive.steps, t.refinement, buffers)
     ratio = np.full((grid.rows // 2, grid.cols // 2), t.recursive.unknown_ratio, np.float32)
     sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
-    judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), sampling, known.rgb, t.uncertainty)
+    trust.judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), sampling, known.rgb, t.uncertainty)
 
 
 def lone_step(flight: Flight) -> Callable[[], None]:
