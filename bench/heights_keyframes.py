@@ -19,10 +19,10 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from heights_step import one_thread
 from ladder import rung
 
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import Navigation, navigation_lane
 from alight.pipeline.timing import Timings
 from alight.records import Rig

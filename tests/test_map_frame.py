@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from numpy.testing import assert_allclose
 from some_run import LOCAL, candidate, elevation, hazards, site, some_run
 from test_pipeline import flight, settings_of
@@ -18,6 +17,7 @@ from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
 from alight.pipeline import Decision, Lanes, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import Navigation, NavigationLane, Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.navigation.lane import Progress

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from descent_views import LENS, level_flight
 from some_run import site
 from test_pipeline import batch_mapper, flight, mapped, settings_of
@@ -23,6 +22,7 @@ from alight.pipeline.mapping import ground_map
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, in_world
 from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Timings
