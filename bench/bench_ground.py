@@ -26,7 +26,7 @@ from alight.pipeline.judging import land_cover
 from alight.records import ElevationMap, HazardMap
 from alight.settings import HazardsSettings, Lander, Settings
 from alight.settings.tuning.hazards import SharpenTuning
-from alight.sources.library import read_model
+from alight.sources.appearance import read_model
 
 CELL = 0.2  # metres, dem.raw
 RIM = 21  # pixels at the rim that the truth calls unsafe: rows 0 to 20 and the last 21

@@ -37,9 +37,10 @@ from alight.flight.live.run import for_flight
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, NavSample
 from alight.records.codec import MOTION, FlightHead
-from alight.runner.replay import appearance_of
+from alight.runner.opening import open_source
+from alight.runs import appearance_of
 from alight.settings import Settings, load_settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 from alight.sources.paced import paced
 
 KEPT = Path(__file__).parents[1] / "out" / "bench-live"

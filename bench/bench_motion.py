@@ -39,8 +39,9 @@ from point_flight import NOISE, PointFlight, best, error, nees, run
 from alight.geometry import Pose, so3_log
 from alight.motion import MotionFilter
 from alight.records import Frame, InputError, Motion, MotionState, NavSample
+from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 from alight.tracks import Tracker
 
 # -- flights without images ----------------------------------------------------------------------------------------

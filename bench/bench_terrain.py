@@ -20,7 +20,8 @@ from alight.arrays import U8
 from alight.pipeline.judging import land_cover
 from alight.records import LANDABLE, ElevationMap, Terrain
 from alight.settings import TerrainSettings
-from alight.sources.library import is_labelled, read_labelled, read_library, read_model
+from alight.sources.appearance import read_model
+from alight.sources.library import is_labelled, read_labelled, read_library
 from alight.terrain.appearance import seen
 from alight.training.confusion import lines_of
 from alight.training.train import elsewhere, judge_pixels

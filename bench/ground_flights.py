@@ -28,7 +28,7 @@ from alight.landing import sites
 from alight.pipeline.judging import land_cover
 from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import Settings
-from alight.sources.library import read_model
+from alight.sources.appearance import read_model
 from alight.terrain.classify import Tables
 
 TUNING = (

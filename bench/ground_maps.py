@@ -25,8 +25,9 @@ from alight.geometry import Grid
 from alight.pipeline import Pipeline
 from alight.pipeline.judging import as_judged
 from alight.records import Datum, ElevationMap, Flag, Motion
+from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 from alight_sim import SimulatedFlight
 
 Bool = NDArray[np.bool_]

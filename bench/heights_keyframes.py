@@ -26,8 +26,8 @@ from alight.pipeline.mapping import RecursiveMapper
 from alight.pipeline.navigation import Navigation, navigation_lane
 from alight.pipeline.timing import Timings
 from alight.records import Rig
+from alight.runner.opening import open_source
 from alight.settings import load_settings
-from alight.sources import open_source
 from alight_sim.log import write
 
 DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))

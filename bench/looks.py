@@ -115,7 +115,7 @@ class _Vehicle:
         self.rng = np.random.default_rng(seed)
         self.places = _places(world, self.rng)
         start = (self.places[0, 0] - 12.0, self.places[0, 1] - 11.0, START)
-        self.flight = SteeredFlight(world, seed, start=start, steered_by="truth")
+        self.flight = SteeredFlight(world, seed, start=start)
         self.pipeline = Pipeline(
             self.flight.rig, "flight", self.settings, history=False, imu=self.flight.imu_noise
         )  # fmt: skip

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from alight.geometry import LocalFrame, Pose
 from alight.records import Frame
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 
 
 def moved(local: LocalFrame, reference: LocalFrame, pose: Pose) -> Pose:

@@ -21,8 +21,9 @@ from alight.arrays import F64
 from alight.geometry import Pose
 from alight.pipeline.navigation import FilterLane
 from alight.records import Motion, Rig
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 from alight_sim.flight import SimulatedFlight
 
 SECOND = 1_000_000_000

@@ -17,8 +17,8 @@ from alight.motion.triangulation import triangulate_rays
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.matching import BundleObservations, extract_all, match_pairs, neighbours, tracks
 from alight.records import Frame
+from alight.runner.opening import open_source
 from alight.settings import BundleSettings, Settings
-from alight.sources import open_source
 
 TRACK, MOST_PX = 3, 1.0  # photos of a point, and its largest error: as of a real reference
 NAME = "points.npy"

@@ -20,8 +20,8 @@ import alight_sim as simulate
 from alight.arrays import F64
 from alight.geometry import LocalFrame, Pose
 from alight.records import Frame
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import open_source
 from alight_sim.flight import START_NS
 
 ROOT = Path(__file__).parents[1]

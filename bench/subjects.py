@@ -17,8 +17,9 @@ from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.evaluation.photos import LEAST_TRACK, MOST_ERROR
 from alight.geometry import LocalFrame, Pose
 from alight.records import Frame, Terrain, View
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 
 EARTH_RADIUS = 6371008.8  # metres, mean
 OPEN_RISE = 0.4  # metres between the lowest and the highest point near by, at most, for ground that counts as open

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from pymavlink import mavextra, mavutil, mavwp
+from pymavlink import mavextra, mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.quaternion import Quaternion
 
-from alight.flight.autopilot import EstimateTie, Setpoint, TelemetryEvents, metres_between, mission_of
+from alight.flight.autopilot import EstimateTie, Setpoint, TelemetryEvents, metres_between
 from alight.flight.autopilot.border import enu, flu, frd, ned, world_from_body_of_angles, world_from_body_of_quaternion
 from alight.flight.autopilot.clock import VehicleClock
 from alight.flight.autopilot.firmware import ArduPilotFirmware, Firmware, Px4Firmware
-from alight.flight.autopilot.mission_item import land
 from alight.flight.autopilot.setpoints import target_of
 from alight.flight.autopilot.vehicle_state import VehicleState
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, ImuSample, NavSample, Place, Route, Telemetry, Waypoint
+from alight.records import FlightMode, ImuSample, NavSample, Place, Telemetry
 
 LOCAL = LocalFrame(47.6, 13.4, 550.0)
 NORTH, EAST, UP = (np.array(v) for v in ([0.0, 1, 0], [1.0, 0, 0], [0.0, 0, 1]))
@@ -82,7 +80,6 @@ def test_telemetry_by_hand() -> None:
         mavlink.MAVLink_wind_message(270.0, 5.0, 0.0),
         mavlink.MAVLink_sys_status_message(0, 0, 0x10000000, 0, 12345, 0, 81, 0, 0, 0, 0, 0, 0),
         mavlink.MAVLink_ekf_status_report_message(831, 0, 0, 0, 0, 0),
-        mavlink.MAVLink_mission_current_message(3),
     )
     assert (got.firmware, got.mode, got.mode_name, got.armed) == ("ArduPilot", FlightMode.GUIDED, "GUIDED", True)
     assert got.place == Place(pytest.approx(47.6), pytest.approx(13.4), 512.34, 12.34)
@@ -94,7 +91,6 @@ def test_telemetry_by_hand() -> None:
     assert_allclose(got.wind_world, [5.0, 0.0, 0.0], atol=1e-9)  # a west wind blows to the east
     assert (got.battery.share, got.battery.voltage) == (0.81, pytest.approx(12.345))
     assert got.home == Place(pytest.approx(47.59), pytest.approx(13.39), 500.0, 0.0)
-    assert got.mission_item == 2  # the home is not ours
     assert got.ready
     assert not got.is_down
 
@@ -118,9 +114,9 @@ def test_modes_of_copter_are_those_of_pymavlink() -> None:
     firmware = ArduPilotFirmware()
     for number, name in mavutil.mode_mapping_acm.items():
         assert firmware.mode(number)[1] == name
+    assert firmware.mode(3) == (FlightMode.MISSION, "AUTO")
     assert firmware.mode(99) == (FlightMode.OTHER, "99")
     wanted = {
-        "AUTO": FlightMode.MISSION,
         "GUIDED": FlightMode.GUIDED,
         "LAND": FlightMode.LAND,
         "BRAKE": FlightMode.HOLD,
@@ -132,12 +128,13 @@ def test_modes_of_copter_are_those_of_pymavlink() -> None:
 
 def test_modes_of_px4_are_those_of_pymavlink() -> None:
     firmware = Px4Firmware()
-    names = {"MISSION": FlightMode.MISSION, "OFFBOARD": FlightMode.GUIDED, "LOITER": FlightMode.HOLD,
+    names = {"OFFBOARD": FlightMode.GUIDED, "LOITER": FlightMode.HOLD,
              "RTL": FlightMode.RETURN, "TAKEOFF": FlightMode.TAKE_OFF, "LAND": FlightMode.LAND}  # fmt: skip
     for name, mode in names.items():
         _, main, sub = mavutil.px4_map[name]
         assert firmware.mode_parameters(mode) == (1.0, main, sub)
         assert firmware.mode(main << 16 | sub << 24)[0] is mode
+    assert firmware.mode(4 << 16 | 4 << 24) == (FlightMode.MISSION, "AUTO.MISSION")
     assert firmware.mode(4 << 16 | 9 << 24) == (FlightMode.LAND, "AUTO.PRECLAND")
     assert firmware.mode(3 << 16) == (FlightMode.PILOT, "POSCTL")
 
@@ -209,63 +206,6 @@ def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
     assert near.above_home == pytest.approx(39.0)
     up = target_of(Setpoint(np.array([3.0, 1.0, 60.0]), speed=2.0, sink=0.5), tie())
     assert up.ahead(here, 0.5).place == up.place
-
-
-def some_route() -> Route:
-    names = [
-        ("start", 0, 40, 0, False),
-        ("transit", 50, 40, 5, True),
-        ("approach", 50, 12, 1, True),
-        ("touchdown", 50, 2, 1, False),
-    ]
-    return Route(tuple(Waypoint(n, np.array([3.0 + e, 0.0, u]), 1.5, s, 0.0, look) for n, e, u, s, look in names))
-
-
-def test_a_mission_by_hand() -> None:
-    """Heights of a mission are above the vehicle's own home, 40 m below us, and independent of our own zero."""
-    items = mission_of(some_route(), tie(), look_time=2.0)
-    assert [i.command for i in items] == [178, 115, 16, 178, 115, 16, 178, 115, 21]
-    speeds = [i.parameters[:3] for i in items if i.command == 178]
-    assert speeds == [(1.0, 5.0, -1.0), (3.0, 1.0, -1.0), (3.0, 1.0, -1.0)]  # over the ground; then straight down
-    turned = [i.parameters[0] for i in items if i.command == 115]
-    assert turned == [pytest.approx(math.degrees(1.5))] * 3
-    first, second, last = (i for i in items if i.place is not None)
-    assert [round(i.place.above_home, 2) for i in (first, second, last) if i.place] == [40.0, 12.0, 2.0]
-    assert first.parameters[0] == 2.0
-    m = last.message(9, 7, 1)
-    assert (m.seq, m.frame, m.command, m.autocontinue, m.current) == (9, 3, 21, 1, 0)
-    assert (m.x, m.z) == (476000000, pytest.approx(2.0, abs=0.01))
-    assert (m.y - 134000000) * 0.00751 == pytest.approx(50.0, rel=2e-3)  # 1e-7 degrees of longitude at 47.6 degrees
-
-
-def test_item_0_is_the_home_for_ardupilot_only() -> None:
-    items = mission_of(some_route(), tie())
-    home = Place(47.0, 13.0, 480.0, 0.0)
-    copter, px4 = ArduPilotFirmware().mission(items, home), Px4Firmware().mission(items, home)
-    assert len(copter) == len(items) + 1
-    m = copter[0].message(0, 1, 1)
-    assert (m.frame, m.command, m.x, m.z, m.current) == (0, 16, 470000000, 480.0, 1)
-    assert [i.command for i in px4] == [178, 16, 16, 21]  # PX4 takes a speed downwards for a speed over the ground
-
-
-def test_a_mission_needs_the_height_above_home() -> None:
-    with pytest.raises(ValueError, match="home"):
-        mission_of(some_route(), EstimateTie(LOCAL, np.zeros(3), Place(47.6, 13.4, 540.0)))
-
-
-def test_items_are_what_pymavlinks_own_mission_file_holds(tmp_path: Path) -> None:
-    """A MISSION_ITEM_INT holds the degrees that pymavlink's loader reads from QGroundControl's text format."""
-    place = Place(-33.1234567, 151.7654321, 0.0, 12.5)
-    m = land(place, 0.25).message(0, 1, 1)
-    row = [m.seq, 1, m.frame, m.command, m.param1, m.param2, m.param3, m.param4, m.x * 1e-7, m.y * 1e-7, m.z, 1]
-    file = tmp_path / "mission.txt"
-    file.write_text("QGC WPL 110\n" + "\t".join(str(v) for v in row) + "\n")
-    loader = mavwp.MAVWPLoader()
-    assert loader.load(str(file)) == 1
-    theirs = loader.wp(0)
-    assert (theirs.frame, theirs.command, theirs.z) == (3, mavlink.MAV_CMD_NAV_LAND, 12.5)
-    assert (theirs.x, theirs.y) == pytest.approx((place.latitude, place.longitude), abs=1e-7)
-    assert theirs.param4 == pytest.approx(math.degrees(0.25))
 
 
 def test_landing_targets_by_hand() -> None:

@@ -1,4 +1,4 @@
-"""Rare faults of a flight: incomplete missions, a pilot's quiet takeover, impossible positions."""
+"""Rare faults of a flight: a pilot's quiet takeover, impossible positions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from autopilot_rig import LOCAL, Rig
 from length import BOTH, EITHER, first
 from pilot_rig import PilotRig
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from test_autopilot_protocol import long_mission, met, place, sent, stored
+from test_autopilot_protocol import place
 from test_executive import Ground, clearer_from_below
 
 from alight.flight.autopilot import Setpoint, TelemetryEvents
@@ -24,119 +24,6 @@ from alight.records.executive import FlightState
 from alight_sim.autopilot.dialects import Doing
 
 S = 1_000_000_000
-
-
-# -- incomplete missions
-
-
-def torn(dialect: str = "ardupilot") -> tuple[Rig, int]:
-    """Break the uplink after nine items of an upload, over a mission that was stored before."""
-    rig = met(Rig(dialect))
-    assert rig.answered(rig.vehicle.upload(long_mission(8)), 20, NoticeKind.UPLOAD).ok
-    ticket = rig.vehicle.upload(long_mission())
-    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
-    assert rig.vehicle.holds_part
-    rig.up.loss = 1.0
-    return rig, ticket
-
-
-@BOTH
-def test_an_upload_whose_uplink_dies_says_that_a_part_may_be_there(dialect: str) -> None:
-    rig, ticket = torn(dialect)
-    got = rig.answered(ticket, 120, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert " 11 of " in got.text  # two were under way
-    assert "may hold a part" in got.text
-    assert "not confirmed" in got.text
-    assert rig.vehicle.holds_part
-    assert "whole" in rig.answered(rig.vehicle.start_mission()).text
-    assert stored(rig)
-
-
-@EITHER
-def test_a_part_is_deleted_when_the_link_comes_back(dialect: str) -> None:
-    """The part is deleted however late the link is back: the request is repeated until confirmed, and reported once."""
-    rig, ticket = torn(dialect)
-    rig.answered(ticket, 120, NoticeKind.UPLOAD)
-    rig.run(120)
-    assert rig.vehicle.holds_part
-    rig.up.loss = 0.0
-    assert rig.run(10, lambda: not rig.vehicle.holds_part)
-    rig.run(20)
-    assert not stored(rig)
-    failed, late = (n for n in rig.of(NoticeKind.UPLOAD) if n.ticket != 1)
-    assert (failed.ok, late.ok, late.ticket) == (False, True, None)
-    assert "deleted" in late.text
-    assert rig.answered(rig.vehicle.upload(long_mission(4)), 20, NoticeKind.UPLOAD).ok
-    assert stored(rig)[rig.sim.dialect.first_item :]
-
-
-def test_a_part_is_not_taken_from_under_a_mission_that_somebody_flies() -> None:
-    """The part is not deleted while a mission is flown: the pilot may have sent another one by now."""
-    rig, ticket = torn()
-    rig.answered(ticket, 120, NoticeKind.UPLOAD)
-    rig.sim.logic.doing = Doing.MISSION
-    rig.sim.logic.step = lambda t, here, stands: None  # type: ignore[assignment,method-assign,misc]
-    rig.run(3)
-    rig.up.loss = 0.0
-    rig.run(15)
-    assert stored(rig)
-    rig.sim.logic.doing = Doing.PILOT
-    assert rig.run(10, lambda: not rig.vehicle.holds_part)
-    assert not stored(rig)
-
-
-def test_a_deletion_of_a_part_that_is_lost_or_denied_is_sent_again() -> None:
-    rig = met(Rig())
-    clear, denied = rig.sim.missions.clear, [0]
-
-    def reluctant(sender: tuple[int, int]) -> None:
-        denied[0] += 1
-        if denied[0] == 2:
-            rig.sim.missions._acknowledge(14, sender)
-        elif denied[0] > 3:
-            clear(sender)
-
-    rig.sim.missions.clear = reluctant  # type: ignore[method-assign]
-    ticket = rig.vehicle.upload((*long_mission(4), *bad_item()))
-    got = rig.answered(ticket, 30, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert got.text.endswith("the part that it held is deleted")
-    assert denied[0] == 4
-    assert not stored(rig)
-    assert not rig.vehicle.holds_part
-
-
-def bad_item() -> tuple[Any, ...]:
-    from alight.flight.autopilot import MissionItem
-
-    return (MissionItem(31_000),)
-
-
-def test_a_new_upload_takes_the_place_of_a_deletion() -> None:
-    """A new upload is stored whole or it fails; while it fails, the part of the older one is still remembered."""
-    rig, ticket = torn()
-    rig.answered(ticket, 120, NoticeKind.UPLOAD)
-    again = rig.vehicle.upload(long_mission(3))
-    got = rig.answered(again, 60, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert "may hold a part" in got.text  # nothing of this one came through, but the older part is still there
-    rig.up.loss = 0.0
-    items = long_mission(5)
-    assert rig.answered(rig.vehicle.upload(items), 60, NoticeKind.UPLOAD).ok
-    assert not rig.vehicle.holds_part
-    rig.run(20)
-    assert stored(rig)[1:] == sent(items)
-
-
-def test_a_mission_that_was_refused_at_once_leaves_the_old_one() -> None:
-    rig = met(Rig())
-    assert rig.answered(rig.vehicle.upload(long_mission(4)), 20, NoticeKind.UPLOAD).ok
-    got = rig.answered(rig.vehicle.upload(tuple(long_mission(4)) * 300), 20, NoticeKind.UPLOAD)
-    assert "space" in got.text
-    assert not rig.vehicle.holds_part
-    rig.run(20)
-    assert stored(rig)
 
 
 # -- a pilot's quiet takeover

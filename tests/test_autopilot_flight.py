@@ -1,4 +1,4 @@
-"""Whole flights with an error of the autopilot's position: guided, by mission, and down on a target."""
+"""Whole flights with an error of the autopilot's position: guided, and down on a target."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from autopilot_rig import LOCAL, Rig
 from length import BOTH, first
 from numpy.testing import assert_allclose
 
-from alight.flight.autopilot import EstimateTie, Setpoint, mission_of
-from alight.records import FlightMode, Landed, NoticeKind, Route, Waypoint
+from alight.flight.autopilot import EstimateTie, Setpoint
+from alight.records import FlightMode, Landed, NoticeKind
 from alight_sim.autopilot import EstimateError, FlightLimits, PointMass, Wanted
 from alight_sim.autopilot.dialects import Doing
 
@@ -123,57 +123,6 @@ def test_ardupilot_turns_its_nose_where_no_heading_is_named() -> None:
     rig.vehicle.guide(Setpoint(np.array([60.0, 0.0, 15.0])), aligned(rig))
     rig.run(5)
     assert rig.sim.vehicle.heading == pytest.approx(math.pi / 2, abs=0.1)
-
-
-@BOTH
-def test_each_leg_of_a_mission_has_its_heading(dialect: str) -> None:
-    """With one speed for all legs, the heading must be that of the leg, not the one before ArduPilot starts the leg."""
-    rig = flying(dialect)
-    start = rig.truth()
-    ways = [(0, 0, 0), (30, 0, 0), (30, 30, 0), (30, 30, -15)]
-    stops = [(start + np.array(way), h) for way, h in zip(ways, (0.0, -1.0, 2.5, 0.5), strict=True)]
-    route = Route(tuple(Waypoint(str(k), p, h, 5.0, 0.0, True) for k, (p, h) in enumerate(stops)))
-    assert rig.answered(rig.vehicle.upload(mission_of(route, aligned(rig))), 60, NoticeKind.UPLOAD).ok
-    rig.vehicle.start_mission()
-    for east, north, heading in ((30.0, 0.0, -1.0), (30.0, 30.0, 2.5)):
-        there = start[:2] + np.array([east, north])
-        assert rig.run(30, lambda there=there: bool(np.hypot(*(rig.truth()[:2] - there)) < 0.5))
-        rig.run(0.2)
-        assert math.remainder(rig.sim.vehicle.heading - heading, 2 * math.pi) == pytest.approx(0, abs=0.02)
-
-
-def descent_route(start: np.ndarray) -> Route:
-    """Return a route: to a point above the target, a look, down, land."""
-    stops = [("start", start, 0.0, False), ("transit", over(15.0), 6.0, True),
-             ("approach", over(8.0), 1.2, True), ("touchdown", TARGET, 1.0, False)]  # fmt: skip
-    return Route(tuple(Waypoint(n, p, 0.8, v, 0.0, look) for n, p, v, look in stops))
-
-
-@BOTH
-def test_a_mission_is_flown_to_the_ground(dialect: str) -> None:
-    rig = flying(dialect, link={"loss": 0.1, "delay": 0.05, "jitter": 0.05})
-    items = mission_of(descent_route(rig.truth()), aligned(rig), look_time=4.0)
-    assert rig.answered(rig.vehicle.upload(items), 60, NoticeKind.UPLOAD).ok
-    started = rig.t
-    rig.vehicle.start_mission()
-    fastest: list[float] = []
-    sinking: list[float] = []
-
-    def note() -> None:
-        fastest.append(float(np.hypot(*rig.sim.vehicle.velocity[:2])))
-        sinking.append(-float(rig.sim.vehicle.velocity[2]))
-
-    rig.each_step = note
-    assert rig.run(120, lambda: bool(rig.ours.telemetry and rig.ours.telemetry.is_down))
-    assert np.hypot(*(rig.truth() - TARGET)[:2]) < 0.5
-    assert rig.t - started > 2 * 4.0 + 7.0 / 2.0  # both looks and the descent
-    assert max(fastest) < 6.05
-    assert max(sinking) < (1.25 if dialect == "ardupilot" else 1.55)  # PX4's missions have no speed downwards
-    assert rig.sim.vehicle.heading == pytest.approx(0.8, abs=0.01)
-    reached = [n.item for n in rig.of(NoticeKind.REACHED)]
-    assert len(reached) == len(set(reached))
-    assert set(reached) <= set(range(len(items) - 1))
-    assert not rig.of(NoticeKind.TAKEOVER)
 
 
 @pytest.mark.parametrize("seed", first(1, range(2)))

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.flight.autopilot import Autopilot, EstimateTie, MissionItem, Setpoint, TelemetryEvents, metres_between
+from alight.flight.autopilot import Autopilot, EstimateTie, Setpoint, TelemetryEvents, metres_between
 from alight.flight.autopilot.framing import Framing
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place
@@ -177,7 +177,7 @@ def test_the_vehicle_that_was_named_is_taken() -> None:
 
 
 def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
-    """Acknowledgements, missions and TIMESYNC answers of another ground station on the link change nothing of ours."""
+    """Acknowledgements and TIMESYNC answers of another ground station on the link change nothing of ours."""
     rig = Rig()
     assert rig.run(5, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
     ticket = rig.vehicle.arm()
@@ -193,42 +193,17 @@ def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
     assert not [n for n in rig.ours.notices() if n.kind is NoticeKind.COMMAND and n.ticket == ticket and not n.ok]
 
 
-def test_mission_messages_for_another_ground_station_change_no_upload() -> None:
-    rig, items = Rig(), [MissionItem(16, (0.0,) * 4, Place(47.6, 13.4, 520.0, 20.0 + k), 6) for k in range(8)]
-    assert rig.run(5, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
-    talker, reader = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None)
-    ticket = rig.vehicle.upload(tuple(items))
-    rig.run(0.3)
-    assert rig.vehicle._transfer.active
-    for m in (
-        mavlink.MAVLink_mission_ack_message(255, 190, 4),
-        mavlink.MAVLink_mission_ack_message(255, 190, 0),
-        mavlink.MAVLink_mission_request_int_message(255, 190, 7),
-    ):
-        rig.ours.receive(bytes(m.pack(talker)), rig.now_ns)
-    rig.ours.tick(rig.now_ns)
-    sent = [m for data in rig.ours.pending() for m in reader.parse_buffer(data) or ()]
-    assert not [m for m in sent if m.get_type() in ("MISSION_ITEM_INT", "MISSION_ITEM")]
-    assert rig.vehicle._transfer.active
-    assert rig.answered(ticket, 30, NoticeKind.UPLOAD).ok
-    assert [m.seq for m in rig.sim.missions.items][-8:] == list(range(len(rig.sim.missions.items)))[-8:]
-    assert len(rig.of(NoticeKind.UPLOAD)) == 1
-
-
 HANDLED = (  # messages that are used
     "HEARTBEAT SYS_STATUS SYSTEM_TIME GPS_RAW_INT SCALED_IMU RAW_IMU ATTITUDE ATTITUDE_QUATERNION LOCAL_POSITION_NED "
-    "GLOBAL_POSITION_INT MISSION_REQUEST MISSION_REQUEST_INT MISSION_ACK MISSION_CURRENT MISSION_ITEM_REACHED "
-    "RC_CHANNELS HIGHRES_IMU TIMESYNC WIND WIND_COV EKF_STATUS_REPORT ESTIMATOR_STATUS HOME_POSITION "
-    "EXTENDED_SYS_STATE STATUSTEXT COMMAND_ACK"
+    "GLOBAL_POSITION_INT RC_CHANNELS HIGHRES_IMU TIMESYNC WIND WIND_COV EKF_STATUS_REPORT ESTIMATOR_STATUS "
+    "HOME_POSITION EXTENDED_SYS_STATE STATUSTEXT COMMAND_ACK"
 )
 
 ANY_BITS = st.lists(
     st.tuples(st.sampled_from(HANDLED.split()), st.binary(min_size=255, max_size=255)), min_size=1, max_size=8
 )
 
-QUIET = {  # messages that move nothing
-    "HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_ITEM_INT", "MISSION_ACK",
-}  # fmt: skip
+QUIET = {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG"}  # messages that move nothing
 
 
 def packed(kind: Any, talker: Any, payload: bytes) -> bytes:
@@ -248,7 +223,6 @@ def test_whatever_numbers_a_vehicle_sends_nothing_raises(messages: list[tuple[st
     assert ours.vehicle is not None
     asked = ours.vehicle.clock.question(1000)
     ours.vehicle.clock.answer(asked, 500, 2000)
-    ours.vehicle.upload(())
     talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     for k, (name, data) in enumerate(messages):
         ours.tick(k * SECOND // 10)

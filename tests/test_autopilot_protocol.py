@@ -1,4 +1,4 @@
-"""Orders over a bad link: uploads, commands, streams, reboots, a pilot who takes over."""
+"""Orders over a bad link: commands, streams, reboots, a pilot who takes over."""
 
 from __future__ import annotations
 
@@ -7,30 +7,14 @@ import math
 import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
-from length import BOTH, first
+from length import BOTH
 
-from alight.flight.autopilot import EstimateTie, MissionItem, Setpoint, mission_of
+from alight.flight.autopilot import Setpoint
 from alight.flight.autopilot.firmware import ArduPilotFirmware
-from alight.flight.autopilot.mission_item import MissionItem as Item
-from alight.records import FlightMode, ImuSample, NoticeKind, Place, Route, Telemetry, Waypoint
+from alight.records import FlightMode, ImuSample, NoticeKind, Telemetry
 from alight_sim.autopilot.dialects import Doing
 
 BAD = {"loss": 0.3, "delay": 0.05, "jitter": 0.1, "double": 0.2}
-
-
-def long_mission(count: int = 16) -> tuple[MissionItem, ...]:
-    """Return a mission of way-points in a row, each higher than the last."""
-    points = [Waypoint(str(k), np.array([3.0 * k, 2.0 * k, 10.0 + k]), 0.3, 4.0, 0.0) for k in range(count)]
-    return mission_of(Route(tuple(points)), EstimateTie(LOCAL, np.zeros(3), Place(47.6, 13.4, 500.0, 0.0)))
-
-
-def stored(rig: Rig) -> list[tuple[int, int, int, float]]:
-    return [(m.command, m.x, m.y, m.z) for m in rig.sim.missions.items]
-
-
-def sent(items: tuple[Item, ...]) -> list[tuple[int, int, int, float]]:
-    messages = [i.message(0, 1, 1) for i in items]
-    return [(m.command, m.x, m.y, float(np.float32(m.z))) for m in messages]
 
 
 def met(rig: Rig) -> Rig:
@@ -42,142 +26,6 @@ def met(rig: Rig) -> Rig:
 def place(rig: Rig) -> Telemetry:
     assert rig.ours.telemetry is not None
     return rig.ours.telemetry
-
-
-@BOTH
-@pytest.mark.parametrize("seed", first(1, range(3)))
-def test_an_upload_arrives_whole_over_a_bad_link(dialect: str, seed: int) -> None:
-    """An upload arrives whole although 30 % of the packets are lost, 20 % come twice, and many out of order."""
-    rig = met(Rig(dialect, seed=10 * seed, link=BAD, step=0.04))
-    items = long_mission()
-    got = rig.answered(rig.vehicle.upload(items), 240, NoticeKind.UPLOAD)
-    assert got.ok, got.text
-    wanted = [i for i in items if dialect == "ardupilot" or not (i.command == 115 or i.parameters[0] == 3.0)]
-    assert stored(rig)[rig.sim.dialect.first_item :] == sent(tuple(wanted))
-    assert len(rig.of(NoticeKind.UPLOAD)) == 1
-
-
-@BOTH
-def test_an_upload_over_a_good_link_asks_for_each_item_once(dialect: str) -> None:
-    rig = met(Rig(dialect))
-    start = rig.t
-    assert rig.answered(rig.vehicle.upload(long_mission()), 20, NoticeKind.UPLOAD).ok
-    assert rig.t - start < 0.09 * 2 * 17  # two steps of virtual time an item, and no time-out
-
-
-@BOTH
-def test_a_break_in_the_middle_is_resumed(dialect: str) -> None:
-    """The link is gone for 6 s, less than the autopilot waits: the upload goes on with the missing item."""
-    rig = met(Rig(dialect))
-    ticket = rig.vehicle.upload(long_mission())
-    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
-    rig.up.loss = rig.down.loss = 1.0
-    rig.run(6)
-    assert len(rig.sim.missions._coming) >= 9
-    rig.up.loss = rig.down.loss = 0.0
-    assert rig.answered(ticket, 30, NoticeKind.UPLOAD).ok
-
-
-@BOTH
-def test_a_transfer_that_the_autopilot_gave_up_is_begun_again(dialect: str) -> None:
-    """The link is gone for longer than the autopilot waits: the upload begins anew."""
-    rig = met(Rig(dialect))
-    ticket = rig.vehicle.upload(long_mission())
-    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
-    rig.up.loss = 1.0
-    rig.run(9.5)
-    assert rig.sim.missions._count == 0
-    rig.up.loss = 0.0
-    assert rig.answered(ticket, 60, NoticeKind.UPLOAD).ok
-    assert len(stored(rig)) >= 16
-
-
-@BOTH
-def test_a_lost_last_acknowledgement_does_not_fail_the_upload(dialect: str) -> None:
-    rig = met(Rig(dialect))
-    ticket = rig.vehicle.upload(long_mission(6))
-    missions = rig.sim.missions
-    assert rig.run(10, lambda: missions.receiving and len(missions._coming) == missions._count - 1)
-    rig.down.loss = 1.0
-    assert rig.run(1, lambda: not missions.receiving)
-    rig.down.loss = 0.0
-    assert not rig.of(NoticeKind.UPLOAD)
-    assert rig.answered(ticket, 60, NoticeKind.UPLOAD).ok
-
-
-@BOTH
-def test_a_reboot_in_the_middle_of_an_upload(dialect: str) -> None:
-    rig = met(Rig(dialect))
-    rig.run(5)
-    ticket = rig.vehicle.upload(long_mission())
-    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
-    rig.sim.reboot()
-    assert rig.answered(ticket, 90, NoticeKind.UPLOAD).ok
-    assert len(rig.of(NoticeKind.REBOOT)) == 1
-    assert len(stored(rig)) >= 16
-
-
-@BOTH
-def test_a_refused_mission_says_why(dialect: str) -> None:
-    rig = met(Rig(dialect))
-    bad = (*long_mission(4), Item(31_000))
-    got = rig.answered(rig.vehicle.upload(bad), 20, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert "command is not supported" in got.text
-    many = tuple(long_mission(4)) * 300
-    got = rig.answered(rig.vehicle.upload(many), 20, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert "space" in got.text
-    rig.run(1)
-    assert not stored(rig)
-
-
-def test_a_part_of_a_mission_is_neither_kept_nor_flown() -> None:
-    """ArduPilot stores items over its old mission as they come: after a failure the mixture is deleted, not flown."""
-    rig = Rig()
-    rig.up_and_flying(15.0)
-    assert rig.answered(rig.vehicle.upload(long_mission(8)), 20, NoticeKind.UPLOAD).ok
-    got = rig.answered(rig.vehicle.upload((*long_mission(4), Item(31_000))), 20, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert "deleted" in got.text
-    early = rig.answered(rig.vehicle.start_mission())
-    assert not early.ok
-    assert "whole" in early.text
-    rig.run(3)
-    assert not stored(rig)
-    assert rig.sim.logic.doing is Doing.GUIDED
-    assert rig.answered(rig.vehicle.upload(long_mission(4)), 20, NoticeKind.UPLOAD).ok
-    rig.vehicle.upload(long_mission(8))
-    rig.step()
-    assert "under way" in rig.answered(rig.vehicle.start_mission()).text
-    assert rig.run(20, lambda: not rig.sim.missions.receiving)
-    rig.run(1)
-    assert rig.answered(rig.vehicle.start_mission()).ok
-
-
-def test_a_deletion_waits_for_a_transfer_that_ardupilot_still_expects() -> None:
-    rig = met(Rig())
-    rig.vehicle.upload(long_mission())
-    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
-    assert rig.answered(rig.vehicle.upload(()), 30, NoticeKind.UPLOAD).ok
-    assert not stored(rig)
-
-
-def test_an_upload_into_the_void_ends_in_words() -> None:
-    rig = met(Rig())
-    rig.up.loss = 1.0
-    got = rig.answered(rig.vehicle.upload(long_mission(3)), 60, NoticeKind.UPLOAD)
-    assert not got.ok
-    assert "no answer" in got.text
-
-
-@BOTH
-def test_a_mission_is_deleted(dialect: str) -> None:
-    rig = met(Rig(dialect))
-    assert rig.answered(rig.vehicle.upload(long_mission(3)), 20, NoticeKind.UPLOAD).ok
-    assert stored(rig)
-    assert rig.answered(rig.vehicle.upload(()), 20, NoticeKind.UPLOAD).ok
-    assert not stored(rig)
 
 
 @BOTH
@@ -308,7 +156,7 @@ def test_a_stream_that_never_comes_is_not_asked_for_all_the_time() -> None:
 @BOTH
 def test_commands_get_through_and_are_answered_once(dialect: str) -> None:
     rig = met(Rig(dialect, seed=3, link=BAD))
-    tickets = [rig.vehicle.set_mode(FlightMode.GUIDED), rig.vehicle.arm(), rig.vehicle.change_speed(3.0)]
+    tickets = [rig.vehicle.set_mode(FlightMode.GUIDED), rig.vehicle.arm(), rig.vehicle.take_off(8.0)]
     assert rig.run(30, lambda: len(rig.of(NoticeKind.COMMAND)) == len(tickets))
     notices = rig.of(NoticeKind.COMMAND)
     assert sorted(n.ticket or 0 for n in notices) == sorted(tickets)
@@ -449,8 +297,8 @@ def test_time_outs_wait_for_a_slow_autopilot() -> None:
     rig.sim.step = lambda dt: step(dt * slowly)  # type: ignore[method-assign]
     rig.down.delay = 4.0
     rig.run(8.0)
-    rig.answered(rig.vehicle.change_speed(3.0), 30)
-    assert seen.count(178) == 1
+    rig.answered(rig.vehicle.arm(), 30)
+    assert seen.count(400) == 1
 
 
 def test_a_slow_autopilot_is_not_lost() -> None:

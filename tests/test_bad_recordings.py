@@ -15,8 +15,8 @@ from alight.cli import call
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.records.codec import FlightHead
+from alight.runner.opening import open_source
 from alight.settings import ImuNoise, Settings, load_settings
-from alight.sources import open_source
 
 Change = Callable[[Event], Event]
 

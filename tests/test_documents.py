@@ -15,7 +15,7 @@ from length import first
 from alight.cli import call
 from alight.documents import DocumentError, parse_json, parse_yaml
 from alight.learned import arrays_of
-from alight.sources.library import DEFAULT_MODEL
+from alight.sources.appearance import DEFAULT_MODEL
 
 LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{chr(98 + k)}: &{chr(98 + k)} [{','.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(12)

@@ -9,7 +9,6 @@ import pytest
 from point_flight import RIG
 
 from alight.geometry import Pose
-from alight.jobs import InTurn
 from alight.motion import RollbackFilter
 from alight.pipeline.navigation import Trajectory, filter_lane, navigation_lane
 from alight.pipeline.navigation.filter_lane import FilterHalf, HandoverInTurn
@@ -33,7 +32,7 @@ def test_a_flight_holds_its_mounting(
 
     monkeypatch.setattr(filter_lane, "RollbackFilter", noted)
     stages = load_settings("", ["motion.method=filter", *([key] if key else [])]).stages()
-    navigation_lane(RIG, kind, stages, None, True, InTurn())
+    navigation_lane(RIG, kind, stages, None, True)
     assert [s.mounting_sigma for s in made] == [sigma]
 
 

@@ -23,7 +23,7 @@ from alight.flight.session.near import near_way
 from alight.flight.session.pilot import PilotView
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
-from alight.records.executive import FlightEvent, FlightState, Order, Seen
+from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -275,7 +275,7 @@ def test_a_landing_that_is_not_answered_is_asked_for_again() -> None:
 def raised(ground: Ground, up: float) -> See:
     """Return the same ground, `up` metres higher."""
 
-    def see(number: int, t: float, at: np.ndarray) -> Seen:
+    def see(number: int, t: float, at: np.ndarray) -> MapVerdict:
         low = ground.seen(number, t, at - [0.0, 0.0, up])
         sites, rest = (tuple(replace(s, up=up) for s in some) for some in (low.sites.sites, low.sites.candidates))
         elevation = replace(low.elevation, height=low.elevation.height + np.float32(up))

@@ -17,7 +17,7 @@ from alight import cli
 from alight.records import Home, InputError, Place, Telemetry
 from alight.records.telemetry import GpsQuality
 from alight.runner import replay
-from alight.runner.home import flown_home, known_home, wanted_home, with_home
+from alight.runs import flown_home, known_home, wanted_home, with_home
 from alight.sources.geoid import separation_at
 from alight_sim import fly
 from alight_sim.log import write

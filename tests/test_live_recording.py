@@ -40,8 +40,8 @@ from alight.records import (
 )
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
 from alight.runner import replay
+from alight.runner.opening import open_source
 from alight.settings import load_settings
-from alight.sources import open_source
 from alight_sim import SimulatedFlight, default_rig, fly
 
 LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)

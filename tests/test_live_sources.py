@@ -21,13 +21,14 @@ import alight_sim
 from alight.flight.live.telemetry import with_telemetry
 from alight.geometry import Camera
 from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
-from alight.runner.home import flown_home
+from alight.runner.live import open_live
+from alight.runner.opening import open_source
+from alight.runs import flown_home
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
 from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
 from alight.sources.growing import GrowingLog, GrowingTable
-from alight.sources.live import LiveSource, open_live
-from alight.sources.opening import open_source
+from alight.sources.live import LiveSource
 from alight.sources.paced import paced
 from alight_sim import default_rig, fly
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer

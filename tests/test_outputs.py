@@ -21,8 +21,21 @@ from some_run import CELL, GRID, LOCAL, ROWS, candidate, elevation, hazards, sit
 from alight import outputs
 from alight.outputs import FILES, WorkFolder, prepare_folder, read_run, world_up, write_run
 from alight.outputs import atomic_write as whole
+from alight.outputs.plan import plan_items
 from alight.outputs.verdict import write_judgement
-from alight.records import Datum, Flag, Hazard, HazardMap, Home, InputError, OutputError, Route, Sites, Terrain
+from alight.records import (
+    Datum,
+    Flag,
+    Hazard,
+    HazardMap,
+    Home,
+    InputError,
+    OutputError,
+    Route,
+    Sites,
+    Terrain,
+    Waypoint,
+)
 from alight.settings import Settings
 
 
@@ -277,6 +290,21 @@ def test_plan_is_what_qgroundcontrol_reads(out: Path) -> None:
     lat, lon, ground = mission["plannedHomePosition"]
     np.testing.assert_allclose(LOCAL.to_enu(lat, lon, ground), [5.0, -2.0, 2.12], atol=1e-3)
     assert "RELATIVE TO THE SITE" in plan["name"]
+
+
+def test_items_of_a_plan_by_hand() -> None:
+    """A way of 50 m, a look, and then straight down: speeds of the descent are marked as such."""
+    names = [("start", 0, 40, 0, False), ("transit", 50, 40, 5, True), ("approach", 50, 12, 1, True),
+             ("touchdown", 50, 2, 1, False)]  # fmt: skip
+    items = plan_items(
+        Route(tuple(Waypoint(n, np.array([3.0 + e, 0.0, u]), 1.5, s, 0.0, look) for n, e, u, s, look in names))
+    )
+    assert [i.command for i in items] == [16, 178, 115, 16, 178, 115, 16, 178, 115, 21]
+    speeds = [i.parameters[:3] for i in items if i.command == 178]
+    assert speeds == [(1.0, 5.0, -1.0), (3.0, 1.0, -1.0), (3.0, 1.0, -1.0)]  # over the ground; then straight down
+    assert [i.parameters[0] for i in items if i.command == 115] == [pytest.approx(math.degrees(1.5))] * 3
+    assert [i.position_world[2] for i in items if i.position_world is not None] == [40.0, 40.0, 12.0, 2.0]
+    assert [i.parameters[0] for i in items if i.command == 16] == [0.0, 3.0, 3.0]
 
 
 def test_a_plan_with_a_home_is_relative_to_it(tmp_path: Path) -> None:
@@ -618,7 +646,7 @@ def test_ctrl_c_leaves_the_old_file_whole(tmp_path: Path) -> None:
 def test_ctrl_c_between_files_leaves_no_run_json(tmp_path: Path) -> None:
     write_run(some_run(), tmp_path)
     with (
-        mock.patch("alight.outputs.vectors.route_plan", side_effect=KeyboardInterrupt),
+        mock.patch("alight.outputs.plan.route_plan", side_effect=KeyboardInterrupt),
         pytest.raises(KeyboardInterrupt),
     ):
         write_run(some_run(), tmp_path)

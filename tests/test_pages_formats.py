@@ -24,8 +24,8 @@ from alight.records.campaign import (
     TouchdownLine,
     TransitionLine,
 )
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import open_source
 
 PAGES = Path(__file__).parents[1] / "docs" / "formats"
 LOG, OUTPUTS = ((PAGES / f"{name}.md").read_text(encoding="utf-8") for name in ("flight-log", "outputs"))

@@ -19,8 +19,8 @@ from alight.photos.bundle.adjust import adjust
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.photos.reading.photos import Photos
 from alight.records import Frame, NavSample, PhotoFacts, PhotoOutcome, PhotoRow
+from alight.runner.opening import open_source
 from alight.settings import BundleSettings, load_settings
-from alight.sources import open_source
 
 PARROT, AUTEL = "http://www.parrot.com/drone-parrot/1.0/", "http://www.autelrobotics.com/drone-autel/1.0/"
 YUNEEC, SKYDIO = "http://www.yuneec.com/drone-yuneec/1.0/", "https://www.skydio.com/drone-skydio/1.0/"

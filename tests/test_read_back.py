@@ -18,8 +18,8 @@ from alight.outputs.recorder import Recorder
 from alight.outputs.work_folder import WORK
 from alight.photos.work import saved
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead
+from alight.runner.opening import open_source
 from alight.settings import ImuNoise, Settings
-from alight.sources import open_source
 from alight.trials.campaign import run as campaign_run
 
 DAMAGED = {

@@ -18,8 +18,8 @@ from alight import cli
 from alight.cli.simulate import PICTURE, blocks
 from alight.evaluation.flight import read_flight_truth
 from alight.records import Frame
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import open_source
 from alight_sim.scene import FOLDER, built_in, parse_scene, read_scene, things
 
 SMALL = "ground: {size: [60, 60]}\nflight: {height: 20, duration: 0.5}\nimaging: {rate_hz: 4}\n"

@@ -10,8 +10,8 @@ import yaml
 
 from alight.geometry import Camera, Pose, so3_log
 from alight.records import Frame, ImuSample, InputError, NavSample, OutputError, Rig, RigCamera, Terrain
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import open_source
 from alight_sim import (  # fmt: skip
     Faults,
     FlightPlan,

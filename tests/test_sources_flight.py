@@ -14,8 +14,9 @@ import pytest
 import yaml
 
 from alight.records import Event, Frame, ImuSample, InputError, NavSample
+from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 from alight.sources.exposures import group_exposures
 from alight.sources.tables import rising
 

@@ -21,8 +21,9 @@ from alight.photos.reading.photo_tags import finite
 from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
 from alight.photos.reading.photos import SECOND, _spread
 from alight.records import Event, Frame, InputError, NavSample
+from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
-from alight.sources import Source, open_source
+from alight.sources import Source
 from alight.sources.images import has_end, image_size, read_image
 
 

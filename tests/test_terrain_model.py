@@ -18,7 +18,8 @@ import alight
 from alight.cli import call
 from alight.records import LANDABLE, InputError, Terrain
 from alight.settings import TerrainSettings
-from alight.sources.library import DEFAULT_MODEL, kind_of, model_bytes, read_labelled, read_library, read_model
+from alight.sources.appearance import DEFAULT_MODEL, model_bytes, read_model
+from alight.sources.library import kind_of, read_labelled, read_library
 from alight.terrain import classify, describe
 from alight.terrain.features import against, appearance_features, frame_of, level_of, names
 from alight.terrain.model import Model, distance, log_probability, standardised

@@ -15,7 +15,8 @@ from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.photos.reading.subtitles import read_srt
 from alight.photos.reading.video import focal_px
 from alight.records import Frame, InputError, NavSample
-from alight.sources import Source, open_source
+from alight.runner.opening import open_source
+from alight.sources import Source
 
 RATE, SPEED, FRAMES = 10.0, 4.0, 60  # Hz, m/s
 FILM = CAMERA.fu * 0.8 / CAMERA.width * 43.2666  # mm of 35 mm film

@@ -30,8 +30,8 @@ from alight.arrays import U8
 from alight.outputs import Run, read_run
 from alight.photos.reading.photo_finding import find_photos
 from alight.records import Frame
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import open_source
 
 TEMPLATE = Path(__file__).with_name("label_page.html")
 GREEN, RED, ORANGE, MAGENTA = (40, 200, 40), (230, 40, 40), (255, 160, 0), (220, 60, 220)

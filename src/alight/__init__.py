@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from alight.pipeline import Pipeline
     from alight.records import AlightError
     from alight.result import Result
+    from alight.runner.opening import open_source
     from alight.settings import Lander, Settings
-    from alight.sources import open_source
 
 _HOME = {
     "run": "api",
@@ -45,7 +45,7 @@ _HOME = {
     "train_appearance": "api",
     "evaluate_appearance": "api",
     "judge": "api",
-    "open_source": "sources",
+    "open_source": "runner.opening",
     "Pipeline": "pipeline",
     "Settings": "settings",
     "Lander": "settings",

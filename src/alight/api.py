@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from alight.settings.base import FrozenModel
 if TYPE_CHECKING:
     from alight.checks import CheckResult
     from alight.evaluation import Evaluation
+    from alight.jobs import Jobs
     from alight.sources import Source
     from alight.training.confusion import Confusion
     from alight.trials.report import CampaignNumbers
@@ -125,10 +126,9 @@ def run(
         AlightError: the input or a setting cannot be used; the message says how to mend it.
     """
     from alight.outputs import FileStore
-    from alight.photos.work import cluster_jobs
-    from alight.runner.home import known_home, with_home
+    from alight.runner.opening import open_source
     from alight.runner.replay import prior_heights, replay, settings_for
-    from alight.sources import open_source
+    from alight.runs import known_home, with_home
 
     chosen = settings_of(settings, lander)
     armed_at = known_home(home, None if geoid is None else Path(geoid))
@@ -136,8 +136,17 @@ def run(
     chosen = settings_for(recording, chosen)
     prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
     store = FileStore(Path(tempfile.gettempdir()))
-    with single_threaded_algebra(), closing(store), cluster_jobs(scheduler) as jobs:
+    with single_threaded_algebra(), closing(store), _workers(scheduler) as jobs:
         return Result(with_home(replay(recording, chosen, poses, progress, store, jobs, prior), armed_at))
+
+
+def _workers(scheduler: str | None) -> AbstractContextManager[Jobs | None]:
+    """Workers of a Dask cluster; None: this process."""
+    if scheduler is None:
+        return nullcontext()
+    from alight.photos.work import cluster_jobs
+
+    return cluster_jobs(scheduler)
 
 
 def judge(
@@ -218,7 +227,7 @@ def check(
         SettingsError: a setting cannot be used.
     """
     from alight.checks import check_source
-    from alight.sources import open_source
+    from alight.runner.opening import open_source
 
     with single_threaded_algebra():
         opened = open_source(source, settings_of(settings)) if isinstance(source, str | Path) else source

@@ -33,7 +33,7 @@ def check(
     """
     chosen = read_settings(settings, assign)
     from alight.checks import Judged, check_source
-    from alight.sources import open_source
+    from alight.runner.opening import open_source
 
     recording = open_source(source, chosen)
     if recording.photos:

@@ -84,8 +84,8 @@ def live(
     refuse_unused(source, follow, rig, speed)
     from alight.flight.live.health import FlightHealth
     from alight.flight.live.run import fly_live
-    from alight.runner.home import flown_home, wanted_home, with_home
-    from alight.sources.live import open_live
+    from alight.runner.live import open_live
+    from alight.runs import flown_home, wanted_home, with_home
 
     wanted = wanted_home(home, geoid)
     opened = open_live(source, chosen, speed, follow, rig)

@@ -91,7 +91,7 @@ def run(
     asked = [f"parallax.quality={quality}"] if quality else []
     chosen = read_settings(settings, [*(assign or ()), *asked])
     from alight.runner import replay
-    from alight.runner.home import known_home
+    from alight.runs import known_home
 
     wishes = replay.Find(chosen, poses, force, resume, prior_dem, scheduler, known_home(home, geoid))
     with progress_bar() as tell:

@@ -56,7 +56,7 @@ def tell_how_well(
 ) -> None:
     """Print the confusion matrix of a model, by site. Without FOLDER: the provenance of the model."""
     from alight.runner.appearance import judge_appearance
-    from alight.sources.library import read_model
+    from alight.sources.appearance import read_model
     from alight.training.confusion import lines_of
 
     if leave_out and (folder is None or model is not None):

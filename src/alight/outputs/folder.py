@@ -14,7 +14,7 @@ import numpy as np
 from alight import __version__, report
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
 from alight.geometry import Grid
-from alight.outputs import rasters, trajectory, vectors
+from alight.outputs import plan, rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
 from alight.outputs.folder_lock import LOCK, holds_folder, lock_folder, release_folder
 from alight.outputs.work_folder import WORK, is_work, remove_work
@@ -82,7 +82,7 @@ def _route(r: RunResult) -> Contents:
         why = NO_PLACE
     else:
         return {
-            "route.plan": lambda: vectors.json_bytes(vectors.route_plan(route, r.local, r.settings, r.home)),
+            "route.plan": lambda: vectors.json_bytes(plan.route_plan(route, r.local, r.settings, r.home)),
             "route.geojson": lambda: vectors.json_bytes(vectors.route_geojson(route, r.local)),
         }
     return dict.fromkeys(("route.plan", "route.geojson"), why)

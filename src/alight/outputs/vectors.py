@@ -1,4 +1,4 @@
-"""The answer as vectors: sites and route as GeoJSON (RFC 7946), the route as a QGroundControl plan."""
+"""The answer as vectors: sites and route as GeoJSON (RFC 7946)."""
 
 from __future__ import annotations
 
@@ -10,21 +10,10 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot.border import EstimateTie
-from alight.flight.autopilot.mission_item import MissionItem, mission_of
 from alight.geometry import LocalFrame
-from alight.records import Home, Place, PlaceSigma, Route, Site, Sites, Waypoint
-from alight.settings import Settings
+from alight.records import PlaceSigma, Route, Site, Sites, Waypoint
 
 UNSPEAKABLE = "backslashreplace"  # of names of files that are no UTF-8: `\\udcff`, which JSON reads as well
-ARDUPILOT, MULTICOPTER = 3, 2  # MAV_AUTOPILOT, MAV_TYPE
-NAME_WITH_HOME = "to site 1"
-NAME_WITHOUT_HOME = "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"
-HEIGHTS_ABOVE_HOME = "altitudes are metres above the home that was given, which is the planned home"
-HEIGHTS_ABOVE_SITE = (
-    "altitudes are metres above the ground of the landing site, which is the planned home; "
-    "where the vehicle's home is another place, add the site's height minus that home's height to every way-point"
-)
 
 
 def number(value: float, decimals: int) -> float | None:
@@ -157,63 +146,6 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
     }
     points = [feature("Point", xyz, p) for xyz, p in zip(positions, properties, strict=True)]
     return {"type": "FeatureCollection", "features": [feature("LineString", positions, line), *points]}
-
-
-def _item(number_: int, item: MissionItem) -> dict[str, Any]:
-    """A mission item in QGroundControl's form; a parameter that is no number is null."""
-    parameters = [number(p, 4) for p in item.parameters]
-    simple = {"type": "SimpleItem", "command": item.command, "frame": item.frame, "doJumpId": number_}
-    if item.place is None:
-        return {**simple, "autoContinue": True, "params": [*parameters, 0, 0, 0]}
-    altitude = round(item.place.above_home, 3) + 0.0
-    return {
-        **simple,
-        "autoContinue": True,
-        "AMSLAltAboveTerrain": None,
-        "Altitude": altitude,
-        "AltitudeMode": 1,  # relative to home
-        "params": [*parameters, round(item.place.latitude, 9), round(item.place.longitude, 9), altitude],
-    }
-
-
-def _home_and_zero(site: list[float], home: Home | None) -> tuple[list[float], float]:
-    """The planned home, and the height above the ellipsoid to which altitudes refer."""
-    if home is None:
-        longitude, latitude, ground = site
-        return [latitude, longitude, ground], ground
-    return [home.latitude, home.longitude, home.altitude_msl], home.height
-
-
-def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home | None = None) -> dict[str, Any]:
-    """The route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
-
-    Altitudes are relative to the vehicle's home. Without one they are relative to the ground of the landing site, which
-    is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name states this.
-    """
-    planned, zero = _home_and_zero(lon_lat_height(local, *route.waypoints[-1].position_world), home)
-    start = route.waypoints[0].position_world
-    longitude, latitude, height = lon_lat_height(local, *start)
-    tie = EstimateTie(local, start, Place(latitude, longitude, math.nan, height - zero))
-    items = mission_of(route, tie, with_start=True)
-    return {
-        "fileType": "Plan",
-        "version": 1,
-        "groundStation": "QGroundControl",
-        "name": NAME_WITH_HOME if home is not None else NAME_WITHOUT_HOME,
-        "heightReference": HEIGHTS_ABOVE_HOME if home is not None else HEIGHTS_ABOVE_SITE,
-        "geoFence": {"circles": [], "polygons": [], "version": 2},
-        "rallyPoints": {"points": [], "version": 2},
-        "mission": {
-            "version": 2,
-            "firmwareType": ARDUPILOT,
-            "vehicleType": MULTICOPTER,
-            "globalPlanAltitudeMode": 1,
-            "cruiseSpeed": settings.route.cruise_speed,
-            "hoverSpeed": settings.route.cruise_speed,
-            "plannedHomePosition": planned,
-            "items": [_item(i + 1, item) for i, item in enumerate(items)],
-        },
-    }
 
 
 def plain(thing: Any) -> Any:

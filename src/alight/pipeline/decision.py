@@ -44,10 +44,10 @@ class Decision:
         route: Route | None,
         judge: Judge,
     ) -> Decision:
-        """The verdict on the finished map, and the way to the best site."""
+        """The verdict on the finished map, in the world, and the way to the best site."""
         warnings = [*trajectory.warnings, *found.warnings, *judge.warnings, *verdict.warnings]
         above = None if found.snapshot is None else found.snapshot.vehicle.height_above_ground
         return cls(
-            verdict.sites, list(trajectory.motions), verdict.elevation, verdict.cover, verdict.danger, route,
+            verdict.sites, list(trajectory.motions), verdict.elevation, verdict.land_cover, verdict.hazards, route,
             above, warnings, {**trajectory.notes, **found.notes, **judge.notes(verdict)}, trajectory.photos,
         )  # fmt: skip

@@ -19,11 +19,11 @@ from alight.pipeline.navigation import (
     NavigationLane,
     TimedPoses,
     Trajectory,
-    all_at_end,
     navigation_lane,
 )
+from alight.pipeline.policy import LanePolicy
 from alight.pipeline.timing import Timings
-from alight.records import Event, Frame, PriorHeights, Rig, Schedule
+from alight.records import Event, Frame, PriorHeights, Rig
 from alight.settings import StageSettings
 
 Progress = Callable[[float], None]
@@ -66,22 +66,23 @@ class Lanes:
         far: TileStore | None = None,
         history: bool = True,
         appearance: terrain.Model | None = None,
-        schedule: Schedule | None = None,
+        policy: LanePolicy | None = None,
         jobs: Jobs | None = None,
         prior: PriorHeights | None = None,
+        navigation: NavigationLane | None = None,
     ) -> Lanes:
         """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
         jobs = jobs or InTurn()
-        judging, at_end = JudgingLane(stages, appearance, timings), all_at_end(kind, stages, poses)
-        if schedule is not None and (schedule.navigation_anew or schedule.mapping_anew):
-            navigation = FilterAgain(
-                lambda number: FilterLane(rig, stages, history, frame_id=number), schedule.navigation_anew
+        judging = JudgingLane(stages, appearance, timings)
+        if policy is not None and (policy.navigation_anew or policy.mapping_anew):
+            again = FilterAgain(
+                lambda number: FilterLane(rig, stages, history, frame_id=number), policy.navigation_anew
             )
-            mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), schedule.mapping_anew)
-            return cls(navigation, mapping, judging)
+            mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), policy.mapping_anew)
+            return cls(again, mapping, judging)
         return cls(
-            navigation_lane(rig, kind, stages, poses, history, jobs),
-            mapping_lane(rig, stages, at_end, far, timings, history, jobs, prior),
+            navigation or navigation_lane(rig, kind, stages, poses, history),
+            mapping_lane(rig, stages, navigation is not None, far, timings, history, jobs, prior),
             judging,
         )
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.records.errors import InputError
 
+FirmwareName = Literal["ardupilot", "px4"]
 _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3
@@ -144,7 +146,6 @@ class Telemetry:
     home: Place | None = None
     wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, where the air goes
     battery: Battery = Battery()
-    mission_item: int | None = None  # number of the item that is flown, counted from 0 without ArduPilot's home
     ages: dict[str, float] = field(default_factory=dict)  # s since each kind of message was heard
 
     @property
@@ -175,7 +176,6 @@ class NoticeKind(Enum):
     MODE = "mode"  # a change on our request, or one that follows from it
     COMMAND = "command"  # a command was accepted, refused or never answered
     UPLOAD = "upload"  # a mission was accepted, refused or never answered
-    REACHED = "reached"  # a mission item
     TEXT = "text"  # a message of the autopilot
 
 
@@ -188,5 +188,4 @@ class Notice:
     text: str
     ok: bool = True
     mode: FlightMode | None = None
-    item: int | None = None  # of REACHED
     ticket: int | None = None  # of COMMAND and UPLOAD: the number that the request returned

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from alight.outputs.atomic_write import write_whole
 from alight.records import InputError, OutputError
-from alight.sources.library import is_labelled, model_bytes, read_labelled, read_library, read_model
+from alight.sources.appearance import model_bytes, read_model
+from alight.sources.library import is_labelled, read_labelled, read_library
 from alight.terrain import Model
 from alight.training.confusion import Confusion
 from alight.training.train import judge_patches, judge_pixels, train

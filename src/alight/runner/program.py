@@ -6,9 +6,6 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-import alight
-import alight_sim
-
 DIGITS = 16
 PARTS = (".py", ".npz", ".yaml")  # of the program: code, fitted tables, built-in scenes
 
@@ -17,8 +14,8 @@ PARTS = (".py", ".npz", ".yaml")  # of the program: code, fitted tables, built-i
 def sources_digest() -> str:
     """Digest of the program, so that landings of two states of it are not mixed."""
     digest = hashlib.sha256()
-    for package in (alight, alight_sim):
-        root = Path(package.__file__ or "").parent
+    packages = Path(__file__).parents[2]
+    for root in (packages / "alight", packages / "alight_sim"):
         for path in sorted(p for p in root.rglob("*") if p.suffix in PARTS):
             digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:DIGITS]

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from alight.elevation import TileStore
-from alight.jobs import Jobs
+from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
-from alight.photos.work import SavedJobs, cluster_jobs, work_key
-from alight.pipeline import Decision, Pipeline, TimedPoses
+from alight.pipeline import Pipeline, ScheduledPolicy, TimedPoses
+from alight.pipeline.navigation import NavigationLane
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
-from alight.runner.home import with_home
+from alight.runner.opening import open_source
+from alight.runs import appearance_of, result_of, with_home
 from alight.settings import Settings
-from alight.sources import Described, Source, open_source, read_tum
-from alight.sources.library import read_model
-from alight.sources.prior_dem import read_prior
-from alight.terrain import Model
+from alight.sources import Source, read_tum
 
 __all__ = ["Find", "find", "given_poses", "replay", "write_run"]
 
@@ -71,16 +69,18 @@ def replay(
     Raises:
         InputError: no part of the recording can be used.
     """
+    given = given_poses(source, poses)
     pipeline = Pipeline(
         source.rig,
         source.kind,
         settings,
-        given_poses(source, poses),
+        given,
         time.perf_counter,
         far,
         history=source.schedule is None,  # a live run has none
         appearance=appearance_of(settings),
-        schedule=source.schedule,
+        policy=None if source.schedule is None else ScheduledPolicy(source.schedule),
+        navigation=_adjustment(source, settings, jobs) if given is None else None,
         imu=source.imu_noise,
         jobs=jobs,
         prior=prior,
@@ -103,16 +103,13 @@ def replay(
     return result_of(source, settings, decision, pipeline.timings, photos)
 
 
-def appearance_of(settings: Settings) -> Model | None:
-    """Read the model of appearance that the settings name; None: they name none.
-
-    Raises:
-        InputError: its file is no model.
-    """
-    name = settings.terrain.model
-    if name is None or not settings.terrain.enabled:
+def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> NavigationLane | None:
+    """The lane of the bundle adjustment; None: the settings ask for the filter."""
+    if not settings.motion.bundles(source.kind):
         return None
-    return read_model(None if name == "default" else Path(name))
+    from alight.photos.lane import BundleLane
+
+    return BundleLane(source.rig, settings.stages(source.imu_noise).motion.bundle, jobs or InTurn())
 
 
 def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
@@ -132,49 +129,14 @@ def prior_heights(source: Source, settings: Settings, dem: Path | None) -> Prior
         raise InputError(f"--prior-dem: {source.name} says nothing about its place on Earth; run it without")
     if settings.parallax.method == "ring":
         raise InputError("--prior-dem: is for maps made at the end; run it without, or with parallax.method=batch")
+    from alight.sources.prior_dem import read_prior
+
     return read_prior(dem, source.local)
 
 
 def _photo_table(photos: Sequence[PhotoFacts], outcomes: Sequence[PhotoOutcome]) -> list[PhotoRow]:
     of = {o.t_ns: o for o in outcomes}
     return [PhotoRow(p, None if p.t_ns is None else of.get(p.t_ns)) for p in photos]
-
-
-def result_of(
-    source: Described,
-    settings: Settings,
-    d: Decision,
-    timings: Mapping[str, Sequence[float]],
-    photos: Sequence[PhotoRow] = (),
-) -> RunResult:
-    """Collect the contents of the output folder and the report.
-
-    Args:
-        source: the recording, or the source of a flight's events.
-        settings: all settings.
-        d: the decision.
-        timings: seconds of every step, by stage.
-        photos: outcome of each photo.
-    """
-    return RunResult(
-        source_name=source.name,
-        source_kind=source.kind,
-        local=source.local,
-        georeferenced=source.georeferenced,
-        settings=settings,
-        sites=d.sites,
-        elevation=d.elevation,
-        terrain=d.terrain,
-        hazards=d.hazards,
-        route=d.route,
-        motions=d.motions,
-        height_above_ground=d.height_above_ground,
-        counts=source.counts,
-        notes={**source.notes, **d.notes},
-        warnings=[*source.warnings, *d.warnings],
-        photos=photos,
-        timings=timings,
-    )
 
 
 def settings_for(source: Source, given: Settings) -> Settings:
@@ -223,12 +185,16 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
     given += [how.prior] if how.prior else []
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
-    with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
+    with closing(FileStore(out)) as far:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
-        work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
-        try:
-            return with_home(replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), prior), how.home)
-        except KeyboardInterrupt:
-            log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
-            raise
+        from alight.photos.work import SavedJobs, cluster_jobs, work_key
+
+        with cluster_jobs(how.scheduler) as jobs:
+            work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
+            try:
+                saved = SavedJobs(jobs, work)
+                return with_home(replay(source, settings, how.poses, tell, far, saved, prior), how.home)
+            except KeyboardInterrupt:
+                log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
+                raise

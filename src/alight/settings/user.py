@@ -76,6 +76,10 @@ class MotionKeys(FrozenModel):
     filter: FilterKeys = FilterKeys()
     bundle: BundleKeys = BundleKeys()
 
+    def bundles(self, kind: str) -> bool:
+        """True if all poses of a recording of this kind (`flight` or `photos`) are adjusted together, at its end."""
+        return self.method == "bundle" or (self.method == "auto" and kind == "photos")
+
 
 def _batch_for_auto(method: Any) -> Any:
     """Replace `auto` of earlier versions by `batch`."""

@@ -1,7 +1,6 @@
-"""Sources: a flight log or a folder of photos -> ordered events. The one place that takes the names of input files."""
+"""Sources: flight logs, recordings, cameras, rasters -> ordered events and maps; what could not be read."""
 
-from alight.sources.opening import open_source
 from alight.sources.source import Described, Source
 from alight.sources.tum import read_tum
 
-__all__ = ["Described", "Source", "open_source", "read_tum"]
+__all__ = ["Described", "Source", "read_tum"]

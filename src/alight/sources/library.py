@@ -1,33 +1,24 @@
-"""Libraries of terrain pictures, and the models that were trained on them."""
+"""Libraries of terrain pictures."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
-from dataclasses import fields
-from functools import cache
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.arrays import U8
-from alight.documents import DocumentError, read_bytes, read_text
-from alight.learned import arrays_of, table_path
+from alight.documents import DocumentError, read_text
 from alight.records import InputError, Terrain
 from alight.sources.images import UNREADABLE, image_size, read_image
-from alight.terrain.features import LEVELS, names
-from alight.terrain.model import Head, Model
 from alight.training.patches import LabelledPatch
 
-DEFAULT_MODEL = table_path("appearance")
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres a pixel, where no other value is given
 TILE = 4.8  # metres: larger pictures are cut into tiles of this side
-LARGEST, LARGEST_INDEX = 64_000_000, 100_000_000  # bytes of a model, of index.csv
-LONGEST_PROVENANCE = 20_000  # characters
+LARGEST_INDEX = 100_000_000  # bytes of index.csv
 MOST_TILES = 25  # of one picture
 KINDS = {
     Terrain.BARE: "bare gravel soil sand dirt",
@@ -166,81 +157,3 @@ def read_labelled(folder: Path) -> Iterator[tuple[str, U8, U8]]:
         if label.shape != rgb.shape[:2] or label.max() > max(Terrain):
             raise InputError(f"{where}: needs one grey value a pixel of {path.name}, the code of its class (0 to 8)")
         yield path.stem, rgb, label
-
-
-def model_bytes(model: Model) -> bytes:
-    """The model as a plain NumPy archive."""
-    arrays: dict[str, Any] = {"classes": model.classes, "provenance": np.array(model.provenance)}
-    for level, head in enumerate(model.heads):
-        if head is not None:
-            arrays[f"{level}.names"] = np.array(names(level))
-            arrays |= {f"{level}.{f.name}": np.asarray(getattr(head, f.name), np.float32) for f in fields(Head)}
-    out = io.BytesIO()
-    np.savez_compressed(out, **arrays)
-    return out.getvalue()
-
-
-def read_model(path: Path | None = None) -> Model:
-    """Read a model from its file; without a name, the model of the package.
-
-    Raises:
-        InputError: it is missing, is no model, or was trained for other features.
-    """
-    return _default_model() if path is None else _model_of(path)
-
-
-@cache
-def _default_model() -> Model:
-    return _model_of(DEFAULT_MODEL)
-
-
-def _model_of(path: Path) -> Model:
-    try:
-        arrays = arrays_of(read_bytes(path, LARGEST))
-        classes = _classes(arrays["classes"])
-        heads = tuple(_head(arrays, len(classes), level) for level in range(LEVELS))
-        provenance = str(arrays["provenance"])[:LONGEST_PROVENANCE]
-    except OSError as e:
-        raise InputError(
-            f"{path}: cannot be read ({e.strerror or 'no model'}); name a file of 'alight terrain train'"
-        ) from e
-    except (KeyError, ValueError, TypeError) as e:
-        raise InputError(f"{path}: no model of this version ({e}); make one with 'alight terrain train'") from e
-    return Model(classes, heads, provenance)
-
-
-def _classes(codes: NDArray[Any]) -> U8:
-    """The classes of a model; a ValueError where they are no codes of land cover."""
-    if codes.ndim != 1 or codes.dtype.kind not in "ui" or not 1 < codes.size == np.unique(codes).size:
-        raise ValueError("its classes are no list of different codes")
-    if codes.min() < 1 or codes.max() > max(Terrain):
-        raise ValueError("a class that is none of ours")
-    return codes.astype(np.uint8)
-
-
-def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
-    if f"{level}.names" not in z:
-        return None
-    if tuple(z[f"{level}.names"]) != names(level):
-        raise ValueError("other features")
-    if any(z[f"{level}.{f.name}"].dtype.kind not in "fiu" for f in fields(Head)):
-        raise ValueError("an array of other than numbers")
-    values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"].astype(np.float32) for f in fields(Head)}
-    numbers: dict[str, Any] = {k: float(v) if v.ndim == 0 else v for k, v in values.items()}
-    head = Head(**numbers)
-    _check(head, classes, len(names(level)))
-    return head
-
-
-def _check(head: Head, classes: int, features: int) -> None:
-    """Raise a ValueError for a head of other shapes, or with numbers that are not finite."""
-    wanted = {
-        "mean": (features,), "spread": (features,), "weights": (classes, features), "bias": (classes,),
-        "centres": (classes, features), "metric": (features, features), "reach": (), "temperature": (),
-    }  # fmt: skip
-    for name, shape in wanted.items():
-        value = np.asarray(getattr(head, name))
-        if value.shape != shape or not np.isfinite(value).all():
-            raise ValueError(f"{name} is not {shape} finite numbers")
-    if not ((head.spread > 0).all() and head.reach > 0 and head.temperature > 0):
-        raise ValueError("spread, reach and temperature must be above 0")

@@ -1,4 +1,4 @@
-"""Sources of a live run: the only module that takes the name of such a source."""
+"""Sources of a flight: cameras, or a folder that is being filled."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from alight.records import Event, InputError, Telemetry
 from alight.settings import Settings
 from alight.sources.capture import PREFIXES, Cameras
 from alight.sources.growing import GrowingLog, wait_for_calibration
-from alight.sources.opening import open_source
-from alight.sources.paced import paced
 from alight.sources.source import Source
 
 IDLE = 10.0  # s without new rows or pictures, after which a folder counts as complete
@@ -35,36 +33,29 @@ def never() -> bool:
     return False
 
 
-def open_live(
-    name: str,
-    settings: Settings,
-    speed: float = 1.0,
-    follow: bool = False,
-    rig: Path | None = None,
-    stopped: Callable[[], bool] = never,
+def is_cameras(name: str) -> bool:
+    """True for cameras; else it is the name of a file or a folder."""
+    return name.startswith(PREFIXES)
+
+
+def open_sensors(
+    name: str, settings: Settings, rig: Path | None = None, stopped: Callable[[], bool] = never
 ) -> LiveSource:
-    """Open the source of a live run.
+    """Open cameras, or a folder that is being filled.
 
     Args:
-        name: a flight log or a recording, a folder that is being filled, or cameras with commas between them.
-        speed: of a recording: 2 is twice as fast as the flight.
-        follow: the folder is being filled.
+        name: cameras with commas between them, or a folder.
         rig: folder with the calibration of cameras.
         stopped: called now and then; True ends the events.
 
     Raises:
         InputError: it is no source, or cannot be used; the message names what was looked for.
     """
-    if name.startswith(PREFIXES):
-        if rig is None:
-            raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
-        cameras = Cameras(BETWEEN.split(name), rig, settings)
-        return LiveSource(cameras, cameras.events(stopped), True)
-    if follow:
+    if not is_cameras(name):
         wait_for_calibration(Path(name), PATIENCE)
         growing = GrowingLog(Path(name), settings, IDLE)
         return LiveSource(growing, growing.events(stopped), True)
-    source = open_source(name, settings)
-    if source.kind != "flight":
-        raise InputError(f"{name}: photos have no speed of their own; use alight run")
-    return LiveSource(source, paced(source.events(), speed, stopped), False)
+    if rig is None:
+        raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
+    cameras = Cameras(BETWEEN.split(name), rig, settings)
+    return LiveSource(cameras, cameras.events(stopped), True)

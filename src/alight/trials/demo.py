@@ -10,9 +10,9 @@ from pathlib import Path
 from alight.outputs import prepare_folder
 from alight.records import RunResult
 from alight.records.executive import FlightState
-from alight.runner import replay
+from alight.runs import appearance_of, result_of
 from alight.settings import Settings
-from alight.trials.landing import fly_landing
+from alight.trials.landing import Trial, fly_landing
 from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.touchdown import judge_flight
@@ -59,15 +59,15 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
     vehicle = SteeredFlight("demo", seed, start=START, radius=lander.reach)
     done = [0.0]
 
-    def happening(t: float, state: FlightState) -> None:
-        done[0] = max(done[0], SHARE.get(state, 0.0))
-        tell(state.value, done[0])
+    def happening(trial: Trial) -> None:
+        done[0] = max(done[0], SHARE.get(trial.state, 0.0))
+        tell(trial.state.value, done[0])
 
-    flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, keep_pictures=True, map_all=True)
+    flown = fly_landing(vehicle, settings, appearance_of(settings), happening, map_all=True)
     assert flown.decision is not None
     ended, _ = flown.diary.end or (flown.state, "")
     tell(ended.value, 1.0)
-    result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
+    result = result_of(vehicle, settings, flown.decision, flown.timings)
     notes = {**result.notes, "landing": ended.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
     return DemoLanding(result, ended, flown.seconds, judge_flight(vehicle, lander))

@@ -10,8 +10,8 @@ from pathlib import Path
 import alight_sim as simulate
 from alight import compiled
 from alight.runner import replay
+from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources import open_source
 
 Tell = Callable[[str, float], None]
 

@@ -13,7 +13,6 @@ class Doing(Enum):
 
     PILOT = "pilot"
     GUIDED = "guided"
-    MISSION = "mission"
     TAKE_OFF = "take off"
     LAND = "land"
     HOLD = "hold"
@@ -26,15 +25,12 @@ class Dialect(Protocol):
     autopilot: int  # MAV_AUTOPILOT
     estimator_message: int  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
     wind_message: int
-    first_item: int  # number of the first item that is flown: ArduPilot's item 0 is the home
-    asks_with_int: bool  # MISSION_REQUEST_INT instead of MISSION_REQUEST
-    mission_commands: frozenset[int]
     needs_setpoints: bool  # leaves guided flight when they stop
     turns_to_course: bool  # turns the nose along the course where no heading is commanded
     speeds_by_command: bool  # guided flight obeys DO_CHANGE_SPEED until its controller starts anew
-    stores_at_once: bool  # stores each item of a mission on arrival, over the old one
     returns_at_disarm: bool  # disarming restores the last mode that allows arming
     lands_in_guided: bool  # detects the ground under position set-points too, not under velocities alone
+    dead_reckoning: float  # s for which its estimator keeps its position without a receiver's
     target_delay: float  # s of reports before LAND uses a target; LAND waits for the first one; infinite: it uses none
 
     def number(self, doing: Doing) -> int:
@@ -50,20 +46,16 @@ class SpokenArduPilot:
     autopilot = 3
     estimator_message = 193
     wind_message = 168
-    first_item = 1
-    asks_with_int = False
-    mission_commands = frozenset({16, 19, 20, 21, 22, 115, 178})
     needs_setpoints = False
     turns_to_course = True
     speeds_by_command = True
-    stores_at_once = True
     returns_at_disarm = False
     lands_in_guided = True
+    dead_reckoning = 7.6  # measured in Copter 4.6.3
     target_delay = 2.0
     _numbers: Mapping[Doing, int] = {
         Doing.PILOT: 5,  # LOITER
         Doing.GUIDED: 4,
-        Doing.MISSION: 3,
         Doing.TAKE_OFF: 4,
         Doing.LAND: 9,
         Doing.HOLD: 17,
@@ -86,22 +78,18 @@ class SpokenPx4:
     autopilot = 12
     estimator_message = 230
     wind_message = 231
-    first_item = 0
-    asks_with_int = True
-    mission_commands = frozenset({16, 19, 20, 21, 22, 178})
     needs_setpoints = True
     turns_to_course = False
     speeds_by_command = False
-    stores_at_once = False
     returns_at_disarm = True  # since 1.14
     lands_in_guided = False  # its land detector needs a set-point of the velocity
+    dead_reckoning = 5.0  # EKF2_NOAID_TOUT
     target_delay = math.inf
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL
         Doing.GUIDED: (6, 0),
         Doing.TAKE_OFF: (4, 2),
         Doing.HOLD: (4, 3),
-        Doing.MISSION: (4, 4),
         Doing.RETURN: (4, 5),
         Doing.LAND: (4, 6),
     }

@@ -1,4 +1,4 @@
-"""Modes, missions and landing of the simulated autopilot. Positions are its own estimate: ENU metres from its home."""
+"""Modes and landing of the simulated autopilot. Positions are its own estimate: ENU metres from its home."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from alight.arrays import F64
 from alight_sim.autopilot.dialects import Dialect, Doing
 from alight_sim.point_mass import Wanted
 
-WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # MAV_CMD
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # landing: sink rate, m/s; that above _SLOW_BELOW, m/s; metres
 _ARRIVED = 0.4  # m
 _TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each stays valid
@@ -22,27 +21,15 @@ _RUN_UP = 4.0  # s, run-up of a helicopter's rotor
 _COURSE = 1.0  # m or m/s: shorter ways and slower velocities have no course
 
 
-@dataclass(frozen=True, eq=False)
-class FlightItem:
-    """An item of a mission."""
-
-    command: int
-    parameters: tuple[float, ...]
-    position: F64  # (3,) metres
-
-
 @dataclass
 class FlightLogic:
-    """State machine of the autopilot: mode, mission and set-points in, the vehicle's set-point out."""
+    """State machine of the autopilot: mode and set-points in, the vehicle's set-point out."""
 
     dialect: Dialect
     armed: bool = False
     disarms: bool = True  # after a landing; False: as PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
-    items: list[FlightItem] = field(default_factory=list)
-    current: int = 0
-    reached: list[int] = field(default_factory=list)  # items reached since the last reading
     spoken: list[str] = field(default_factory=list)  # status texts since the last reading
 
     def __post_init__(self) -> None:
@@ -57,7 +44,6 @@ class FlightLogic:
         self._landing_since: float | None = None
         self._controller = ""  # kind of guided flight: take-off, positions, velocities, or both
         self._stood_since: float | None = None
-        self._arrived_at: float | None = None
         self._here = np.zeros(3)
         self._anchor = np.zeros(3)
         self._stands = True
@@ -66,10 +52,9 @@ class FlightLogic:
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE: 1 on the ground, 2 in the air, 4 landing."""
-        landing = self.doing is Doing.LAND or (self.doing is Doing.MISSION and self._item_command == LAND)
         if self._stands and not self._is_blind:
             return 1
-        return 4 if landing else 2
+        return 4 if self.doing is Doing.LAND else 2
 
     @property
     def _is_blind(self) -> bool:
@@ -77,21 +62,13 @@ class FlightLogic:
         guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
         return guided and not self.dialect.lands_in_guided
 
-    @property
-    def _item_command(self) -> int:
-        return self.items[self.current].command if self.current < len(self.items) else 0
-
     def enter(self, doing: Doing, t: float) -> bool:
         """Change the mode; False: refused."""
         stale = t - self._set_at > _SETPOINT_AGE / 2 or t - self._set_since < _STREAM
         if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
             return False
-        if doing is Doing.MISSION and len(self.items) <= self.dialect.first_item:
-            return False
         if doing is not self.doing:
             self._settle(doing)
-            if doing is Doing.MISSION:
-                self._begin_leg()
         return True
 
     def arm(self, wanted: bool) -> bool:
@@ -119,12 +96,6 @@ class FlightLogic:
         self._wanted = Wanted(np.array([self._here[0], self._here[1], height]))
         return True
 
-    def start_mission(self) -> bool:
-        """Start the mission at its first item, unless it is under way; False: refused."""
-        if self.doing is not Doing.MISSION:
-            self.current = self.dialect.first_item
-        return self.enter(Doing.MISSION, 0.0)
-
     def guide(self, wanted: Wanted, t: float) -> None:
         """Take a set-point of guided flight."""
         if t - self._set_at > _STREAM:
@@ -148,12 +119,11 @@ class FlightLogic:
     def limit(self, kind: float, speed: float) -> bool:
         """Limit the speed over the ground (SPEED_TYPE 0 and 1) or downwards (3), m/s; False: not in this mode.
 
-        PX4 takes every kind as the speed over the ground and applies it in missions alone.
+        PX4 takes every kind as the speed over the ground and applies it in missions alone, which are not simulated.
         """
         if not self.dialect.speeds_by_command:
-            self._speed = speed
             return True
-        if self.doing not in (Doing.GUIDED, Doing.MISSION, Doing.RETURN) or speed <= 0:
+        if self.doing not in (Doing.GUIDED, Doing.RETURN) or speed <= 0:
             return False
         if kind in (0, 1):
             self._speed = speed
@@ -175,11 +145,9 @@ class FlightLogic:
             return None
         wanted = self._by_mode(t)
         heading = self._heading if wanted.heading is None else wanted.heading
-        if heading is None and self.dialect.turns_to_course and self.doing in (Doing.GUIDED, Doing.MISSION):
+        if heading is None and self.dialect.turns_to_course and self.doing is Doing.GUIDED:
             heading = self._course(wanted)
-        free = not self.dialect.speeds_by_command and self.doing is not Doing.MISSION
-        limits = (math.inf, math.inf) if free else (self._speed, self._sink)
-        return Wanted(wanted.position, wanted.velocity, heading, *limits)
+        return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
 
     def _runs(self, t: float) -> bool:
         """True if the motors lift: ArduPilot waits for the command to take off, a helicopter for its rotor."""
@@ -206,7 +174,7 @@ class FlightLogic:
         self._armable = self._armable if doing in (Doing.LAND, Doing.RETURN) else doing
         self._anchor = self._here.copy()
         self._wanted = Wanted(self._anchor)
-        self._arrived_at = self._heading = self._landing_since = None
+        self._heading = self._landing_since = None
         self._controller = ""
         self._speed = self._sink = math.inf
 
@@ -217,8 +185,6 @@ class FlightLogic:
             if self._near(self._wanted.position):
                 self._settle(Doing.HOLD)
             return self._wanted
-        if self.doing is Doing.MISSION:
-            return self._mission(t)
         if self.doing is Doing.LAND:
             return self._landing(self._anchor, t)
         if self.doing is Doing.RETURN:
@@ -233,49 +199,6 @@ class FlightLogic:
         elif self._wanted.position is None and t - self._set_at > _VELOCITY_AGE:
             self._wanted = Wanted(self._here.copy())
         return self._wanted
-
-    def _mission(self, t: float) -> Wanted:
-        while self.current < len(self.items):
-            item = self.items[self.current]
-            if item.command == LAND:
-                return self._landing(item.position, t)
-            if item.command == RETURN_HOME:
-                self._settle(Doing.RETURN)
-                return Wanted(self._anchor)
-            if item.command in (WAYPOINT, TAKE_OFF) and not self._visited(item, t):
-                heading = item.parameters[3]
-                named = self.dialect.needs_setpoints and math.isfinite(heading)
-                return Wanted(item.position, heading=math.radians(heading) if named else None)
-            self._arrived_at = None
-            self.reached.append(self.current)
-            self.current += 1
-            self._begin_leg()
-        self._settle(Doing.HOLD)
-        return Wanted(self._anchor)
-
-    def _begin_leg(self) -> None:
-        """Run the speed and yaw items before a way-point; a leg that starts after the first one resets its heading."""
-        ahead = self.items[self.current :]
-        count = next((k for k, item in enumerate(ahead) if item.command not in (SPEED, YAW)), len(ahead))
-        for k, item in enumerate(ahead[:count]):
-            if item.command == SPEED:
-                self.limit(*item.parameters[:2])
-            elif k > 0 or not self.dialect.turns_to_course:
-                self._heading = math.radians(item.parameters[0])
-            if k == 0 and self.dialect.turns_to_course:
-                self._heading = None
-            self.reached.append(self.current)
-            self.current += 1
-        if not count and self.dialect.turns_to_course:
-            self._heading = None
-
-    def _visited(self, item: FlightItem, t: float) -> bool:
-        if not self._near(item.position):
-            return False
-        if self._arrived_at is None:
-            self._arrived_at = t
-        hold = item.parameters[0] if item.command == WAYPOINT else 0.0
-        return t - self._arrived_at >= hold
 
     def _landing(self, place: F64, t: float) -> Wanted:
         """Set-point of a landing: first over the place, then down, towards the target where one is reported."""
@@ -302,7 +225,6 @@ class FlightLogic:
 
     def _disarm_on_ground(self, t: float) -> None:
         landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
-        landing |= self.doing is Doing.MISSION and self._item_command == LAND
         rises = self.doing is Doing.TAKE_OFF or (self._controller == "take-off" and self.interlock is not False)
         kept = self._is_blind or (landing and not self.disarms)
         if not (self.armed and self._stands) or (rises and not landing) or kept:

@@ -3,7 +3,6 @@
 from alight.flight.autopilot.autopilot import Autopilot
 from alight.flight.autopilot.border import EstimateTie, metres_between
 from alight.flight.autopilot.links import Link, open_link
-from alight.flight.autopilot.mission_item import MissionItem, mission_of
 from alight.flight.autopilot.remote_vehicle import RemoteVehicle
 from alight.flight.autopilot.setpoints import Setpoint
 from alight.flight.autopilot.streams import StreamRate
@@ -13,12 +12,10 @@ __all__ = [
     "Autopilot",
     "EstimateTie",
     "Link",
-    "MissionItem",
     "RemoteVehicle",
     "Setpoint",
     "StreamRate",
     "TelemetryEvents",
     "metres_between",
-    "mission_of",
     "open_link",
 ]

@@ -60,11 +60,6 @@ class CommandQueue:
         self._tickets = 0
         self.target = (0, 0)  # system and component
 
-    def ticket(self) -> int:
-        """Return a new ticket, for an order that is answered without the autopilot."""
-        self._tickets += 1
-        return self._tickets
-
     def submit(
         self, name: str, number: int, parameters: Sequence[float], t_ns: int, flies: bool = True, wait_ns: int = 0
     ) -> int:
@@ -81,7 +76,8 @@ class CommandQueue:
         Returns:
             The ticket that its answer will carry.
         """
-        ticket = self.ticket()
+        self._tickets += 1
+        ticket = self._tickets
         full = (*parameters, *(0.0,) * (_PARAMETERS - len(parameters)))
         queue = self._queues.setdefault(number, deque())
         queue.append(_Command(ticket, name, number, full, flies, t_ns + wait_ns))

@@ -10,9 +10,8 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot import border
-from alight.flight.autopilot.mission_item import CONDITION_YAW, DO_CHANGE_SPEED, MissionItem, SpeedKind, home_item
 from alight.flight.autopilot.pymavlink_dialect import message
-from alight.records import FlightMode, Place, Telemetry
+from alight.records import FlightMode, Telemetry
 
 ARDUPILOT, PX4 = 3, 12  # MAV_AUTOPILOT
 HOVERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, and 4, the helicopter
@@ -31,7 +30,6 @@ _RATES: Mapping[str, float] = {  # Hz, of few kinds: ArduPilot keeps ten differe
     "RC_CHANNELS": 5.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 2.0,
-    "MISSION_CURRENT": 2.0,
     "HOME_POSITION": 1.0,
 }
 
@@ -45,7 +43,6 @@ class Firmware(Protocol):
     position_gain: float | None  # 1/s, speed per metre to a set-point; None: it takes speeds as commands
     natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
     natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are a takeover
-    home_items: int  # items of its missions that are not ours
     high_site: float  # metres above its home, from which its LAND comes down fast
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
@@ -56,9 +53,6 @@ class Firmware(Protocol):
 
     def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
         """Parameters of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
-
-    def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Return the items in the form that this autopilot takes."""
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make a LANDING_TARGET.
@@ -82,7 +76,6 @@ class ArduPilotFirmware:
     position_gain: float | None = None
     natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
     natural_on_ground = natural
-    home_items = 1
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
     _names = tuple(_COPTER.split())
     _meanings: Mapping[str, FlightMode] = {
@@ -96,7 +89,6 @@ class ArduPilotFirmware:
         **dict.fromkeys(("STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "DRIFT", "SPORT", "POSHOLD"), FlightMode.PILOT),
     }
     _numbers: Mapping[FlightMode, float] = {
-        FlightMode.MISSION: 3.0,
         FlightMode.GUIDED: 4.0,
         FlightMode.TAKE_OFF: 4.0,
         FlightMode.RETURN: 6.0,
@@ -117,10 +109,6 @@ class ArduPilotFirmware:
         """Parameters with the altitude above the home."""
         return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
 
-    def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Return the home as item 0, and the items after it."""
-        return (home_item(home or Place(0.0, 0.0, 0.0, 0.0)), *items)
-
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make it with angles and position in body axes, not levelled: ArduPilot applies its own attitude."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
@@ -139,15 +127,8 @@ class Px4Firmware:
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
     repeats_setpoints = True
     position_gain: float | None = 0.95  # MPC_XY_P; that of the height, MPC_Z_P, is 1.0
-    natural = frozenset(
-        {
-            (FlightMode.TAKE_OFF, FlightMode.HOLD),
-            (FlightMode.MISSION, FlightMode.HOLD),
-            (FlightMode.LAND, FlightMode.HOLD),
-        }
-    )
+    natural = frozenset({(FlightMode.TAKE_OFF, FlightMode.HOLD), (FlightMode.LAND, FlightMode.HOLD)})
     natural_on_ground = frozenset({(FlightMode.LAND, FlightMode.HOLD)})
-    home_items = 0
     high_site = 4.0  # it slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
     _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
     _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
@@ -165,7 +146,6 @@ class Px4Firmware:
         FlightMode.GUIDED: (6.0, 0.0),
         FlightMode.TAKE_OFF: (4.0, 2.0),
         FlightMode.HOLD: (4.0, 3.0),
-        FlightMode.MISSION: (4.0, 4.0),
         FlightMode.RETURN: (4.0, 5.0),
         FlightMode.LAND: (4.0, 6.0),  # not its precision landing, which climbs and searches where reports stop
     }
@@ -188,20 +168,9 @@ class Px4Firmware:
         sea = _NAN if home is None else home.altitude_msl + height
         return (0.0, 0.0, 0.0, _NAN, _NAN, _NAN, sea)
 
-    def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Leave out CONDITION_YAW, which PX4 refuses (the way-points have the heading), and speeds of descent.
-
-        PX4 takes every DO_CHANGE_SPEED for the speed over the ground.
-        """
-        return tuple(i for i in items if i.command != CONDITION_YAW and not _is_descent_speed(i))
-
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """None: LAND is AUTO.LAND, which uses no target."""
         return None
-
-
-def _is_descent_speed(item: MissionItem) -> bool:
-    return item.command == DO_CHANGE_SPEED and item.parameters[0] == SpeedKind.DESCENT.value
 
 
 def firmware_of(autopilot: int) -> Firmware | None:

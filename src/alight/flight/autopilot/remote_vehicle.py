@@ -14,8 +14,6 @@ from alight.flight.autopilot.control import ControlWatch
 from alight.flight.autopilot.firmware import Firmware
 from alight.flight.autopilot.framing import Heard
 from alight.flight.autopilot.link_watch import LinkWatch
-from alight.flight.autopilot.mission_item import DO_CHANGE_SPEED, MissionItem, SpeedKind
-from alight.flight.autopilot.mission_transfer import MissionTransfer, TransferResult
 from alight.flight.autopilot.pymavlink_dialect import message
 from alight.flight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
 from alight.flight.autopilot.speeds import SpeedKeeper
@@ -26,7 +24,7 @@ from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
-_TAKEOFF, _DO_SET_MODE, _MISSION_START, _ARM = 22, 176, 300, 400  # MAV_CMD
+_TAKEOFF, _DO_SET_MODE, _ARM = 22, 176, 400  # MAV_CMD
 _SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 200_000_000, 100_000_000
 _FIRST_TIMESYNCS = 10
 _BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 accepts guided mode
@@ -38,8 +36,8 @@ class RemoteVehicle:
     """One vehicle that was heard; `Autopilot` makes it.
 
     Every order returns a ticket at once. Its outcome comes later as a notice with this ticket.
-    `set_mode`, `take_off` and `start_mission` take control. After a takeover, no message that moves the vehicle is sent
-    until one of them is called again.
+    `set_mode` and `take_off` take control. After a takeover, no message that moves the vehicle is sent until one of
+    them is called again.
     """
 
     def __init__(
@@ -51,8 +49,8 @@ class RemoteVehicle:
         self._send, self._note = send, note
         self._state, self._control = VehicleState(firmware), ControlWatch(firmware)
         self.clock, self._pace = VehicleClock(), Pace()
-        self._commands, self._transfer = CommandQueue(send), MissionTransfer(send)
-        self._commands.target = self._transfer.target = (system, AUTOPILOT)
+        self._commands = CommandQueue(send)
+        self._commands.target = (system, AUTOPILOT)
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
         self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
         self._texts, self._link = TextJoiner(), LinkWatch()
@@ -60,17 +58,13 @@ class RemoteVehicle:
         self._target: Target | None = None
         self._ahead: Target | None = None  # on the way to it, as it was sent last
         self._target_ns = self._timesync_ns = self._now_ns = 0
-        self._timesyncs = self._uploads = 0
+        self._timesyncs = 0
         self._aiming_ns = 0  # since when set-points have been sent without a pause
         self.starts = 1  # counted up by each reboot
         self._handshakes: dict[str, Callable[[Any], None]] = {
             "COMMAND_ACK": self._command_ack,
-            "MISSION_REQUEST": self._mission_request,
-            "MISSION_REQUEST_INT": self._mission_request,
-            "MISSION_ACK": self._mission_ack,
             "TIMESYNC": self._timesync,
             "STATUSTEXT": lambda m: self._said(self._texts.take(m, self._now_ns)),
-            "MISSION_ITEM_REACHED": self._reached,
         }
 
     # reports
@@ -94,11 +88,6 @@ class RemoteVehicle:
     def patience_ns(self) -> int:
         """Clock of the time-outs, ns: the autopilot's own, or ours while it is silent."""
         return self._pace.t_ns
-
-    @property
-    def holds_part(self) -> bool:
-        """True if the autopilot may hold a part of a mission, until it has confirmed a whole one or its deletion."""
-        return self._transfer.holds_part
 
     def place_at(self, t_ns: int) -> Place | None:
         """Return the autopilot's estimate of its position.
@@ -187,28 +176,6 @@ class RemoteVehicle:
         self._target = None
         self._commands.drop()
 
-    def change_speed(self, speed: float) -> int:
-        """Set the speed of a mission, m/s over the ground; guided flight takes its speed with the set-point."""
-        parameters = (SpeedKind.GROUND.value, speed, -1.0)
-        return self._commands.submit("speed of the mission", DO_CHANGE_SPEED, parameters, self._pace.t_ns)
-
-    def upload(self, items: tuple[MissionItem, ...]) -> int:
-        """Send a mission; without items, delete the one that is there."""
-        self._uploads += 1
-        sent = self.firmware.mission(items, self.telemetry.home) if items else ()
-        self._transfer.start(sent, self._pace.t_ns)
-        return self._uploads
-
-    def start_mission(self) -> int:
-        """Fly the mission; the command changes the mode by itself. One that did not arrive whole is not started."""
-        if self._transfer.torn or self._transfer.active:
-            ticket, why = self._commands.ticket(), "is under way" if self._transfer.active else "did not arrive whole"
-            self._note(NoticeKind.COMMAND, f"start of the mission: not sent, the upload {why}", False, ticket=ticket)
-            return ticket
-        self._take_control(_MISSION_START, FlightMode.MISSION)
-        self._target = None
-        return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
-
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
         """Fly to a set-point (in guided mode). It is repeated if the autopilot needs that.
 
@@ -275,7 +242,6 @@ class RemoteVehicle:
             return
         self._ask_time()
         self._streams.tick(self._pace.t_ns)
-        self._uploaded(self._transfer.tick(self._pace.t_ns, self._state.mode is FlightMode.MISSION))
         for answer in self._commands.tick(self._pace.t_ns):
             self._answered(answer)
         if self._target is not None and self.firmware.repeats_setpoints and now_ns - self._target_ns >= _SETPOINT_NS:
@@ -352,7 +318,6 @@ class RemoteVehicle:
         self._timesyncs = 0
         self._commands.drop(everything=True)
         self._streams.rebooted()
-        self._transfer.rebooted(self._pace.t_ns)
         self._note(NoticeKind.REBOOT, "the autopilot has started again", ok=False)
 
     def _is_for_us(self, m: Any) -> bool:
@@ -370,19 +335,6 @@ class RemoteVehicle:
         if not (streams or self._speeds.is_quiet(answer.ticket, answer.ok)):
             self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 
-    def _mission_request(self, m: Any) -> None:
-        if self._is_for_us(m) and not m.mission_type:
-            self._transfer.request(m.seq, self._pace.t_ns)
-
-    def _mission_ack(self, m: Any) -> None:
-        if self._is_for_us(m) and not m.mission_type:
-            self._uploaded(self._transfer.acknowledge(m.type, self._pace.t_ns))
-
-    def _uploaded(self, result: TransferResult | None) -> None:
-        if result is not None:
-            ticket = None if result.late else self._uploads
-            self._note(NoticeKind.UPLOAD, result.text, result.ok, ticket=ticket)
-
     def _timesync(self, m: Any) -> None:
         if m.tc1 == 0:  # a question; its stamp comes back with ours
             self._send(message("TIMESYNC", tc1=self._now_ns, ts1=m.ts1))
@@ -392,8 +344,3 @@ class RemoteVehicle:
     def _said(self, texts: list[SpokenText]) -> None:
         for said in texts:
             self._note(NoticeKind.TEXT, said.text, ok=said.ok)
-
-    def _reached(self, m: Any) -> None:
-        item = m.seq - self.firmware.home_items
-        if item >= 0:
-            self._note(NoticeKind.REACHED, f"item {item}", item=item)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from alight.flight.autopilot.commands import CommandQueue
-from alight.flight.autopilot.mission_item import DO_CHANGE_SPEED, SpeedKind
 
+DO_CHANGE_SPEED = 178  # MAV_CMD
+_OVER_GROUND, _DOWNWARDS = 1.0, 3.0  # SPEED_TYPE
 _AGAIN_NS = 2_000_000_000
 _SAME = 0.1  # m/s, below which a change is not worth a command
 
@@ -40,9 +41,9 @@ class SpeedKeeper:
         if (same and t_ns - self._given_ns < _AGAIN_NS) or self._commands.waiting(DO_CHANGE_SPEED):
             return
         self._given, self._given_ns = (speed, sink), t_ns
-        for kind, value in ((SpeedKind.GROUND, speed), (SpeedKind.DESCENT, sink)):
+        for kind, value in ((_OVER_GROUND, speed), (_DOWNWARDS, sink)):
             if math.isfinite(value):
-                parameters = (kind.value, value, -1.0)
+                parameters = (kind, value, -1.0)
                 self._tickets.add(self._commands.submit("speed", DO_CHANGE_SPEED, parameters, t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:

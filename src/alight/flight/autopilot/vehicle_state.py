@@ -165,10 +165,6 @@ class VehicleState:
         known = all(map(math.isfinite, wind_ned))
         self._now = replace(self._now, wind_world=border.enu(*wind_ned) if known else np.full(3, _NAN))
 
-    def _mission_current(self, m: Any) -> None:
-        item = int(m.seq) - self.firmware.home_items
-        self._now = replace(self._now, mission_item=item if item >= 0 else None)
-
     def _rc_channels(self, m: Any) -> None:
         four = (m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw)
         self.sticks = None if any(s in (0, 0xFFFF) for s in four) else four

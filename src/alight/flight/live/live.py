@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 from alight import terrain
 from alight.arrays import F64
 from alight.flight.live import lanes as processes
-from alight.flight.live.effort import EffortControl
 from alight.flight.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
 from alight.flight.live.interface import IN_FLIGHT, SILENT, Capacity, Diary, Listener, NoDiary
 from alight.flight.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
@@ -30,7 +29,7 @@ from alight.flight.live.nursery import Nursery
 from alight.flight.live.schedule_log import ScheduleLog
 from alight.flight.live.stream_clock import Clocks
 from alight.flight.live.worker import LaneLost, Spec
-from alight.pipeline import Decision, Lanes, Pipeline
+from alight.pipeline import Decision, FlightPolicy, Lanes, Pipeline
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
@@ -67,6 +66,7 @@ class Live:
         clocks: find late events and clocks that jump, by the arrival of the events; None: stamps are right.
         nursery: process that forks the lanes; None: one of its own, which ends with the flight.
         makers: of lanes that replace the usual ones, by the lane's name.
+        policy: of the mapping and judging lanes; None: one by `sites.every`.
 
     Raises:
         SettingsError: the settings are for recordings only.
@@ -86,6 +86,7 @@ class Live:
         clocks: Callable[[Callable[[str], None]], Clocks] | None = None,
         nursery: Nursery | None = None,
         makers: Mapping[str, Callable[..., Any]] | None = None,
+        policy: FlightPolicy | None = None,
     ) -> None:
         if settings.motion.method == "bundle":
             raise SettingsError("motion.method: a flight needs the filter; bundle is for recordings")
@@ -98,11 +99,8 @@ class Live:
         self._batches = Mailbox[FrameBatch](capacity.tracking, self._later_batch if drop else None)
         self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
         self._maps = Mailbox[_Shown](1, (lambda old, new: new) if drop else None)
-        self._judge_waits, self._every = threading.Event(), settings.sites.every
-        self._asked = threading.Event()  # a verdict is requested now
-        self._about: F64 | None = None  # and the place that it is about
+        self.policy, self._judge_waits = policy or FlightPolicy(settings.sites.every), threading.Event()
         self._newest: Motion | None = None
-        self._pace = EffortControl()
         self._failed: list[BaseException] = []
         self._cores = max(1, (os.cpu_count() or 1) - SPARE)
         self._own_nursery = None if nursery is not None else Nursery(self._cores)
@@ -158,7 +156,8 @@ class Live:
     @property
     def health(self) -> FlightHealth:
         """State, rates and counts of the lanes at this moment."""
-        return self.watch.health(self._pace.effort, self._newest.frame_id if self._newest is not None else None)
+        effort = self.policy.effort_control.effort
+        return self.watch.health(effort, self._newest.frame_id if self._newest is not None else None)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -191,15 +190,6 @@ class Live:
         batch = self._batcher.take(stamped)
         if batch is not None:
             self._batches.put(batch)
-
-    def judge_now(self, about: F64 | None = None) -> None:
-        """Judge the map after the next exposure, regardless of `sites.every`, or as soon as the lane is free.
-
-        Args:
-            about: (2,) metres in the map's frame, a place that the map must show as well.
-        """
-        self._about = about
-        self._asked.set()
 
     def finish(self) -> Decision:
         """Wait until all is done, and judge the map as it is then; the lanes end.
@@ -270,9 +260,10 @@ class Live:
     def _stepped(self, seconds: float) -> None:
         """Adapt the effort of the next step of the map to the time of this one."""
         self.watch.took(STEP, seconds)
-        if self._pace.took(seconds):
-            self.watch.counts[f"mapping: effort {self._pace.effort}, times chosen"] += 1
-            self._diary.note(MAPPING, f"effort {self._pace.effort} after a step of {seconds:.2f} s")
+        control = self.policy.effort_control
+        if control.took(seconds):
+            self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
+            self._diary.note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
 
     def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
         if old.frame is not None:
@@ -328,14 +319,14 @@ class Live:
                     self._listener.motion(found.motion)
 
     def _map(self) -> None:
-        anew, since = False, 0
+        anew = False
         while True:
             navigation = self._exposures.get()
             t_ns = navigation.frame.t_ns
             try:
                 with self.watch.work(MAPPING):
                     begin = time.perf_counter()
-                    effort = self._pace.effort
+                    effort = self.policy.effort(navigation)
                     update = self._mapping.feed(navigation, effort)
                     if update is not None:
                         self._stepped(time.perf_counter() - begin)
@@ -349,15 +340,11 @@ class Live:
                 self._used.anew(MAPPING, t_ns)
                 anew = False
             self._used.mapped(t_ns, effort)
-            since += 0 if update is None else update.steps
-            due = self._asked.is_set() or (self._every and since >= self._every)
-            if due and (self._judge_waits.is_set() or not self._capacity.drop):
-                self._asked.clear()
-                self._hand_to_judge(navigation)
-                since = 0
+            due = self.policy.due_verdict(navigation, update, self._judge_waits.is_set() or not self._capacity.drop)
+            if due is not None:
+                self._hand_to_judge(navigation, due.about)
 
-    def _hand_to_judge(self, navigation: Navigation) -> None:
-        about = self._about
+    def _hand_to_judge(self, navigation: Navigation, about: F64 | None) -> None:
         try:
             seen = self._mapping.snapshot(about)
         except LaneLost:

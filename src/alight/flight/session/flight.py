@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight import compiled
-from alight.arrays import F64
 from alight.checks import CheckResult, Judged
 from alight.checks.result import bad
 from alight.flight.autopilot import RemoteVehicle
@@ -24,14 +23,14 @@ from alight.flight.session.loop import STEP, TAKEN, FlightLoop
 from alight.flight.session.order_taker import OrderTaker, SpokenVehicle
 from alight.flight.session.pilot import LandingPilot, PilotView
 from alight.outputs import prepare_folder
+from alight.pipeline import FlightPolicy
 from alight.records import Event, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
 from alight.records.executive import FlightState, LookRecord, Transition
-from alight.runner.home import flown_home, with_home
+from alight.runs import flown_home, with_home
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
-from alight.sources.capture import PREFIXES
 from alight.sources.flight_log import CalibratedFolder
-from alight.sources.live import LiveSource, open_live
+from alight.sources.live import LiveSource, open_sensors
 
 PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are accepted
@@ -110,9 +109,7 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
         raise InputError("executive.look_again=false lands without looking: it is for campaigns; leave it out")
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
-    opened = open_live(
-        plan.camera, plan.settings, follow=not plan.camera.startswith(PREFIXES), rig=plan.rig, stopped=over.is_set
-    )
+    opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
     machine = preflight.judge_machine(
         compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget, plan.record
     )
@@ -203,12 +200,13 @@ class _Cabin:
         self._machine, self._tell, self._say = machine, tell, say
         self._vehicle: RemoteVehicle = feed.autopilot.vehicle
         self._hand: OrderTaker = SpokenVehicle(self._said_order) if plan.dry_run else self._vehicle
-        sites = plan.settings.sites.model_copy(update={"every": 0})  # judged on request of the executive
-        settings = plan.settings.model_copy(update={"sites": sites})
-        self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
+        settings, policy = plan.settings, FlightPolicy(every=0)  # judged as the executive needs it
+        self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, policy, self)
         self._loop = FlightLoop(feed, self._vehicle, self._hand, self._pilot, self._status)
         listener = Listener(self._pilot.moved, self._pilot.judged)
-        self._run = LiveRun(opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener)
+        self._run = LiveRun(
+            opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener, policy=policy
+        )
         self._arrivals, self._failed = Arrivals(), list[BaseException]()
         self._told = self._recorded = -math.inf
         self._checks: list[CheckResult] = []
@@ -273,9 +271,6 @@ class _Cabin:
 
     def _said_order(self, words: str) -> None:
         self._say(f"order, not sent: {words}")
-
-    def _judge(self, about: F64 | None) -> None:
-        self._run.live.judge_now(about)
 
     def _hear(self) -> Telemetry:
         """Pass new notices to the pilot and record the telemetry; return it."""

@@ -24,7 +24,6 @@ from alight.photos.reading.subtitles import Subtitle, read_srt
 from alight.records import InputError
 from alight.settings import Settings
 
-SUFFIXES = (".mp4", ".mov", ".m4v")
 OVERLAP = 0.8  # of one frame with the next, along the flight
 LEAST_STEP = 0.5  # metres
 USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not give it

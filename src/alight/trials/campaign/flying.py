@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from alight.records import InputError
 from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
 from alight.records.executive import FlightState
-from alight.runner.replay import appearance_of
+from alight.runs import appearance_of
 from alight.settings import Settings
 from alight.trials.campaign.error_line import error_line
 from alight.trials.campaign.factories import is_factory, made_world
@@ -129,7 +129,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     vehicle, appearance = checked_vehicle(conditions, settings), appearance_of(settings)
     happenings = Happenings(vehicle, conditions.faults)
     try:
-        landing = fly(vehicle, settings, appearance, happenings)
+        landing = fly(vehicle, settings, appearance, happenings, conditions.firmware)
     except Exception as e:
         log.info("landing %d: %s", conditions.landing, traceback.format_exc())
         return _raised(vehicle, conditions.model_copy(update={"faults": happenings.faults}), settings, e)

@@ -11,13 +11,15 @@ import numpy as np
 from alight.records import InputError
 from alight.records.campaign import Conditions, FaultRecord, LightRecord
 from alight.records.executive import FlightState
+from alight.records.telemetry import FirmwareName
 from alight.trials.campaign.factories import is_factory
 from alight.trials.campaign.faults import FAULTS
+from alight.trials.campaign.link_faults import drawn_link_fault
 from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.scene import built_in, read_scene
 
 MOST_WIND = 6.0  # m/s
-LIGHT = 1  # of the spawn key: random numbers of its own
+LIGHT, LINK = 1, 2  # of the spawn key: random numbers of their own
 SUN = (12.0, 75.0)  # degrees above the horizon
 OVERCAST, CLOUDY = 0.25, 0.25  # shares of the landings
 FAULTY = 1.0 / 3.0  # share of the landings
@@ -51,14 +53,20 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
     return scenes
 
 
-def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
+def conditions_of(
+    scenes: Sequence[str], seed: int, landing: int, link_faults: float = 0.0, firmware: FirmwareName = "ardupilot"
+) -> Conditions:
     """Draw the conditions of a landing: scenes take turns, all else is random.
 
     Args:
         scenes: names, files, or factories of worlds, which have a light of their own.
         seed: of the campaign.
         landing: its number, from 0.
+        link_faults: share of the landings with a fault of the link or the autopilot; the rest of what is drawn does
+            not depend on it.
+        firmware: of the simulated autopilot.
     """
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, LINK)))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing,)))
     world_seed, flight_seed = (int(s) for s in rng.integers(0, 2**31, 2))
     heading, blows, wind = rng.uniform(0, 2 * math.pi), rng.uniform(0, 2 * math.pi), rng.uniform(0, MOST_WIND)
@@ -69,7 +77,8 @@ def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
         flight_seed=flight_seed, heading=heading, wind=(wind * math.cos(blows), wind * math.sin(blows)),
         gusts=0.1 + 0.05 * wind, gps_sigma=(gps, gps, 1.5 * gps), gps_tau=rng.uniform(30.0, 120.0),
         light=None if is_factory(scene) else drawn_light(np.random.default_rng(light)),
-        faults=(_fault(rng),) if rng.random() < FAULTY else (),
+        faults=((_fault(rng),) if rng.random() < FAULTY else ()) + drawn_link_fault(stream, link_faults),
+        firmware=firmware,
     )  # fmt: skip
 
 

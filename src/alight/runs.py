@@ -1,13 +1,17 @@
-"""The home to which the heights of `route.plan` refer, from the user or from the autopilot."""
+"""The beginning and the end of a run of any kind: its model of appearance, its home and its result."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from alight.records import Home, InputError, RunResult, Telemetry
-from alight.sources.geoid import separation_at
+from alight.pipeline import Decision
+from alight.records import Home, InputError, PhotoRow, RunResult, Telemetry
+from alight.settings import Settings
+from alight.sources import Described
+from alight.terrain import Model
 
 FARTHEST = 50_000.0  # metres from the site: no vehicle that looks for one flies so far
 STEEPEST = 1000.0  # metres above or below the site
@@ -26,6 +30,8 @@ def wanted_home(text: str | None, geoid: Path | None = None) -> Home | None:
     home = Home.parse(text)
     if geoid is None or math.isfinite(home.separation):
         return home
+    from alight.sources.geoid import separation_at
+
     return home.with_separation(separation_at(geoid, home.latitude, home.longitude))
 
 
@@ -86,3 +92,54 @@ def _of_no_use(result: RunResult, home: Home) -> str:
     if not math.isfinite(home.separation):
         return "the receiver does not report both heights; give --separation, metres from sea level to the ellipsoid"
     return ""
+
+
+def appearance_of(settings: Settings) -> Model | None:
+    """Read the model of appearance that the settings name; None: they name none.
+
+    Raises:
+        InputError: its file is no model.
+    """
+    name = settings.terrain.model
+    if name is None or not settings.terrain.enabled:
+        return None
+    from alight.sources.appearance import read_model
+
+    return read_model(None if name == "default" else Path(name))
+
+
+def result_of(
+    source: Described,
+    settings: Settings,
+    d: Decision,
+    timings: Mapping[str, Sequence[float]],
+    photos: Sequence[PhotoRow] = (),
+) -> RunResult:
+    """Collect the contents of the output folder and the report.
+
+    Args:
+        source: the recording, or the source of a flight's events.
+        settings: all settings.
+        d: the decision.
+        timings: seconds of every step, by stage.
+        photos: outcome of each photo.
+    """
+    return RunResult(
+        source_name=source.name,
+        source_kind=source.kind,
+        local=source.local,
+        georeferenced=source.georeferenced,
+        settings=settings,
+        sites=d.sites,
+        elevation=d.elevation,
+        terrain=d.terrain,
+        hazards=d.hazards,
+        route=d.route,
+        motions=d.motions,
+        height_above_ground=d.height_above_ground,
+        counts=source.counts,
+        notes={**source.notes, **d.notes},
+        warnings=[*source.warnings, *d.warnings],
+        photos=photos,
+        timings=timings,
+    )

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from alight.photos.reading.photo_finding import find_photos
-from alight.photos.reading.photos import Photos
-from alight.photos.reading.video import SUFFIXES as VIDEOS
-from alight.photos.reading.video import open_video
 from alight.records import InputError
 from alight.settings import Settings
-from alight.sources.flight_log import FlightLog
-from alight.sources.recording import Recording
-from alight.sources.source import Source
+from alight.sources import Source
 
+VIDEOS = (".mp4", ".mov", ".m4v")
 LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
 
 
@@ -34,15 +29,25 @@ def _open(path: Path, settings: Settings) -> Source:
     if not path.exists():
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
     if path.is_file() and path.suffix.lower() == ".mcap":
+        from alight.sources.recording import Recording
+
         return Recording(path, settings)
     if path.is_file() and path.suffix.lower() in VIDEOS:
+        from alight.photos.reading.video import open_video
+
         return open_video(path, settings)
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
     if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
+        from alight.sources.flight_log import FlightLog
+
         return FlightLog(root, settings)
+    from alight.photos.reading.photo_finding import find_photos
+
     if (found := find_photos(root)).files:
+        from alight.photos.reading.photos import Photos
+
         return Photos(root, found.files, settings, found.closed)
     if not any(root.iterdir()):
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")

@@ -1,0 +1,126 @@
+"""The route as a QGroundControl plan."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+from alight.arrays import F64
+from alight.geometry import LocalFrame
+from alight.outputs.vectors import lon_lat_height, number
+from alight.records import Home, Route, Waypoint
+from alight.settings import Settings
+
+ARDUPILOT, MULTICOPTER = 3, 2  # MAV_AUTOPILOT, MAV_TYPE
+WAYPOINT, LAND, YAW, SPEED = 16, 21, 115, 178  # MAV_CMD
+MISSION, ABOVE_HOME = 2, 3  # MAV_FRAME
+OVER_GROUND, DOWNWARDS = 1.0, 3.0  # SPEED_TYPE
+SAME_THROTTLE = -1.0
+STEEP = 0.5  # m sideways, below which a leg goes straight down
+LOOK_TIME = 3.0  # s, of a hold where the ground is looked at
+NAME_WITH_HOME = "to site 1"
+NAME_WITHOUT_HOME = "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"
+HEIGHTS_ABOVE_HOME = "altitudes are metres above the home that was given, which is the planned home"
+HEIGHTS_ABOVE_SITE = (
+    "altitudes are metres above the ground of the landing site, which is the planned home; "
+    "where the vehicle's home is another place, add the site's height minus that home's height to every way-point"
+)
+
+
+class PlanItem(NamedTuple):
+    """One item of a plan: a command, its parameters, and where it holds."""
+
+    command: int
+    parameters: tuple[float, float, float, float]
+    position_world: F64 | None = None  # (3,) metres; None: speed and heading have no place
+
+
+def plan_items(route: Route) -> list[PlanItem]:
+    """Items of a route: place, speed and heading of each way-point, and a hold where the ground is looked at."""
+    *way, touchdown = route.waypoints
+    items = [_stop(way[0])]
+    for here, there in pairwise(way):
+        items += [*_leg(here, there), _stop(there)]
+    end = PlanItem(LAND, (0.0, 0.0, 0.0, _degrees(touchdown.heading)), touchdown.position_world)
+    return [*items, *_leg(way[-1], touchdown), end]
+
+
+def _leg(here: Waypoint, there: Waypoint) -> tuple[PlanItem, PlanItem]:
+    """Speed and heading of a leg, in this order and both every time.
+
+    Items before a way-point are executed on the way to it. But ArduPilot executes the first one before it starts the
+    leg, and that start resets the heading: the heading must be the second.
+    """
+    east, north, up = there.position_world - here.position_world
+    kind = DOWNWARDS if up < 0 and math.hypot(east, north) < STEEP else OVER_GROUND
+    speed = PlanItem(SPEED, (kind, there.speed, SAME_THROTTLE, 0.0))
+    return speed, PlanItem(YAW, (_degrees(there.heading), 0.0, 0.0, 0.0))
+
+
+def _stop(w: Waypoint) -> PlanItem:
+    return PlanItem(WAYPOINT, (LOOK_TIME if w.look else 0.0, 0.0, 0.0, _degrees(w.heading)), w.position_world)
+
+
+def _degrees(heading: float) -> float:
+    return math.degrees(heading) % 360.0
+
+
+def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[str, Any]:
+    """An item in QGroundControl's form; a parameter that is no number is null."""
+    frame = MISSION if item.position_world is None else ABOVE_HOME
+    simple = {
+        "type": "SimpleItem",
+        "command": item.command,
+        "frame": frame,
+        "doJumpId": jump_id,
+        "autoContinue": True,
+    }
+    parameters = [number(p, 4) for p in item.parameters]
+    if item.position_world is None:
+        return {**simple, "params": [*parameters, 0, 0, 0]}
+    longitude, latitude, height = lon_lat_height(local, *item.position_world)
+    altitude = round(height - zero, 3) + 0.0
+    return {
+        **simple,
+        "AMSLAltAboveTerrain": None,
+        "Altitude": altitude,
+        "AltitudeMode": 1,  # relative to home
+        "params": [*parameters, latitude, longitude, altitude],
+    }
+
+
+def _home_and_zero(site: list[float], home: Home | None) -> tuple[list[float], float]:
+    """The planned home, and the height above the ellipsoid to which altitudes refer."""
+    if home is None:
+        longitude, latitude, ground = site
+        return [latitude, longitude, ground], ground
+    return [home.latitude, home.longitude, home.altitude_msl], home.height
+
+
+def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home | None = None) -> dict[str, Any]:
+    """The route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
+
+    Altitudes are relative to the vehicle's home. Without one they are relative to the ground of the landing site, which
+    is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name states this.
+    """
+    planned, zero = _home_and_zero(lon_lat_height(local, *route.waypoints[-1].position_world), home)
+    return {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "name": NAME_WITH_HOME if home is not None else NAME_WITHOUT_HOME,
+        "heightReference": HEIGHTS_ABOVE_HOME if home is not None else HEIGHTS_ABOVE_SITE,
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": ARDUPILOT,
+            "vehicleType": MULTICOPTER,
+            "globalPlanAltitudeMode": 1,
+            "cruiseSpeed": settings.route.cruise_speed,
+            "hoverSpeed": settings.route.cruise_speed,
+            "plannedHomePosition": planned,
+            "items": [_item(i, item, local, zero) for i, item in enumerate(plan_items(route), 1)],
+        },
+    }

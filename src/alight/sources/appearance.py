@@ -1,0 +1,102 @@
+"""Files of models of appearance."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import U8
+from alight.documents import read_bytes
+from alight.learned import arrays_of, table_path
+from alight.records import InputError, Terrain
+from alight.terrain.features import LEVELS, names
+from alight.terrain.model import Head, Model
+
+DEFAULT_MODEL = table_path("appearance")
+LARGEST = 64_000_000  # bytes
+LONGEST_PROVENANCE = 20_000  # characters
+
+
+def model_bytes(model: Model) -> bytes:
+    """The model as a plain NumPy archive."""
+    arrays: dict[str, Any] = {"classes": model.classes, "provenance": np.array(model.provenance)}
+    for level, head in enumerate(model.heads):
+        if head is not None:
+            arrays[f"{level}.names"] = np.array(names(level))
+            arrays |= {f"{level}.{f.name}": np.asarray(getattr(head, f.name), np.float32) for f in fields(Head)}
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
+def read_model(path: Path | None = None) -> Model:
+    """Read a model from its file; without a name, the model of the package.
+
+    Raises:
+        InputError: it is missing, is no model, or was trained for other features.
+    """
+    return _default_model() if path is None else _model_of(path)
+
+
+@cache
+def _default_model() -> Model:
+    return _model_of(DEFAULT_MODEL)
+
+
+def _model_of(path: Path) -> Model:
+    try:
+        arrays = arrays_of(read_bytes(path, LARGEST))
+        classes = _classes(arrays["classes"])
+        heads = tuple(_head(arrays, len(classes), level) for level in range(LEVELS))
+        provenance = str(arrays["provenance"])[:LONGEST_PROVENANCE]
+    except OSError as e:
+        raise InputError(
+            f"{path}: cannot be read ({e.strerror or 'no model'}); name a file of 'alight terrain train'"
+        ) from e
+    except (KeyError, ValueError, TypeError) as e:
+        raise InputError(f"{path}: no model of this version ({e}); make one with 'alight terrain train'") from e
+    return Model(classes, heads, provenance)
+
+
+def _classes(codes: NDArray[Any]) -> U8:
+    """The classes of a model; a ValueError where they are no codes of land cover."""
+    if codes.ndim != 1 or codes.dtype.kind not in "ui" or not 1 < codes.size == np.unique(codes).size:
+        raise ValueError("its classes are no list of different codes")
+    if codes.min() < 1 or codes.max() > max(Terrain):
+        raise ValueError("a class that is none of ours")
+    return codes.astype(np.uint8)
+
+
+def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
+    if f"{level}.names" not in z:
+        return None
+    if tuple(z[f"{level}.names"]) != names(level):
+        raise ValueError("other features")
+    if any(z[f"{level}.{f.name}"].dtype.kind not in "fiu" for f in fields(Head)):
+        raise ValueError("an array of other than numbers")
+    values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"].astype(np.float32) for f in fields(Head)}
+    numbers: dict[str, Any] = {k: float(v) if v.ndim == 0 else v for k, v in values.items()}
+    head = Head(**numbers)
+    _check(head, classes, len(names(level)))
+    return head
+
+
+def _check(head: Head, classes: int, features: int) -> None:
+    """Raise a ValueError for a head of other shapes, or with numbers that are not finite."""
+    wanted = {
+        "mean": (features,), "spread": (features,), "weights": (classes, features), "bias": (classes,),
+        "centres": (classes, features), "metric": (features, features), "reach": (), "temperature": (),
+    }  # fmt: skip
+    for name, shape in wanted.items():
+        value = np.asarray(getattr(head, name))
+        if value.shape != shape or not np.isfinite(value).all():
+            raise ValueError(f"{name} is not {shape} finite numbers")
+    if not ((head.spread > 0).all() and head.reach > 0 and head.temperature > 0):
+        raise ValueError("spread, reach and temperature must be above 0")
