@@ -68,7 +68,7 @@ def part_batch(_: argparse.Namespace) -> None:
         estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": True}))
         truth = [f.truth(m.t_ns) for m in motions]
         online.append([error(m, t)[0] for m, t in zip(motions, truth, strict=True)])
-        batch.append([error(m, t)[0] for m, t in zip(estimator.smoothed(), truth, strict=True)])
+        batch.append([error(m, t)[0] for m, t in zip(estimator.refined().motions, truth, strict=True)])
 
     def ratio(part: slice, when: slice) -> float:
         a, b = (np.sqrt(np.mean(np.array(x)[:, when, part] ** 2)) for x in (online, batch))
@@ -196,8 +196,10 @@ def _photos(source: Source, attitude: bool) -> list[Motion]:
         if isinstance(e, NavSample):
             estimator.feed_nav(e if attitude else replace(e, world_from_body=None, sigma_attitude=None))
         elif isinstance(e, Frame):
-            estimator.feed_tracks(tracker.feed(e, estimator.predict(e.t_ns, tracker.last_ns)))
-    return estimator.smoothed()
+            predictor = estimator.predictor()
+            expected = None if predictor is None else predictor.cameras(e.t_ns, tracker.last_ns, estimator.imu)
+            estimator.feed_tracks(tracker.feed(e, expected))
+    return list(estimator.refined().motions)
 
 
 # -- outside tools -------------------------------------------------------------------------------------------------

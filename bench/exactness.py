@@ -8,7 +8,7 @@ from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose
 from alight_sim.cameras import Eye
 from alight_sim.kernels.raycast import cast_rays
-from alight_sim.world import World, world_of
+from alight_sim.scene_world import SceneWorld, world_of
 
 HEIGHT, BASELINE = 20.0, 0.5  # metres
 PLANE = (0.15, -0.08, 1.0)  # slope east, slope north, height at the origin
@@ -58,7 +58,7 @@ def _apart(camera: Camera, pose: Pose, seen: F64, true: F64) -> float:
     return float(np.max(views))
 
 
-def _look(world: World, camera: Camera, pose: Pose) -> tuple[F64, F64]:
+def _look(world: SceneWorld, camera: Camera, pose: Pose) -> tuple[F64, F64]:
     """(N, 3) exact directions of all pixels in the world, and (N, 3) points that they hit, metres."""
     u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height)))
     rays = camera.rays(np.stack([u, v], -1))
@@ -106,7 +106,7 @@ def _step(camera: Camera, pose: Pose) -> float:
     return float(np.abs(high).max())
 
 
-def _heights(world: World, camera: Camera, pose: Pose, pixels: F64) -> F64:
+def _heights(world: SceneWorld, camera: Camera, pose: Pose, pixels: F64) -> F64:
     """(N,) heights of the points that (N, 2) positions between the pixels hit, with rays rounded as an Eye's."""
     patch = world.patch((-20.0, -20.0, 20.0, 20.0))
     cell, rays = patch.grid.cell, camera.rays(pixels).astype(np.float32)

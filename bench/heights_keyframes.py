@@ -22,7 +22,7 @@ import numpy as np
 from heights_step import one_thread
 from ladder import rung
 
-from alight.pipeline.mapping.recursive import RecursiveMapper
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import Navigation, navigation_lane
 from alight.pipeline.timing import Timings
 from alight.records import Rig

@@ -16,9 +16,9 @@ from matchers import by_pair, map_of_pair
 from alight.arrays import F64
 from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.cell_size import nice_cell
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.pipeline.mapping.view_geometry import nice_cell
 from alight.records import ElevationMap, View
 from alight.settings import Settings
 
@@ -92,9 +92,8 @@ def sgbm_widest(shots: Shots, points: Points) -> Answer:
 def sgbm_map(shots: Shots, points: Points) -> Answer:
     """StereoSGBM on the widest pair, as a map of cells as large as Alight's."""
     first, last = shots[0][0], shots[-1][0]
-    cell = nice_cell(
-        ground_sampling(first, float(np.median(points.xyz[:, 2]))), Settings().tuning.mapping.cell_over_pixel
-    )
+    sampling = ground_sampling(first, float(np.median(points.xyz[:, 2])))
+    cell = nice_cell(Settings().tuning.mapping.cell_over_pixel * sampling)
     loose, strict = (map_of_pair(first, last, points.xyz, cell, s) for s in (False, True))
     return claimless(np.where(np.isfinite(strict), strict, loose), np.isfinite(strict))
 

@@ -20,8 +20,8 @@ from alight.records import InputError
 from alight_sim.flight import SimulatedFlight, fly
 from alight_sim.patterns import FlightPlan, Pattern
 from alight_sim.scene import Scene, built_in, read_scene
+from alight_sim.scene_world import SceneWorld, build
 from alight_sim.vehicle import Limits
-from alight_sim.world import World, build
 
 Kind = Literal["tuning", "test"]
 KINDS: tuple[Kind, ...] = ("tuning", "test")
@@ -126,7 +126,7 @@ class Rung:
         return scene.model_copy(update={"flight": flight, "imaging": imaging})
 
 
-def _open_place(world: World) -> tuple[float, float]:
+def _open_place(world: SceneWorld) -> tuple[float, float]:
     """East and north of the place nearest to the middle, along a spiral, above which a flight may come low.
 
     Raises:

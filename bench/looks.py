@@ -32,8 +32,8 @@ from alight.settings import Settings, load_settings
 from alight.trials.campaign.flying import lit_world
 from alight.trials.campaign.plan import campaign_world, drawn_light
 from alight_sim.oracle import OracleLander, safe_places
+from alight_sim.scene_world import SceneWorld
 from alight_sim.steered import SteeredFlight, Wanted
-from alight_sim.world import World
 
 FAMILIES = (
     "meadow", "village", "gravel", "concrete", "farmland", "quarry", "desert", "car_park", "depot", "pasture",
@@ -72,7 +72,7 @@ class Look:
         return np.asarray(np.hypot(east - self.place[0], north - self.place[1]) < REACH)
 
 
-def world_of(name: str) -> tuple[World, int]:
+def world_of(name: str) -> tuple[SceneWorld, int]:
     """The world of a name such as `meadow/looks/tuning-3` under a sun and a sky of its own, and its seed.
 
     Raises:
@@ -86,7 +86,7 @@ def world_of(name: str) -> tuple[World, int]:
     return lit_world(world, drawn_light(np.random.default_rng([seed, *family.encode()]))), seed
 
 
-def _places(world: World, rng: np.random.Generator) -> F64:
+def _places(world: SceneWorld, rng: np.random.Generator) -> F64:
     """Places (N, 2) to look at, metres."""
     anywhere = np.array([_open_place(world, rng) for _ in range(PLACES)])
     area = (-AREA, -AREA, AREA, AREA)
@@ -98,7 +98,7 @@ def _places(world: World, rng: np.random.Generator) -> F64:
     return anywhere
 
 
-def _open_place(world: World, rng: np.random.Generator) -> F64:
+def _open_place(world: SceneWorld, rng: np.random.Generator) -> F64:
     """A place above which a vehicle can fly its look legs."""
     place = np.zeros(2)
     for _ in range(TRIES):
@@ -110,12 +110,12 @@ def _open_place(world: World, rng: np.random.Generator) -> F64:
 
 
 class _Vehicle:
-    def __init__(self, world: World, seed: int) -> None:
+    def __init__(self, world: SceneWorld, seed: int) -> None:
         self.settings = load_settings("", ["parallax.method=ring", "sites.every=0"])
         self.rng = np.random.default_rng(seed)
         self.places = _places(world, self.rng)
         start = (self.places[0, 0] - 12.0, self.places[0, 1] - 11.0, START)
-        self.flight = SteeredFlight(world, seed, start=start, steered_by="truth")
+        self.flight = SteeredFlight(world, seed, start=start)
         self.pipeline = Pipeline(
             self.flight.rig, "flight", self.settings, history=False, imu=self.flight.imu_noise
         )  # fmt: skip

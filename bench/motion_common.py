@@ -79,12 +79,12 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
     stages = settings.stages(source.imu_noise)
     lane, out = FilterLane(source.rig, stages), Flown(source.rig)
     for event in source.events():
-        batch = lane.batch(event)
+        batch = lane.batcher.take(event)
         if batch is None:
             continue
         out.events += batch.rows
-        lane.hear(batch)
-        tracked = lane.track(batch)
+        lane.take_rows(batch)
+        tracked = lane.tracking.track(batch)
         if tracked is None:
             continue
         out.events.append(tracked.tracks)

@@ -62,11 +62,11 @@ def _in_turn(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> tuple[
     parts = {name: Meter() for name in ("rows", "tracking", "filter", "posterior", "yardstick")}
     posterior: Callable[[Navigation], object] = lambda n: n.posterior  # noqa: E731
     for e in events:
-        batch = lane.batch(e)
+        batch = lane.batcher.take(e)
         if batch is None or batch.frame is None or batch.frame.images[0] is None:
             continue
-        parts["rows"].on(lane.hear)(batch)
-        tracked = parts["tracking"].on(lane.track)(batch)
+        parts["rows"].on(lane.take_rows)(batch)
+        tracked = parts["tracking"].on(lane.tracking.track)(batch)
         assert tracked is not None
         navigation = parts["filter"].on(lane.update)(tracked)
         if navigation is not None:
@@ -108,8 +108,8 @@ def _threaded(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> float
         with suppress(Closed):
             while True:
                 batch = boxes[0].get()
-                boxes[1].put(partial(lane.hear, batch))
-                tracked = lane.track(batch)
+                boxes[1].put(partial(lane.take_rows, batch))
+                tracked = lane.tracking.track(batch)
                 if tracked is not None:
                     frames.append(tracked.frame.t_ns)
                     boxes[1].put(partial(lane.update, tracked))
@@ -126,7 +126,7 @@ def _threaded(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> float
     for t in threads:
         t.start()
     for e in events:
-        batch = lane.batch(e)
+        batch = lane.batcher.take(e)
         if batch is not None:
             boxes[0].put(batch)
     boxes[0].close()

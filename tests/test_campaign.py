@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,16 +20,17 @@ from length import first, long
 import alight
 from alight.cli import call
 from alight.cli import campaign as campaign_command
+from alight.cluster import do_alike
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
-from alight.runner import dask_client
 from alight.settings import Settings, load_settings
 from alight.trials import campaign as runner
 from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
 from alight.trials.campaign.faults import FAULTS, Happenings
 from alight.trials.campaign.flying import fly_conditions
+from alight.trials.campaign.link_faults import LINK_FAULTS
 from alight.trials.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
 from alight.trials.landing import Landing
 from alight.trials.report import campaign_numbers, unsafe_bound
@@ -66,10 +69,17 @@ def touch(vehicle: SteeredFlight, sink: float = 0.4, at: tuple[float, float] = (
     vehicle.contacts.append(TrueContact(START_NS + 10**10, Pose(np.eye(3), place), speed, 0.35))
 
 
-def lands(vehicle: SteeredFlight, settings: Settings, appearance: object, happening: Callable[..., None]) -> Landing:
+def moment(t: float, state: S) -> Any:
+    """A landing at one moment, as the faults are given it."""
+    return SimpleNamespace(t=t, state=state)
+
+
+def lands(
+    vehicle: SteeredFlight, settings: Settings, appearance: object, happening: Callable[..., None], *_: object
+) -> Landing:
     """A landing that takes two orders."""
     for t, state in ((0.0, S.SEARCH), (20.0, S.COMMIT)):
-        happening(t, state)
+        happening(moment(t, state))
     touch(vehicle, sink=0.4 + 1e-3 * (vehicle.seed % 7))
     found = (S.SEARCH, E.FOUND, S.APPROACH), (S.LOOK, E.CONFIRMED, S.COMMIT), (S.COMMIT, E.TOUCHED_DOWN, S.LANDED)
     parts = {"simulator": 3.0, "navigation": 0.5, "mapping": 2.0, "judging": 1.0}
@@ -161,8 +171,8 @@ def test_the_vehicle_flies_in_that_light_with_cameras_that_adapt(tmp_path: Path)
         flown(scene(tmp_path), looks, light=light)
     lit, own = (v.world.light for v in seen)
     assert (lit.elevation_deg, lit.azimuth_deg, lit.clouds.share) == (70.0, 10.0, 0.3)
-    assert own == seen[1].scene.light
-    assert [v.scene.imaging.auto for v in seen] == [True, False]
+    assert own == seen[1].world.scene.light
+    assert [v.world.imaging.auto for v in seen] == [True, False]
 
 
 def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -> None:
@@ -177,7 +187,7 @@ def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -
 def done_to(vehicle: SteeredFlight) -> str:
     """Text of everything that a fault may change."""
     sensors = vehicle._sensors.imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
-    return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.world.bodies), *sensors))
+    return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.bodies), *sensors))
 
 
 @pytest.mark.parametrize("what", FAULTS)
@@ -186,12 +196,12 @@ def test_every_fault_happens_once_at_its_state(what: str, tmp_path: Path) -> Non
     fault = FaultRecord(what=what, after=1.0, state="look", numbers=FAULTS[what].draw(np.random.default_rng(0)))
     happenings = Happenings(vehicle, (fault, fault.model_copy(update={"state": "commit"})))
     before = done_to(vehicle)
-    happenings(50.0, S.SEARCH)
-    happenings(51.0, S.LOOK)
+    happenings(moment(50.0, S.SEARCH))
+    happenings(moment(51.0, S.LOOK))
     assert before == done_to(vehicle)
-    happenings(52.5, S.DESCEND)
+    happenings(moment(52.5, S.DESCEND))
     assert before != done_to(vehicle)
-    happenings(53.0, S.LOOK)
+    happenings(moment(53.0, S.LOOK))
     assert [f.happened for f in happenings.faults] == [52.5, None]
 
 
@@ -202,11 +212,11 @@ def test_what_comes_stands_there_while_a_landing_can_be_broken_off(what: str, tm
     high, low = (SteeredFlight(scene(tmp_path), size=(64, 48), stereo=False, start=(0.0, 0.0, h)) for h in (5.5, 1.5))
     happenings = [Happenings(v, (fault,)) for v in (high, low)]
     for h in happenings:
-        h(1.0, S.COMMIT)
-    (body,) = high.world.bodies
+        h(moment(1.0, S.COMMIT))
+    (body,) = high.bodies
     assert body.goal == pytest.approx((0.0, 0.0), abs=0.01)
     assert 1.0 < body.arrives - high.seconds < 5.5 - 2.5 + 0.4  # the middle of the vehicle is above its feet
-    assert not low.world.bodies  # too low: nothing could be done
+    assert not low.bodies  # too low: nothing could be done
     assert happenings[1].faults[0].happened is None
 
 
@@ -565,6 +575,33 @@ def test_a_real_flight_is_the_same_again() -> None:
     assert one.conditions.faults[0].happened == pytest.approx(4.5, abs=0.11)
 
 
+def test_link_faults_are_drawn_beside_what_is_drawn_without_them() -> None:
+    plain = [conditions_of(("lake", "desert"), 5, k) for k in range(200)]
+    with_faults = [conditions_of(("lake", "desert"), 5, k, 0.5, "px4") for k in range(200)]
+    added = [c.faults[len(p.faults) :] for c, p in zip(with_faults, plain, strict=True)]
+    same = {"faults": (), "firmware": "ardupilot"}
+    assert [c.model_copy(update=same) for c in with_faults] == [c.model_copy(update=same) for c in plain]
+    assert 0.4 < sum(map(len, added)) / 200 < 0.6
+    assert {f.what for extra in added for f in extra} == set(LINK_FAULTS)
+    assert any(f.takes_control for extra in added for f in extra)
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@pytest.mark.parametrize("what", LINK_FAULTS)
+def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(what: str, firmware: str) -> None:
+    """The pilot that flies vehicles is given each fault in the search, over the protocol."""
+    kind = LINK_FAULTS[what]
+    numbers = {name: low for name, (low, _) in kind.ranges.items()}
+    fault = FaultRecord(what=what, after=2.0, state="search", numbers=numbers, takes_control=kind.takes_control)
+    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,), "firmware": firmware})
+    record = fly_conditions(given, load_settings("", ["executive.time_budget=9", "executive.search_side=40"])).record
+    assert record.error is None
+    assert record.conditions.faults[0].happened == pytest.approx(2.0, abs=0.1)
+    assert (record.outcome == "handed over") is kind.takes_control
+    assert record.is_right is kind.takes_control  # 9 s are too short for a landing
+    assert record.seconds < 8.0 or not kind.takes_control
+
+
 @long
 def test_a_real_landing_on_concrete() -> None:
     """In a whole landing, cameras that freeze for 20 s are reported and waited for; then come looks and touchdown."""
@@ -577,7 +614,7 @@ def test_a_real_landing_on_concrete() -> None:
     back = next(x for x in record.transitions if x.before == "hold" and x.t > lost.t)
     assert back.after == "search"
     assert 18.0 < back.t - lost.t < 22.0
-    assert set(record.cpu_of) == {"simulator", "navigation", "mapping", "judging"}
+    assert set(record.cpu_of) == {"simulator", "link", "navigation", "mapping", "judging"}
     assert 0.5 * record.cpu_s < sum(record.cpu_of.values()) < record.cpu_s
     assert record.p_at_commit is not None
     assert record.p_at_commit > 0.95
@@ -663,14 +700,14 @@ def test_a_cluster_that_loses_a_landing_time_and_again_is_told_and_keeps_what_th
 def test_a_worker_with_another_program_flies_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
     with distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster:
-        monkeypatch.setattr(dask_client, "sources_digest", lambda: "0123456789abcdef")  # in this process alone
+        monkeypatch.setattr("alight.cluster.sources_digest", lambda: "0123456789abcdef")  # in this process alone
         with pytest.raises(InputError, match="has another Alight than this program"):
             fly_campaign(small([scene(tmp_path)], 1), tmp_path / "out", scheduler=cluster.scheduler_address, fly=lands)
 
 
 def test_a_worker_that_comes_later_is_compared_as_well() -> None:
     with pytest.raises(InputError, match="install the same everywhere"):
-        dask_client.done_alike("0123456789abcdef", lambda c: pytest.fail("flown"), conditions("demo"))
+        do_alike("0123456789abcdef", lambda c: pytest.fail("flown"), conditions("demo"))
 
 
 # -- the report
@@ -811,8 +848,8 @@ def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]
     [
         (["medow"], "no scene is called 'medow'"),
         ([], "holds no campaign; name scenes"),
-        (["--seed", "0"], "name SCENES beside --seed"),
-        (["--look-again"], "name SCENES beside --seed"),
+        (["--seed", "0"], "name SCENES or --world beside"),
+        (["--look-again"], "name SCENES or --world beside"),
         (["demo", "--compare", "nowhere"], "nowhere: holds no campaign"),
         (["demo", "--scheduler", "tcp://127.0.0.1:9"], "distributed (Dask) is not installed"),
     ],

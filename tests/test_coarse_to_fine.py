@@ -16,6 +16,7 @@ from alight.parallax.batch import Images, match_tile
 from alight.parallax.plane_sweep import Spans, narrowed, upright
 from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.batch_map import MARGIN, BatchMap
+from alight.pipeline.mapping.cell_size import cell_size
 from alight.records import is_trusted
 from alight.settings import ParallaxSettings, load_settings
 
@@ -108,12 +109,12 @@ def test_views_that_are_ready_are_bounded_by_bytes() -> None:
 @pytest.mark.parametrize(("quality", "finest"), [("fast", 0.105), ("normal", 0.0525), ("fine", 0.0)])
 def test_cells_are_no_finer_than_the_lander_needs(quality: str, finest: float) -> None:
     view = Scene(spacing=1.0).views(1)[0]
-    lane = BatchMap(load_settings("", [f"parallax.quality={quality}"]).stages())
+    settings = load_settings("", [f"parallax.quality={quality}"]).stages()
     pixels = 2 if quality == "fast" else 1
     for up in (0.2, 1.0, UP):
         ground = float(view.centre[2]) - up
         want = max(1.8 * pixels * ground_sampling(view, ground), finest)
-        assert 1.8 * lane.sampling_of(view, ground) == pytest.approx(want)
+        assert cell_size(view, ground, settings, by_quality=True) == pytest.approx(want)
 
 
 def test_tiles_are_matched_in_blocks_where_the_pictures_are_large() -> None:

@@ -87,7 +87,7 @@ def a_run() -> RunResult:
     # truly 1.85 m west of the box: safe; at its place in the run, the footprint touches the box
     beside = replace(first, east=BOX[0] - 1.85 + OFFSET[0], north=5.0 + OFFSET[1])
     pond = replace(first, rank=2, east=POND[1] + OFFSET[0] - 0.5, north=POND[3] + OFFSET[1] - 0.5)
-    listed = Sites((beside, pond), candidates=(replace(pond, rank=3, kind="candidate"),))
+    listed = Sites((beside, pond), candidates=(replace(pond, rank=3, doubt="ground"),))
     return some_run(
         local=LOCAL, sites=listed, elevation=elevation, terrain=None, hazards=hazards, route=None,
         motions=motions, height_above_ground=30.0,

@@ -22,10 +22,11 @@ from alight.flight.executive.known_places import KnownPlaces
 from alight.flight.executive.look_leg import LookLeg
 from alight.flight.executive.look_planner import LookPlanner
 from alight.flight.executive.search import SearchLanes, square_spiral
+from alight.flight.executive.table import CROSSING, JUDGE_EVERY
 from alight.geometry import Grid
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
-from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
+from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order, Situation
 from alight.settings import Settings, load_settings, settings_of_run
 from alight.settings.user import ExecutiveKeys
 
@@ -69,7 +70,7 @@ class Ground:
         blank["flags"][:, np.abs(east) < 2.0] = int(Flag.UNSEEN) if self.gap else 0
         return replace(m, grid=grid, **blank | {"height": flat, "sigma": np.full(grid.shape, 0.02, np.float32)})
 
-    def seen(self, number: int, t: float, at: np.ndarray) -> Seen:
+    def seen(self, number: int, t: float, at: np.ndarray) -> MapVerdict:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
         p_map = np.full(grid.shape, np.nan, np.float32)
         reasons = np.full(grid.shape, int(Hazard.UNKNOWN), np.uint16)
@@ -79,19 +80,19 @@ class Ground:
                 continue
             p, (row, col) = p_of(float(at[2])), (round(v) for v in grid.index(np.array(e), np.array(n)))
             off_list = self.unlisted[0] < at[2] < self.unlisted[1]
-            doubt = int(Hazard.DOUBT) if off_list and p < 0.95 else 0
-            p_map[row, col], reasons[row, col] = p, doubt if p > 0 else int(Hazard.ROUGHNESS)
+            doubtful = p < 0.95
+            p_map[row, col], reasons[row, col] = p, doubtful * Hazard.DOUBT if p > 0 else Hazard.ROUGHNESS
             if p > 0 and not off_list:
                 look = NextView(e, n, 8.0, 8.0, True)
-                kind = "site" if p >= 0.95 else "candidate"
-                listed.append(replace(some_site(), east=e, north=n, up=0.0, p_safe=p, kind=kind, look=look, doubt=None))
+                doubt = "relief" if doubtful else None
+                listed.append(replace(some_site(), east=e, north=n, up=0.0, p_safe=p, look=look, doubt=doubt))
         listed.sort(key=lambda s: -s.p_safe)
         sites = tuple(s for s in listed if s.kind == "site")
         found = Sites(sites, "", self.frame_id, tuple(s for s in listed if s.kind == "candidate"))
         blank = np.zeros(grid.shape, np.float32)
         room = np.full(grid.shape, self.room, np.float32)
         danger = HazardMap(grid, blank, blank, blank, room, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
-        return Seen(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
+        return MapVerdict(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
 
 
 @dataclass
@@ -184,14 +185,15 @@ def test_a_look_passes_beside_the_place() -> None:
 
 
 def test_a_look_is_judged_at_the_end_of_its_leg() -> None:
-    """`crosses` is true while a leg is flown, and every look is recorded at the end of its leg."""
+    """Few verdicts are needed while a leg is flown, and every look is recorded at the end of its leg."""
     crossed = list[tuple[float, bool]]()
 
     def note(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.LOOK:
-            crossed.append((now.t, executive.crosses))
-        else:
-            assert not executive.crosses
+            assert executive.need is not None
+            crossed.append((now.t, executive.need.seconds == CROSSING))
+        elif executive.need is not None:
+            assert executive.need.seconds == JUDGE_EVERY[executive.state]
         return now
 
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), note)
@@ -598,8 +600,8 @@ class Late:
     """Verdicts that are old when they come."""
 
     age: float  # s
-    waiting: list[Seen] = field(default_factory=list)
-    newest: Seen | None = None
+    waiting: list[MapVerdict] = field(default_factory=list)
+    newest: MapVerdict | None = None
 
     def __call__(self, now: Situation, executive: Executive) -> Situation:
         if now.seen is not None and (not self.waiting or now.seen is not self.waiting[-1]):
@@ -767,7 +769,7 @@ def test_a_landing_that_waited_long_is_let_touch_down(aside: float) -> None:
 
 @pytest.mark.parametrize("height", [3.4, 3.0, 2.2])
 def test_verdicts_that_end_low_down_break_the_landing_off_soon(height: float) -> None:
-    last: list[Seen | None] = []
+    last: list[MapVerdict | None] = []
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
 
     def stall(now: Situation, executive: Executive) -> Situation:
@@ -879,7 +881,7 @@ def test_a_place_that_is_not_seen_any_more_breaks_a_landing_off_while_it_is_high
 
 
 def test_a_landing_without_verdicts_is_broken_off() -> None:
-    last: list[Seen | None] = []
+    last: list[MapVerdict | None] = []
 
     def stall(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.COMMIT:
@@ -1258,7 +1260,7 @@ def test_what_it_keeps_level_at_is_never_below_where_it_has_climbed_to() -> None
 
     def blow(now: Situation, executive: Executive) -> Situation:
         assert now.position is not None
-        if executive.state is not S.APPROACH or executive.about is None or executive.about[0] < 20.0:
+        if executive.state is not S.APPROACH or executive.target is None or executive.target.east < 20.0:
             return now
         aside = 0.0 if now.position[0] > 30.0 else 4.0 if now.position[0] > 17.0 else 1.0
         return replace(now, position=now.position + aside * np.array([0.0, 1.0, 0.0]))
@@ -1422,7 +1424,7 @@ def test_a_new_frame_drops_the_place_and_searches_again() -> None:
 
 def test_no_verdict_no_landing() -> None:
     """No landing begins if verdicts stop when the first look begins."""
-    frozen: list[Seen | None] = []
+    frozen: list[MapVerdict | None] = []
 
     def stop(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.LOOK or frozen:
@@ -1622,9 +1624,9 @@ def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: flo
 
 def test_of_places_alike_the_plain_one_is_visited_first() -> None:
     """Near looks settle paved ground and leave most grass in doubt; a site comes before both."""
-    grass = replace(some_site(), east=20.0, kind="candidate", p_safe=0.91, terrain=Terrain.SHORT_GRASS)
+    grass = replace(some_site(), east=20.0, doubt="relief", p_safe=0.91, terrain=Terrain.SHORT_GRASS)
     paved = replace(grass, east=40.0, p_safe=0.87, terrain=Terrain.PAVED)
-    site = replace(grass, east=60.0, p_safe=0.95, kind="site")
+    site = replace(grass, east=60.0, p_safe=0.95, doubt=None)
     sure = replace(grass, p_safe=0.98)
     for listed, first in (((grass, paved), paved), ((grass, paved, site), site), ((sure, paved), sure)):
         places = KnownPlaces(settings())

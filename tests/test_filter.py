@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from point_flight import PointFlight, fed, run
+from point_flight import PointFlight, fed, predicted, run
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
@@ -166,7 +166,7 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
 
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    window = f.keyframes()
+    window = f.clone_window()
     assert window is not None
     ring = window.posterior().motions
     assert len(ring) == FilterSettings().clones
@@ -177,7 +177,7 @@ def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Moti
 
 def test_the_joint_covariance_of_the_ring_belongs_to_its_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
     """The blocks are the covariances of the poses in the map; relative to each other, poses are known far better."""
-    window = flown[0].keyframes()
+    window = flown[0].clone_window()
     assert window is not None
     ring = window.posterior()
     K, P = len(ring.motions), ring.covariance
@@ -200,20 +200,20 @@ def test_gps_errors_do_not_shake_the_poses(flown: tuple[MotionFilter, list[Motio
 
 def test_the_prediction_is_where_the_next_exposure_finds_the_cameras(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    expected = f.predict(START + 6000 * MS)
+    expected = predicted(f, START + 6000 * MS)
     assert expected is not None
     poses = expected.world_from_cams
     assert len(poses) == 2
-    predicted = replace(motions[-1], t_ns=START + 6000 * MS, world_from_cams=poses)
-    assert drift_px(motions[-1], predicted) < 2.0  # the vehicle went 0.4 m, 6 px
-    early = f.predict(START)
+    there = replace(motions[-1], t_ns=START + 6000 * MS, world_from_cams=poses)
+    assert drift_px(motions[-1], there) < 2.0  # the vehicle went 0.4 m, 6 px
+    early = predicted(f, START)
     assert early is not None
     assert np.isfinite(early.world_from_cams[0].matrix).all()  # the past is not predicted: the present pose is returned
 
 
 def test_the_batch_makes_one_consistent_flight(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    smoothed = f.smoothed()
+    smoothed = list(f.refined().motions)
     assert [m.t_ns for m in smoothed] == [m.t_ns for m in motions]
     assert max(drift_px(a, b) for a, b in zip(smoothed, smoothed[10:], strict=False)) < 0.15
     assert np.abs(tilt(smoothed)).max() < 2e-3
@@ -226,7 +226,7 @@ def test_without_imu_the_motion_still_holds() -> None:
     f, out = fly([e for e in events(5.0) if not isinstance(e, ImuSample)])
     assert out[-1] is not None
     assert out[-1].state is MotionState.GOOD
-    smoothed = f.smoothed()
+    smoothed = list(f.refined().motions)
     assert max(drift_px(a, b) for a, b in zip(smoothed, smoothed[10:], strict=False)) < 0.25
 
 
@@ -235,7 +235,7 @@ def test_one_camera_is_enough_with_gps() -> None:
         return replace(t, pixels=t.pixels[:, :1], normalised=t.normalised[:, :1])
 
     f, _ = fly([left_only(e) if isinstance(e, Tracks) else e for e in events(5.0)], rig=Rig(RIG.cameras[:1]))
-    smoothed = f.smoothed()
+    smoothed = list(f.refined().motions)
     assert max(drift_px(a, b) for a, b in zip(smoothed, smoothed[10:], strict=False)) < 0.35
 
 
@@ -291,7 +291,7 @@ def test_repeated_and_backward_times_are_left_out() -> None:
     f, out = fly([*stream, last, replace(last, t_ns=last.t_ns - 500 * MS), stream[0], nav_at(0.2, world().rng)])
     assert out[-1] is None
     assert out[-2] is None
-    assert len(f.smoothed()) == len(out) - 2
+    assert len(f.refined().motions) == len(out) - 2
 
 
 def judged(health: Health, counts: Sequence[GateCounts], first: int = 0) -> list[MotionState]:
@@ -467,7 +467,7 @@ def test_the_posterior_follows_from_the_window_alone() -> None:
     events = PointFlight(seed=4, seconds=2.0, count=40).events
     half = len(events) // 2
     estimator, _ = run(events[:half])
-    at_once, later = estimator.keyframes(), estimator.keyframes()
+    at_once, later = estimator.clone_window(), estimator.clone_window()
     assert at_once is not None
     assert later is not None
     elsewhere = pickle.loads(pickle.dumps(later))

@@ -11,7 +11,7 @@ from point_flight import RIG
 from alight.geometry import Pose
 from alight.motion import RollbackFilter
 from alight.pipeline.navigation import Trajectory, filter_lane, navigation_lane
-from alight.pipeline.navigation.filter_lane import FilterHalf, HandoverInTurn
+from alight.pipeline.navigation.filter_lane import FilterLane
 from alight.records import Motion, Rig
 from alight.settings import FilterSettings, Settings, load_settings
 
@@ -38,10 +38,10 @@ def test_a_flight_holds_its_mounting(
 
 @pytest.mark.parametrize(("count", "cause"), [(2, "too few"), (5, "no solution")])
 def test_a_flight_that_was_not_smoothed_names_the_cause(count: int, cause: str) -> None:
-    half = FilterHalf(RIG, Settings().stages().motion.filter, HandoverInTurn(), True, 0)
+    lane = FilterLane(RIG, Settings().stages())
     pose = Pose(np.eye(3), np.zeros(3))
     motions = [Motion(k, pose, (pose, pose), np.eye(6)) for k in range(count)]
-    (warning,) = half.warnings(motions, smoothed=False)
+    (warning,) = lane.warnings(motions, smoothed=False)
     assert "could not be refined together" in warning
     assert cause in warning
 

@@ -67,7 +67,7 @@ def test_a_wait_between_two_looks_is_flown_under_guidance(dialect: str) -> None:
     """While no verdict comes, the vehicle stays in place, in guided mode."""
     r = rig(dialect)
     assert r.fly(S.LOOK)
-    r.pilot._judge = lambda about: None  # type: ignore[union-attr]
+    r.judges = False
     assert r.run(20.0, lambda: r.view is not None and r.view.order == "stay")
     r.run(1.5)
     before = r.truth()
@@ -117,7 +117,7 @@ def blow(r: PilotRig) -> None:
 
 
 def drain(r: PilotRig) -> None:
-    r.sim._flown = 1000.0
+    r.sim.vehicle.battery = 1.0 - 1000.0 / 1200.0
 
 
 FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightState]] = {

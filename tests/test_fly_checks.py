@@ -69,7 +69,7 @@ def test_checks_before_arming_that_are_off_are_told() -> None:
 def test_each_fault_is_found() -> None:
     r = hovering()
     r.sim.healthy = False
-    r.sim._flown = 1100.0
+    r.sim.vehicle.battery = 1.0 - 1100.0 / 1200.0
     r.sim.vehicle.wind_world = np.array([12.0, 0.0, 0.0])
     r.run(4.0)
     found = vehicle_checks(r, missing="the autopilot's GPS has no 3D fix")

@@ -16,14 +16,14 @@ from test_executive import Ground, clearer_from_below
 from alight.checks.result import bad
 from alight.cli import call
 from alight.cli.fly import facts
+from alight.flight.autopilot.firmware import ArduPilotFirmware
 from alight.flight.live.live import NAVIGATION
 from alight.flight.session import FlightStatus, flight
 from alight.flight.session.loop import TAKEN, UNCONFIRMED, FlightLoop
-from alight.flight.session.near import near_way
 from alight.flight.session.pilot import PilotView
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
-from alight.records.executive import FlightEvent, FlightState, Order, Seen
+from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -275,7 +275,7 @@ def test_a_landing_that_is_not_answered_is_asked_for_again() -> None:
 def raised(ground: Ground, up: float) -> See:
     """Return the same ground, `up` metres higher."""
 
-    def see(number: int, t: float, at: np.ndarray) -> Seen:
+    def see(number: int, t: float, at: np.ndarray) -> MapVerdict:
         low = ground.seen(number, t, at - [0.0, 0.0, up])
         sites, rest = (tuple(replace(s, up=up) for s in some) for some in (low.sites.sites, low.sites.candidates))
         elevation = replace(low.elevation, height=low.elevation.height + np.float32(up))
@@ -336,15 +336,10 @@ def test_a_near_target_is_beyond_where_the_vehicle_brakes(speed: float) -> None:
     def law(distance: float, braking: float) -> float:
         return distance if distance < braking / 2 else (braking * (distance - braking / 4)) ** 0.5
 
-    far = np.array([300.0, -400.0, -200.0])
-    way = near_way(far, speed, speed)
-    assert law(np.hypot(*way[:2]) - 0.49 * speed, 2.5) >= speed
-    assert law(-way[2] - 0.49 * speed, 1.0) >= speed
-    assert np.hypot(*way[:2]) < 0.7 + 0.5 * speed + 0.4 * speed**2  # 24 m at 7 m/s
-    assert way[0] / way[1] == pytest.approx(far[0] / far[1])
-    near = np.array([0.3, 0.2, 0.2])
-    np.testing.assert_array_equal(near_way(near, speed, speed), near)
-    np.testing.assert_array_equal(near_way(np.zeros(3), speed, speed), np.zeros(3))
+    over, down = (ArduPilotFirmware().reach(speed, upright) for upright in (False, True))
+    assert law(over - 0.49 * speed, 2.5) >= speed
+    assert law(down - 0.49 * speed, 1.0) >= speed
+    assert over < 0.7 + 0.5 * speed + 0.4 * speed**2  # 24 m at 7 m/s
 
 
 # -- impossible positions

@@ -93,7 +93,7 @@ def test_a_place_that_is_kept_is_forgotten_when_the_estimate_jumps(dialect: str,
     r = rig(dialect)
     assert r.fly(S.LOOK)
     assert r.pilot is not None
-    r.pilot._judge = lambda about: None  # type: ignore[method-assign]
+    r.judges = False
     assert r.run(30.0, lambda: r.orders[-1] == "stay")
     r.run(1.0)
     at, t, ways = r.truth(), r.t, [0.0]

@@ -16,6 +16,8 @@ from alight.flight.autopilot import TelemetryEvents
 from alight.flight.session.pilot import LandingPilot
 from alight.flight.session.take_off import TakeOff
 from alight.geometry import LocalFrame, Pose
+from alight.pipeline import FlightPolicy
+from alight.pipeline.navigation import Navigation
 from alight.records import Frame, Motion, NavSample, NoticeKind
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.settings import load_settings
@@ -45,23 +47,23 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
     ground, settings = Ground({PLACE: clearer_from_below}), load_settings("", ["executive.search_height=20"])
     number = 0
 
-    def judge(about: np.ndarray | None) -> None:
-        nonlocal number
-        t_ns, m, number = time.monotonic_ns(), pilot.motion, number + 1
-        if m is not None:
-            pilot.take_seen(ground.seen(number, (t_ns - begin) * 1e-9, m.world_from_body.translation), t_ns)
-
-    pilot, begin = LandingPilot(settings, LOCAL, vehicle, vehicle, judge, Silent()), time.monotonic_ns()
+    policy, begin = FlightPolicy(every=0), time.monotonic_ns()
+    pilot = LandingPilot(settings, LOCAL, vehicle, vehicle, policy, Silent())
     pilot.begin(begin)
     image, notices, searched = np.zeros((8, 8), np.uint8), [], list[float]()
 
     def landed() -> bool:
-        nonlocal image
+        nonlocal image, number
         now, image = time.monotonic_ns(), image + np.uint8(1)
         for row in ours.samples():
             if isinstance(row, NavSample) and row.position_world is not None:
-                pilot.saw(Frame(now, (image,)), now)
-                pilot.moved(Motion(row.t_ns, Pose(np.eye(3), row.position_world), (), np.eye(6)))
+                frame = Frame(now, (image,))
+                pilot.saw(frame, now)
+                motion = Motion(row.t_ns, Pose(np.eye(3), row.position_world), (), np.eye(6))
+                pilot.moved(motion)
+                if policy.due_verdict(Navigation(frame, motion), None):
+                    number += 1
+                    pilot.take_seen(ground.seen(number, (now - begin) * 1e-9, row.position_world), now)
         for notice in ours.notices():
             notices.append(notice)
             pilot.noticed(notice)

@@ -14,13 +14,14 @@ from length import EITHER
 
 from alight.cli import call
 from alight.flight.autopilot import Setpoint
-from alight.flight.session import follow
 from alight.geometry import Pose, so3_exp
 from alight.records import FlightMode
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
+from alight.trials import rehearse
 from alight.trials.rehearse import VehicleFollower
 from alight_sim import rehearsal, steered
+from alight_sim.cameras import Eye
 from alight_sim.followed import FollowedCameras, ReportedPlace, ReportedTrack
 from alight_sim.rehearsal import CameraFolder
 from alight_sim.steered import touchdown
@@ -52,10 +53,10 @@ def test_the_printed_commands_can_be_pasted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, said = tmp_path / "my pictures", list[str]()
-    monkeypatch.setattr(follow, "open_link", lambda *_, **__: SimpleNamespace(close=lambda: None))
-    monkeypatch.setattr(follow, "_follow", lambda *_: None)
+    monkeypatch.setattr(rehearse, "open_link", lambda *_, **__: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(rehearse, "_follow", lambda *_: None)
     cameras = FollowedCameras("concrete", 3, size=SIZE, rate_hz=RATE, start=(-20.0, -12.0))
-    follow.follow_vehicle("link", cameras, folder, 1.0, said.append)
+    rehearse.follow_vehicle("link", cameras, folder, 1.0, said.append)
     assert said == [f"ready: alight fly --link LINK --camera '{folder}' --out OUT --take-off 30"]
     quick = SimpleNamespace(wait=lambda *_: None, server=SimpleNamespace(behind=0.0))
     monkeypatch.setattr(rehearsal, "Rehearsal", lambda *_: nullcontext(quick))
@@ -110,7 +111,7 @@ def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> N
     for (t_ns, image), pose in list(zip(flown, poses, strict=True))[::6]:
         there = Pose(pose.rotation, home + pose.translation)
         body_from_cam = cameras.rig.cameras[0].body_from_cam
-        light = cameras._cameras._eyes[0].radiance(cameras.world, there @ body_from_cam, 0.0)
+        light = Eye(cameras.rig.cameras[0].camera).radiance(cameras.world, there @ body_from_cam, 0.0)
         seen, drawn = (a.astype(np.float32).reshape(*light.shape[:2], -1).mean(axis=2) for a in (light, image))
         shift, sure = cv2.phaseCorrelate(seen, drawn, cv2.createHanningWindow(SIZE, cv2.CV_32F))
         assert sure > 0.7, t_ns

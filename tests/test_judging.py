@@ -140,8 +140,8 @@ def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:
     frame = MapFrame(0, np.zeros(3), np.eye(3))
     verdict = Verdict(grey, cover, hazards(), Sites((), "fog"), frame)
     assert "the pictures are grey" in verdict.warnings[0]
-    assert replace(verdict, cover=coloured).warnings == ()
-    assert "terrain.enabled=false" in replace(verdict, cover=None).warnings[0]
+    assert replace(verdict, land_cover=coloured).warnings == ()
+    assert "terrain.enabled=false" in replace(verdict, land_cover=None).warnings[0]
 
 
 def on_a_roof(half: float) -> MapSnapshot:
@@ -160,8 +160,8 @@ def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:
     """The roof is remembered also in another map frame; a lane that has never seen its rim finds none."""
     lane, new = (JudgingLane(Settings().stages(), None, Timings()) for _ in range(2))
     near = on_a_roof(2.5)
-    assert not (new.judge(near).cover.label == Terrain.STRUCTURE).any()  # type: ignore[union-attr]
-    far = lane.judge(on_a_roof(12.0)).cover
+    assert not (new.judge(near).land_cover.label == Terrain.STRUCTURE).any()  # type: ignore[union-attr]
+    far = lane.judge(on_a_roof(12.0)).land_cover
     assert far is not None
     x, y = (np.abs(v) for v in far.grid.xy())
     assert (far.label == Terrain.STRUCTURE)[(x < 3)[None] & (y < 3)[:, None]].all()
@@ -170,7 +170,7 @@ def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:
     for at in (np.zeros(3), shift):
         there = replace(near.elevation, grid=replace(near.elevation.grid, east=at[0] - 2.5, north=at[1] + 2.5))
         frame = MapFrame(int(at.any()), -at, np.eye(3))
-        cover = lane.judge(replace(near, elevation=there, frame=frame)).cover
+        cover = lane.judge(replace(near, elevation=there, frame=frame)).land_cover
         assert cover is not None
         assert (cover.label == Terrain.STRUCTURE).all()
         assert (cover.landable == 0).all()

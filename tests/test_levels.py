@@ -13,8 +13,9 @@ from descent_views import descent, level_flight, look, surface
 from alight.elevation import FIELDS, NullStore
 from alight.geometry import Pose
 from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.cell_size import level_for
 from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.pipeline.mapping.view_geometry import footprint, level_for
+from alight.pipeline.mapping.view_geometry import footprint
 from alight.pipeline.remembered import NOWHERE
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings
@@ -194,13 +195,12 @@ def test_up_again_keeps_what_was_seen_from_near() -> None:
 
 def test_a_gust_does_not_change_the_cell() -> None:
     """With hysteresis, the cell does not change around the border between two levels, from either side."""
-    cell = 1.0
-    border, tuning = 2**-0.5 / 1.8, MappingTuning()  # metres a pixel
+    cell, border, slack = 1.0, 2**-0.5, MappingTuning().level_slack  # metres, metres, octaves
     for now in (0, -1):
-        assert {level_for(border * s, cell, now, tuning) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
-    assert level_for(border * 0.85, cell, 0, tuning) == -1
-    assert level_for(border * 1.15, cell, -1, tuning) == 0
-    assert level_for(0.05 / 1.8, cell, 0, tuning) == -4
+        assert {level_for(border * s, cell, now, slack) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
+    assert level_for(border * 0.85, cell, 0, slack) == -1
+    assert level_for(border * 1.15, cell, -1, slack) == 0
+    assert level_for(0.05, cell, 0, slack) == -4
 
 
 def test_a_cell_that_was_asked_for_stays() -> None:

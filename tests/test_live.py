@@ -19,16 +19,15 @@ from numpy.testing import assert_allclose
 from waiting import wait_until
 
 from alight.flight.live import Capacity, FlightHealth, LaneState, Listener, Live
-from alight.flight.live.effort import EffortControl
 from alight.flight.live.mailbox import Closed, Mailbox
 from alight.flight.live.nursery import Nursery
 from alight.flight.live.run import MOST_CELLS, for_flight
 from alight.flight.live.worker import LaneLost, Spec, Worker
 from alight.geometry import Camera
-from alight.pipeline import Decision, Pipeline, Verdict
-from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline import Decision, Pipeline, ScheduledPolicy, Verdict
 from alight.pipeline.navigation import FilterLane, FrameBatch, TrackedFrame
 from alight.pipeline.navigation.filter_lane import EventBatcher, prediction_for
+from alight.pipeline.policy import EffortControl
 from alight.records import (
     AlightError,
     ElevationMap,
@@ -43,6 +42,7 @@ from alight.records import (
     Schedule,
     SettingsError,
 )
+from alight.records.executive import Need
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
 
@@ -81,10 +81,10 @@ def map_bits(m: ElevationMap) -> list[bytes]:
 
 def verdict_bits(v: Verdict | Decision) -> list[object]:
     """Return grid, map, P(safe), reasons and sites, as bytes and text."""
-    danger = v.danger if isinstance(v, Verdict) else v.hazards
     assert v.elevation is not None
-    assert danger is not None
-    return [v.elevation.grid, *map_bits(v.elevation), danger.p_safe.tobytes(), danger.reasons.tobytes(), repr(v.sites)]
+    assert v.hazards is not None
+    p_safe, reasons = v.hazards.p_safe.tobytes(), v.hazards.reasons.tobytes()
+    return [v.elevation.grid, *map_bits(v.elevation), p_safe, reasons, repr(v.sites)]
 
 
 class Heard:
@@ -125,17 +125,17 @@ def test_tracking_may_run_ahead_of_the_filter_by_one_exposure() -> None:
         if navigation is not None and navigation.motion is not None:
             found.append(navigation.motion)
 
-    batches = [b for e in flight()[1] if (b := lane.batch(e)) is not None]
+    batches = [b for e in flight()[1] if (b := lane.batcher.take(e)) is not None]
     assert len(batches) == 31
     for k, batch in enumerate(batches):
         if k < 2:  # 0 needs the rows before it, 1 the state after 0
-            lane.hear(batch)
-        tracked = lane.track(batch)
+            lane.take_rows(batch)
+        tracked = lane.tracking.track(batch)
         assert tracked is not None
         while waiting:
             take_in()
         if k >= 2:
-            lane.hear(batch)
+            lane.take_rows(batch)
         waiting.append(tracked)
         if k < 1:
             take_in()
@@ -200,14 +200,8 @@ def feed_all(run: Live, pause: float = 0.0) -> Decision:
 def replayed(schedule: Schedule) -> tuple[Heard, Decision]:
     """Run the pipeline in turn, with the schedule of a live run."""
     heard = Heard()
-    p = Pipeline(flight()[0].rig, "flight", settings(), history=False, schedule=schedule)
-    judge = p.judge
-
-    def told(seen: MapSnapshot) -> Verdict:
-        heard.verdicts.append(judge(seen))
-        return heard.verdicts[-1]
-
-    p.judge = told  # type: ignore[method-assign]
+    policy, on_verdict = ScheduledPolicy(schedule), heard.listener.verdict
+    p = Pipeline(flight()[0].rig, "flight", settings(), history=False, policy=policy, on_verdict=on_verdict)
     for e in flight()[1]:
         motion = p.feed(e)
         heard.motions += [motion] if motion else []
@@ -219,7 +213,7 @@ def assert_flies_again(heard: Heard, decision: Decision, schedule: Schedule) -> 
     again, same = replayed(Schedule.from_json(schedule.to_json()))
     assert bits(heard.motions) == bits(again.motions)
     assert [m.frame_id for m in heard.motions] == [m.frame_id for m in again.motions]
-    assert [verdict_bits(v) for v in heard.verdicts] == [verdict_bits(v) for v in again.verdicts[:-1]]
+    assert [verdict_bits(v) for v in heard.verdicts] == [verdict_bits(v) for v in again.verdicts]
     assert decision.terrain is not None
     assert same.terrain is not None
     assert decision.terrain.label.tobytes() == same.terrain.label.tobytes()
@@ -272,21 +266,21 @@ def test_what_was_used_flies_again_bit_for_bit(nursery: Nursery) -> None:
 
 
 def test_verdicts_about_a_place_fly_again_bit_for_bit(nursery: Nursery) -> None:
-    """A landing requests verdicts about the place of its look: the replay shows each map the same place."""
+    """A landing needs verdicts about the place of its look: the replay shows each map the same place."""
     heard = Heard()
     run = live(nursery, heard)
     places = {8: np.array([-3.7, 2.1]), 16: np.array([4.3, 1.9]), 24: None}
     for e in flight()[1]:
         if isinstance(e, Frame) and (k := stamps().index(e.t_ns)) in places:
             wait_until(lambda: len(heard.motions) >= k)
-            run.judge_now(places[k])
+            run.policy.need = Need(0.5, places[k])
         run.feed(e)
     decision, schedule = run.finish(), run.schedule
     assert len(schedule.about) == len(schedule.judged)
     assert {(-3.7, 2.1), (4.3, 1.9), None} == set(schedule.about)
     assert_flies_again(heard, decision, schedule)
-    without, _ = replayed(replace(schedule, about=()))
-    assert [verdict_bits(v) for v in heard.verdicts] != [verdict_bits(v) for v in without.verdicts[:-1]]
+    without, _ = replayed(replace(schedule, about=(None,) * len(schedule.judged)))
+    assert [verdict_bits(v) for v in heard.verdicts] != [verdict_bits(v) for v in without.verdicts]
 
 
 # -- lanes that fail

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from some_run import LOCAL, candidate, elevation, site, some_run
+from some_run import LOCAL, candidate, elevation, hazards, site, some_run
 from test_pipeline import flight, settings_of
 
 from alight.geometry import Pose
 from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
-from alight.pipeline import Decision, Lanes, Pipeline
+from alight.pipeline import Decision, Lanes, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping.recursive import RecursiveMapper
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import Navigation, NavigationLane, Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.navigation.lane import Progress
@@ -85,6 +85,18 @@ def test_sites_and_views_move_with_it() -> None:
     assert before is not None
     assert_allclose(look.position_world, before.position_world + OFFSET)
     assert look.height == before.height
+
+
+def test_a_verdict_stays_in_the_frame_of_its_map_until_it_leaves() -> None:
+    verdict = Verdict(elevation(), None, hazards(), Sites((site(),)), frame_of(frame_id=3))
+    there = verdict.in_world()
+    assert there.elevation.grid == there.hazards.grid == frame_of().grid(elevation().grid)
+    assert_allclose(there.elevation.height, elevation().height + 0.75, rtol=1e-6)
+    assert there.sites.sites == (frame_of().site(site()),)
+    assert there.sites.frame_id == there.elevation.frame_id == there.frame.frame_id == 3
+    again = there.in_world()
+    assert again.elevation.height is there.elevation.height
+    assert again.sites == there.sites
 
 
 def test_a_tie_adds_up_what_is_not_known_of_both_places() -> None:

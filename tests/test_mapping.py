@@ -21,8 +21,8 @@ from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import ground_map
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, in_world
-from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Timings
@@ -60,7 +60,7 @@ def test_the_bytes_of_a_store_are_counted_once(monkeypatch: pytest.MonkeyPatch) 
     """Summed anew at each photo, they took seconds for some thousand photos."""
     counted = []
     monkeypatch.setattr(Keyframe, "bytes", property(lambda k: counted.append(k) or 6))
-    store = FrameStore(turn=0.15)
+    store = FrameStore()
     for k in range(10):
         store.keep(frame(k))
     assert (store.bytes, len(counted)) == (60, 10)

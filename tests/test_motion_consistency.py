@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp, so3_log
-from alight.motion.ekf.keyframe_posterior import KeyframeWindow
+from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
 from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmarks
 from alight.motion.elimination import marginalise_points, unit_noise_rows
@@ -144,7 +144,7 @@ def test_features_that_drift_together_get_little_weight() -> None:
         weight = robust_pose_weights(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
         for name, some in (("all", observations), ("still", observations.select(~moves))):
-            p = KeyframeWindow.of(state, some, CAMS, ALIKE).refined().p - poses.p
+            p = CloneWindow.of(state, some, CAMS, ALIKE).refined().p - poses.p
             off[name].append(float(np.linalg.norm(p[-1] - p[0])))
         A, b = found.information(np.ones(60))
         e = (np.linalg.solve(np.eye(36) + state.P[CORE:, CORE:] @ A, state.P[CORE:, CORE:] @ b)).reshape(-1, 6)
@@ -260,7 +260,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
         at = state.clone_slice(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))
-    found = KeyframeWindow.of(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE).refined()
+    found = CloneWindow.of(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE).refined()
     e = (found.p - true.p).ravel()
     assert np.abs(e).max() < 0.15
     sigma = np.sqrt(np.diag(found.covariance).reshape(4, 6)[1:, 3:]).ravel()
@@ -274,7 +274,7 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
     true, x = row_of_poses(rng, 4), ground(rng, 200)
     state = window_at(true, 4e-2, 100.0)
     observations = seen_from(true, x, rng, 5e-3)
-    tight, loose = (KeyframeWindow.of(state, observations, CAMS, s).refined() for s in (ALIKE, wide))
+    tight, loose = (CloneWindow.of(state, observations, CAMS, s).refined() for s in (ALIKE, wide))
     np.testing.assert_array_equal(loose.p, tight.p)
     np.testing.assert_allclose(loose.covariance[-6:, -6:], tight.covariance[-6:, -6:])
     seen = []
@@ -296,7 +296,7 @@ def test_observations_that_contradict_the_poses_as_a_whole_move_none_of_them() -
     turned = good.normalised.copy()
     turned[:, 2:] *= -1.0
     for observations, moves in ((good, True), (replace(good, normalised=turned), False)):
-        window = KeyframeWindow.of(state, observations, CAMS, ALIKE)
+        window = CloneWindow.of(state, observations, CAMS, ALIKE)
         found = window.refined()
         assert (np.abs(found.p - true.p).max() > 0.0) == moves
         assert (found.covariance[-1, -1] < window.P[-1, -1]) == moves

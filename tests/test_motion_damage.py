@@ -103,7 +103,7 @@ def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
     assert {m.frame_id for m in motions if seconds(m) < 6.0} == {0}
     assert motions[-1].frame_id == 1
     assert {m.state for m in motions if seconds(m) > 7.0} == {GOOD}
-    window = estimator.keyframes()
+    window = estimator.clone_window()
     assert window is not None
     assert {m.frame_id for m in window.posterior().motions} == {1}
     assert max(nees(m, f.truth(m.t_ns)) for m in motions if seconds(m) > 7.0) < 30.0
@@ -131,7 +131,7 @@ def test_live_needs_no_recording(smooth: bool) -> None:
     """With `smooth: false` nothing is kept for the smoother, and motions still come out."""
     f = PointFlight(seed=5, seconds=1.0, count=60)
     estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": smooth}))
-    assert bool(estimator.smoothed()) == smooth
+    assert bool(estimator.refined().motions) == smooth
     assert motions[-1].state in (MotionState.GOOD, MotionState.INITIALISING)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from point_flight import NOISE, RIG, PointFlight, fed
+from point_flight import NOISE, RIG, PointFlight, fed, predicted
 
 from alight.arrays import F64
 from alight.geometry import Camera, Pose, so3_exp, so3_log
@@ -75,7 +75,7 @@ def test_without_imu_the_change_is_far_less_sure() -> None:
         f, then, now, rows = after(2.0, imu)
         for row in rows:
             f.feed_imu(row)
-        expected = f.predict(now, then)
+        expected = predicted(f, now, then)
         assert expected is not None
         assert expected.covariance is not None
         found.append(np.sqrt(np.diag(expected.covariance)))

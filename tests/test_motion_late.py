@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from point_flight import CAMERA, DOWN, NOISE, RIG, PointFlight, best, error, fed, nees, run, seconds
+from point_flight import CAMERA, DOWN, NOISE, RIG, PointFlight, best, error, fed, nees, predicted, run, seconds
 
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion import MotionFilter, RollbackFilter
@@ -23,7 +23,7 @@ def flown(events: list[Event | Tracks], settings: FilterSettings = SMALL) -> tup
 
     def expected() -> Iterator[Event | Tracks]:
         for e in events:
-            assert not isinstance(e, Tracks) or f.predict(e.t_ns) is not None
+            assert not isinstance(e, Tracks) or predicted(f, e.t_ns) is not None
             yield e
 
     return f, [m for m in fed(f, expected()) if m is not None]
@@ -73,7 +73,7 @@ def test_the_batch_has_late_exposures_in_their_place() -> None:
     settings = SMALL.model_copy(update={"smooth": True})
     late, _ = flown(delayed(f.events, Tracks, 0.25, 0.3), settings)
     whole, _ = flown(f.events, settings)
-    a, b = late.smoothed(), whole.smoothed()
+    a, b = late.refined().motions, whole.refined().motions
     assert [m.t_ns for m in a] == [m.t_ns for m in b]
     assert (
         max(

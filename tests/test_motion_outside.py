@@ -13,7 +13,7 @@ from point_flight import PointFlight, best, run
 from test_motion_consistency import ALIKE, CAMS, ground, row_of_poses, seen_from
 
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion.ekf.keyframe_posterior import KeyframeWindow
+from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.state import CORE, FilterState
 
 
@@ -40,7 +40,7 @@ def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("alight.motion.robust.robust_weights", lambda misfit, median: np.ones(len(misfit)))
     gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed: pip install 'alight[reference]'")
     state, observations, x = loose_state(1)
-    found = KeyframeWindow.of(state, observations, CAMS, ALIKE).refined()  # type: ignore[arg-type]
+    found = CloneWindow.of(state, observations, CAMS, ALIKE).refined()  # type: ignore[arg-type]
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([2e-3, 0.1], 3))
     pixel, lens = gtsam.noiseModel.Isotropic.Sigma(2, 1e-3), gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)

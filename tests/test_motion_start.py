@@ -102,14 +102,14 @@ def test_an_exposure_without_keyframes_has_a_posterior() -> None:
     """A blank exposure at the start, and one at which all clones were dropped: the pose by itself, with its error."""
     f = PointFlight(seed=1, seconds=1.0, count=30)
     estimator = MotionFilter(RIG, SMALL)
-    assert estimator.keyframes() is None
+    assert estimator.clone_window() is None
     motion: Motion | None = None
     for e in f.events:
         event = blind(e) if isinstance(e, Tracks) else e
         (motion,) = fed(estimator, [event]) or [motion]
         if motion is not None:
             break
-    window, state = estimator.keyframes(), estimator.state
+    window, state = estimator.clone_window(), estimator.state
     assert motion is not None
     assert window is not None
     assert state is not None

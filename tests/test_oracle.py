@@ -117,12 +117,11 @@ def test_sink_and_drift_have_limits_of_their_own():
 
 
 def test_bodies_are_there_when_they_are_there():
-    world = ground(0.0)
-    world.bodies.append(Body(True, (0.0, 0.0), (0.0, 0.0), 5.0, 5.0, 0.0, lambda e, n: 0.0))
-    assert judge_touchdown(world, LEGGED, down_at(0.0, 1.5), seconds=4.0).safe
-    got = judge_touchdown(world, LEGGED, down_at(0.0, 1.5), seconds=6.0)  # the car is 1.8 m wide: beside two feet
-    assert "belly" in got.reasons
-    assert judge_touchdown(world, LEGGED, down_at(0.0, 2.0), seconds=6.0).safe
+    world, car = ground(0.0), [Body(True, (0.0, 0.0), (0.0, 0.0), 5.0, 5.0, 0.0, lambda e, n: 0.0)]
+    assert judge_touchdown(world, LEGGED, down_at(0.0, 1.5), seconds=4.0, bodies=car).safe
+    got = judge_touchdown(world, LEGGED, down_at(0.0, 1.5), seconds=6.0, bodies=car)
+    assert "belly" in got.reasons  # the car is 1.8 m wide: beside two feet
+    assert judge_touchdown(world, LEGGED, down_at(0.0, 2.0), seconds=6.0, bodies=car).safe
 
 
 def test_a_grid_of_places_says_what_single_touchdowns_say():

@@ -18,7 +18,7 @@ import pytest
 from drawn_photos import SMALL, draw_photos
 
 from alight.cli import call
-from alight.jobs import InTurn, KeptHere, Sent, Task
+from alight.jobs import InTurn, Task
 from alight.outputs.work_folder import WORK
 from alight.photos.work import SavedJobs
 from alight.photos.work.packing import is_whole, pack_result, unpack_result
@@ -96,22 +96,6 @@ def test_packing_gives_the_same_bits_and_knows_no_other_kind() -> None:
     np.testing.assert_array_equal(back["c"], value["c"])
     with pytest.raises(TypeError, match="not saved"):
         pack_result(Path("x"), "")
-
-
-def test_arguments_are_sent_and_kept() -> None:
-    made: list[int] = []
-
-    def make() -> list[int]:
-        made.append(1)
-        return made
-
-    def add(cache: list[int], both: tuple[int, int], c: int) -> int:
-        return len(cache) + sum(both) + c
-
-    jobs = InTurn()
-    work = [Task(f"{k}", add, (KeptHere("cache", make), (Sent("a", 10), 20), 30)) for k in range(3)]
-    assert list(jobs.run(work)) == [61, 61, 61]
-    assert list(jobs.run(work)) == [62, 62, 62]  # made anew: the objects of a step are released at its end
 
 
 def test_work_of_something_else_is_refused_by_name(tmp_path: Path) -> None:

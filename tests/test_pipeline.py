@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -12,14 +13,14 @@ from alight.arrays import I64
 from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
-from alight.pipeline import Decision, Pipeline
+from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
 from alight.pipeline.mapping import FinishedMap, recursive_map
-from alight.pipeline.mapping.batch import BatchMapper
+from alight.pipeline.mapping.batch_mapper import BatchMapper
+from alight.pipeline.mapping.cell_size import nice_cell
 from alight.pipeline.mapping.frame_store import FrameStore
 from alight.pipeline.mapping.ground_map import lone
-from alight.pipeline.mapping.recursive import RecursiveMapper
-from alight.pipeline.mapping.view_geometry import nice_cell
-from alight.pipeline.navigation import FilterLane, Trajectory
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.navigation import FilterLane, Navigation, Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.remembered import CELL
 from alight.pipeline.timing import Timings
@@ -36,6 +37,7 @@ from alight.records import (
     Rig,
     RigCamera,
 )
+from alight.records.executive import Need
 from alight.settings import Settings, StageSettings, load_settings
 from alight.settings.tuning import MappingTuning
 from alight_sim import SimulatedFlight, default_rig, fly
@@ -289,17 +291,20 @@ def test_a_hover_without_history_holds_little() -> None:
 def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:
     """Sites of earlier keyframes are kept although the newest keyframe does not see them any more."""
     f, events = flight()
-    settings = settings_of("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.1", "sites.margin=0")
-    p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
+    settings = settings_of("parallax.method=ring", "hazards.p_safe=0.1", "sites.margin=0")
+    policy, verdicts = FlightPolicy(every=5), list[Verdict]()
+    p = Pipeline(
+        f.rig, "flight", settings, f.truth_trajectory, history=False, policy=policy,
+        on_verdict=lambda verdict, t_ns: verdicts.append(verdict),
+    )  # fmt: skip
     reserves = [p.reserve]
     for e in events:
+        policy.need = Need(0.0) if e.t_ns == f.frame_times[-1] else None
         p.feed(e)
         if p.reserve is not reserves[-1]:
             reserves.append(p.reserve)
     assert max(len(r.sites) for r in reserves) >= 2
-    now = p.judge_now()
-    assert now is not None
-    reserves.append(p.reserve)
+    now = verdicts[-1]
     held = p.reserve.sites
     assert held[: len(now.sites.sites)] == now.sites.sites
     east, _ = now.elevation.grid.xy()
@@ -335,21 +340,46 @@ def test_the_end_of_a_flight_knows_what_moved_and_who_came(monkeypatch: pytest.M
 
 
 def test_a_place_that_is_asked_about_is_judged_though_the_newest_keyframe_does_not_look_there() -> None:
-    """The executive requests a verdict on the place that it flies to, and the map still has the ground there."""
+    """The executive needs a verdict on the place that it flies to, and the map still has the ground there."""
     f, events = flight()
-    settings = settings_of("parallax.method=ring", "sites.every=0")
-    p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
+    settings, policy, verdicts = settings_of("parallax.method=ring"), FlightPolicy(every=0), list[Verdict]()
+    p = Pipeline(
+        f.rig, "flight", settings, f.truth_trajectory, history=False, policy=policy,
+        on_verdict=lambda verdict, t_ns: verdicts.append(verdict),
+    )  # fmt: skip
     for e in events:
+        if isinstance(e, Frame) and e.t_ns == f.frame_times[-2]:
+            policy.need = Need(0.0)
+        if isinstance(e, Frame) and e.t_ns == f.frame_times[-1]:
+            grid = verdicts[-1].elevation.grid
+            place = np.array([grid.east - 4.0, grid.north - grid.cell * grid.rows / 2])  # behind, west of the map
+            policy.need = Need(0.0, place)
         p.feed(e)
-    now = p.judge_now()
-    assert now is not None
-    grid = now.elevation.grid
-    place = np.array([grid.east - 4.0, grid.north - grid.cell * grid.rows / 2])  # behind the vehicle, west of the map
-    there = p.judge_now(place)
-    assert there is not None
-    r, c = (int(np.rint(v)) for v in there.danger.grid.index(place[0], place[1]))
+    _, there = verdicts
+    r, c = (int(np.rint(v)) for v in there.hazards.grid.index(place[0], place[1]))
     assert np.isfinite(there.elevation.height[r - 5 : r + 6, c - 5 : c + 6]).any()
     assert there.elevation.grid.east <= place[0] - settings.stages().mapping.judged_about + 0.5
+
+
+def test_a_map_is_judged_when_the_need_calls_for_it_and_the_lane_is_free() -> None:
+    """Time is that of the exposures, 0.1 s apart: a verdict each 0.3 s, the first at once; one waits for the lane."""
+    policy, place = FlightPolicy(every=0), np.array([1.0, 2.0])
+
+    def judged(exposures: Iterable[int], free: bool = True) -> list[int]:
+        shown = [(k, Navigation(Frame(k * 100_000_000, ()), None)) for k in exposures]
+        return [k for k, n in shown if policy.due_verdict(n, None, free)]
+
+    assert judged(range(3)) == []
+    policy.need = Need(0.3, place)
+    assert judged(range(3, 11)) == [3, 6, 9]
+    assert judged(range(11, 15), free=False) == []
+    assert judged(range(15, 20)) == [15, 18]
+    assert judged([17, 12, 20]) == []  # those that come late
+    due = policy.due_verdict(Navigation(Frame(2_100_000_000, ()), None), None)
+    assert due is not None
+    assert due.about is place
+    policy.need = None
+    assert judged(range(22, 40)) == []
 
 
 def test_nothing_is_judged_in_flight_where_it_is_not_asked_for() -> None:
@@ -445,7 +475,7 @@ def test_given_poses_replace_what_navigation_says() -> None:
     ("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.22, 0.5), (0.55, 1.0)]
 )
 def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
-    assert nice_cell(sampling, 1.8) == cell
+    assert nice_cell(1.8 * sampling) == cell
 
 
 # -- damaged streams through the lane
@@ -489,7 +519,7 @@ def test_of_frames_with_one_stamp_the_first_is_used() -> None:
 
 
 def test_thinning_keeps_the_newest_and_every_second() -> None:
-    store = FrameStore(turn=0.15)
+    store = FrameStore()
     for k in range(7):
         store.keep(Frame(k, (np.zeros((2, 3), np.uint8),)))
     store.thin()

@@ -19,7 +19,7 @@ from alight.settings.page import settings_page
 MOVED = {
     "tracks": "count window_px levels search_px search_sigmas search_sigma_px forward_backward_px epipolar_px texture",
     "motion.filter": "points clones pixel_sigma pixel_repeat texture_reference depth_share vague_share "
-    "keyframe_baseline nav_position_tau nav_attitude_tau nav_velocity_tau nav_position_white nav_attitude_white "
+    "nav_position_tau nav_attitude_tau nav_velocity_tau nav_position_white nav_attitude_white "
     "nav_velocity_white nav_rate_white position_sigma attitude_sigma velocity_sigma acceleration_sigma "
     "angular_acceleration_sigma gyro_noise gyro_walk gyro_bias_sigma accelerometer_noise accelerometer_walk "
     "accelerometer_bias_sigma lateness gate coast smooth track_span",

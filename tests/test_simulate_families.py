@@ -14,15 +14,15 @@ from alight.records import InputError, Terrain
 from alight_sim.kernels.stamps import EAST, EXTRA, HALF_U, HALF_V, NORTH
 from alight_sim.looks import Look
 from alight_sim.scene import built_in, parse_scene, read_scene
+from alight_sim.scene_world import SceneWorld, build
 from alight_sim.things.stones import share_above
 from alight_sim.truth import SceneTruth
 from alight_sim.variation import resolve
-from alight_sim.world import World, build
 
 FAMILIES = tuple(name for name, path in built_in().items() if "\ndraw:" in path.read_text(encoding="utf-8"))
 
 
-def flat(*layers: dict[str, Any], size: float = 20.0, seed: int = 0, **ground: Any) -> World:
+def flat(*layers: dict[str, Any], size: float = 20.0, seed: int = 0, **ground: Any) -> SceneWorld:
     tree = {"ground": {"cell": 0.05, "size": [size, size], "relief": [{"height": 0}], "layers": list(layers), **ground}}
     return build(parse_scene(tree, "test.yaml"), seed)
 

@@ -20,7 +20,7 @@ from alight_sim.looks import Look
 from alight_sim.materials import MATERIALS, tables
 from alight_sim.movers import Mover, Traffic, boxes_at
 from alight_sim.patch import GroundPatch
-from alight_sim.world import world_of
+from alight_sim.scene_world import world_of
 
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # image top is east, image right is south
 SMALL = Camera(160, 96, 120.0, 120.0, 79.5, 47.5)

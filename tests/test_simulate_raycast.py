@@ -11,7 +11,7 @@ from alight_sim.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
 from alight_sim.kernels.raycast import cast_ray, cast_rays, max_pyramid
 from alight_sim.light import Light
 from alight_sim.patch import GroundPatch
-from alight_sim.world import world_of
+from alight_sim.scene_world import world_of
 
 LENSES = {
     "none": Camera(96, 72, 72.0, 71.0, 48.3, 36.1),

@@ -23,8 +23,8 @@ from alight_sim.kernels.noise import gradient_noise
 from alight_sim.kernels.stamps import EAST, HALF_U, NORTH
 from alight_sim.looks import Look
 from alight_sim.scene import Scene, built_in, parse_scene, read_scene, things
+from alight_sim.scene_world import build, world_of
 from alight_sim.truth import TrueFootprint, safe_mask
-from alight_sim.world import build, world_of
 
 FLAT = [{"height": 0.0}]
 

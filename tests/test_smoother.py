@@ -23,7 +23,7 @@ Keep = Callable[[Event | Tracks], bool]
 
 
 def smoothed(f: PointFlight, keep: Keep = lambda e: True) -> list[Motion]:
-    return run([e for e in f.events if keep(e)], SMOOTH)[0].smoothed()
+    return list(run([e for e in f.events if keep(e)], SMOOTH)[0].refined().motions)
 
 
 def relative(f: PointFlight, motions: list[Motion]) -> F64:
@@ -111,7 +111,7 @@ def test_a_guessed_attitude_is_believed_as_little_as_in_the_filter() -> None:
     f = PointFlight(seed=2, seconds=3.0, count=40, imu=False)
     bare = {"world_from_body": None, "velocity_world": None, "angular_velocity_body": None}
     events = [replace(e, **bare) if isinstance(e, NavSample) else e for e in f.events]  # type: ignore[arg-type]
-    motions = run(events, SMOOTH)[0].smoothed()
+    motions = run(events, SMOOTH)[0].refined().motions
     tilts = np.array([np.sqrt(np.diag(m.covariance)[3:5]).max() for m in motions])
     assert len(motions) > 20
     assert tilts.min() > 0.06
@@ -122,7 +122,7 @@ def test_gps_that_becomes_better_places_the_flight_better() -> None:
     f = PointFlight(seed=4, seconds=2.0, count=40, sigma_position=(0.1, 0.1, 0.1))
     poor = np.full(3, 10.0)
     events = [replace(e, sigma_position=poor) if isinstance(e, NavSample) and seconds(e) < 0.3 else e for e in f.events]
-    motions = run(events, SMOOTH)[0].smoothed()
+    motions = run(events, SMOOTH)[0].refined().motions
     assert np.sqrt(np.diag(motions[-1].covariance)[:3]).max() < 0.2
 
 

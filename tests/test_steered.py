@@ -9,11 +9,13 @@ import pytest
 from alight.geometry import Grid, so3_exp, so3_log
 from alight.records import Frame, ImuSample, InputError, NavSample
 from alight_sim import Imaging, ImuErrors, NavErrors, Scene, build, world_of
+from alight_sim.autopilot import SimulatedAutopilot
 from alight_sim.exposure import QUIET
 from alight_sim.movers import Traffic
 from alight_sim.oracle import OracleLander, judge_touchdown
 from alight_sim.scene import SceneGround
 from alight_sim.steered import SteeredFlight, TrueBattery, Wanted
+from alight_sim.steered.flown import FlownEstimate, FlownVehicle
 
 PERFECT_NAV = NavErrors(
     position=(0, 0, 0), position_white=0, attitude_deg=(0, 0, 0), attitude_white_deg=0, velocity_white=0,
@@ -57,7 +59,7 @@ def bits(events):
 
 
 def test_set_points_are_reached(level):
-    flight = SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND)
+    flight = SteeredFlight(level, 1, start=(0, 0, 20), **BLIND)
     goal = flight.true_pose.translation + np.array([12.0, -5.0, 4.0])
     hold(flight, 15.0, Wanted(position=goal, heading=1.0))
     assert flight.true_pose.translation == pytest.approx(goal, abs=0.02)
@@ -67,13 +69,38 @@ def test_set_points_are_reached(level):
     assert flight.true_velocity == pytest.approx([1.0, 0.5, -0.7], abs=0.01)
 
 
-def test_positions_wanted_are_in_the_frame_of_the_navigation_solution(level):
+def test_an_autopilot_steers_by_the_navigation_solution(level):
+    """Its position is off by the error of GPS, and so is the vehicle; without GPS it is lost after a while."""
     flight = SteeredFlight(level, 1, start=(0, 0, 20), nav=PERFECT_NAV, **BLIND)
+    sim = SimulatedAutopilot(vehicle=FlownVehicle(flight), estimate=FlownEstimate(flight))
+    sim.hover()
     goal = flight.true_pose.translation
     flight.jump_gps((2.0, 0.0, -1.0))
-    rows = of(hold(flight, 15.0, Wanted(position=goal)), NavSample)
+    for _ in range(300):
+        sim.step(0.05)
     assert flight.true_pose.translation == pytest.approx(goal - (2.0, 0.0, -1.0), abs=0.02)
-    assert rows[-1].position_world == pytest.approx(goal, abs=0.02)
+    assert sim.estimated == pytest.approx(goal, abs=0.02)
+    assert sim.estimate.attitude(flight.true_pose.rotation) == pytest.approx(flight.true_pose.rotation, abs=1e-6)
+    flight.lose_gps(60.0)
+    located = []
+    for _ in range(100):
+        sim.step(0.1)
+        located.append(sim.located)
+    assert 7.0 < 0.1 * sum(located) < 8.0
+    assert not located[-1]
+
+
+def test_an_autopilot_reports_the_imu_and_the_battery_of_the_flight(level):
+    flight = SteeredFlight(level, 1, start=(0, 0, 20), **BLIND)
+    vehicle = FlownVehicle(flight)
+    vehicle.step(0.5, Wanted())
+    rates, force = vehicle.imu
+    assert np.linalg.norm(force) == pytest.approx(9.8, abs=0.5)
+    assert 0.0 < np.linalg.norm(rates) < 0.1  # noise and bias
+    assert vehicle.battery == flight.battery < 1.0
+    flight.lose_imu(1.0)
+    vehicle.step(0.5, Wanted())
+    assert vehicle.imu is None
 
 
 def test_a_landing_ends_on_the_ground_at_the_speed_that_was_flown(level):
@@ -107,7 +134,7 @@ def test_what_stands_beside_the_way_is_struck_once():
     world = posts((6.0, 1.1, 0.15, 12.0))
     struck = []
     for radius in (1.5, 0.8, 0.0):
-        flight = SteeredFlight(world, 1, start=(0, 0, 10), steered_by="truth", radius=radius, **BLIND)
+        flight = SteeredFlight(world, 1, start=(0, 0, 10), radius=radius, **BLIND)
         hold(flight, 8.0, Wanted(position=flight.true_pose.translation + np.array([12.0, 0.0, 0.0])))
         struck.append([c.struck for c in flight.contacts])
     assert struck == [[pytest.approx(2.0, abs=0.05)], [], []]
@@ -117,16 +144,16 @@ def test_a_car_of_the_scene_is_as_solid_as_one_that_comes_on_command():
     """A car 1.5 m high drives below a vehicle whose feet are 1.3 m above the street."""
     traffic = Traffic(path=((-25.0, 0.0), (25.0, 0.0)), speed=5.0, gap=100.0)
     scene = Scene(ground=SceneGround(size=(60, 60), relief=()), imaging=Imaging(**QUIET), traffic=(traffic,))
-    flight = SteeredFlight(build(scene), 1, start=(0, 0, 1.3), steered_by="truth", radius=0.5, **BLIND)
+    flight = SteeredFlight(build(scene), 1, start=(0, 0, 1.3), radius=0.5, **BLIND)
     hold(flight, 10.0)
     assert flight.contacts
-    assert not SteeredFlight(build(LEVEL), 1, start=(0, 0, 1.3), steered_by="truth", radius=0.5, **BLIND).contacts
+    assert not SteeredFlight(build(LEVEL), 1, start=(0, 0, 1.3), radius=0.5, **BLIND).contacts
 
 
 def test_the_last_metre_is_the_touchdowns():
     """A kerb of 0.8 m beside the touchdown is its roughness; an object 3 m high is struck on the way down."""
     for up, count in ((0.8, 1), (3.0, 2)):
-        flight = SteeredFlight(posts((1.2, 0.0, 0.1, up)), 1, start=(0, 0, 5), steered_by="truth", radius=1.5, **BLIND)
+        flight = SteeredFlight(posts((1.2, 0.0, 0.1, up)), 1, start=(0, 0, 5), radius=1.5, **BLIND)
         hold(flight, 12.0, Wanted(velocity=np.array([0.0, 0.0, -0.6])))
         assert flight.landed
         assert len(flight.contacts) == count
@@ -134,20 +161,20 @@ def test_the_last_metre_is_the_touchdowns():
 
 
 def test_the_gap_is_that_to_the_highest_thing_within_the_radius():
-    flight = SteeredFlight(posts((1.2, 0.0, 0.1, 3.0)), 1, start=(0, 0, 10), steered_by="truth", radius=1.5, **BLIND)
+    flight = SteeredFlight(posts((1.2, 0.0, 0.1, 3.0)), 1, start=(0, 0, 10), radius=1.5, **BLIND)
     assert flight.gap == pytest.approx(7.0, abs=0.05)
     assert flight.height_above_ground == pytest.approx(10.0, abs=0.05)
     flight.park(-1.0, 0.0)  # a car: lower than the post
     hold(flight, 0.3)
     assert flight.gap == pytest.approx(7.0, abs=0.1)
-    bare = SteeredFlight(posts(), 1, start=(0, 0, 10), steered_by="truth", radius=1.5, **BLIND)
+    bare = SteeredFlight(posts(), 1, start=(0, 0, 10), radius=1.5, **BLIND)
     bare.walk_in(1.6, 0.0, start=(1.6, 0.0))
     hold(bare, 0.3)
     assert 8.0 < bare.gap < 8.6  # a person whose shoulder lies within the radius
 
 
 def test_a_new_wind_moves_it_until_the_autopilot_has_learned_it(level):
-    flight = SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND)
+    flight = SteeredFlight(level, 1, start=(0, 0, 20), **BLIND)
     place = flight.true_pose.translation
     flight.wind(10.0, 0.0)
     away = []
@@ -161,7 +188,7 @@ def test_a_new_wind_moves_it_until_the_autopilot_has_learned_it(level):
 
 
 def test_a_gust_pushes_for_its_time(level):
-    calm, blown = (SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND) for _ in range(2))
+    calm, blown = (SteeredFlight(level, 1, start=(0, 0, 20), **BLIND) for _ in range(2))
     place = calm.true_pose.translation
     blown.gust((0.0, 2.0, 0.0), 1.0)
     for flight in (calm, blown):
@@ -174,7 +201,7 @@ def test_a_gust_pushes_for_its_time(level):
 
 def test_a_gust_that_lasts_is_learned_as_a_wind_is(level):
     """The limits of the autopilot just suffice to hold against 3 m/s^2; once the vehicle was blown 7 m away."""
-    flight = SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND)
+    flight = SteeredFlight(level, 1, start=(0, 0, 20), **BLIND)
     place, away = flight.true_pose.translation, []
     flight.gust((0.0, 3.0, 0.0), 9.0)
     for _ in range(44):
@@ -186,7 +213,7 @@ def test_a_gust_that_lasts_is_learned_as_a_wind_is(level):
 
 def test_the_battery_pays_for_hovering_and_climbing_and_its_end_is_a_fall(level):
     cost = TrueBattery(share=0.9, endurance=100.0, climb=0.01)
-    flight = SteeredFlight(level, 1, start=(0, 0, 5), steered_by="truth", battery=cost, **BLIND)
+    flight = SteeredFlight(level, 1, start=(0, 0, 5), battery=cost, **BLIND)
     hold(flight, 5.0)
     assert flight.battery == pytest.approx(0.9 - 5.0 / 100.0, abs=1e-6)
     hold(flight, 8.0, Wanted(position=flight.true_pose.translation + np.array([0, 0, 6.0])))
@@ -229,7 +256,7 @@ def test_events_come_in_order_at_their_rates(level):
 def test_noise_is_as_claimed(level):
     nav = NavErrors(position=(0, 0, 0), position_white=0.3, attitude_deg=(0, 0, 0))
     imu = ImuErrors(gyroscope_bias=0.02, gyroscope_random_walk=0)
-    flight = SteeredFlight(level, 3, start=(0, 0, 20), nav=nav, imu=imu, steered_by="truth", **BLIND)
+    flight = SteeredFlight(level, 3, start=(0, 0, 20), nav=nav, imu=imu, **BLIND)
     place = flight.true_pose.translation
     events = hold(flight, 30.0)
     position = np.array([e.position_world for e in of(events, NavSample)]) - place
@@ -243,7 +270,7 @@ def test_noise_is_as_claimed(level):
 def test_the_drift_of_gps_has_the_claimed_deviation_over_seeds(level):
     last = []
     for seed in range(60):
-        flight = SteeredFlight(level, seed, start=(0, 0, 20), steered_by="truth", **BLIND)
+        flight = SteeredFlight(level, seed, start=(0, 0, 20), **BLIND)
         row = of(flight.step(0.1, Wanted(velocity=np.zeros(3))), NavSample)[-1]
         last.append(row.position_world - flight.true_pose.translation)
     assert np.std(last, axis=0) == pytest.approx([1.0, 1.0, 1.5], rel=0.3)
@@ -271,26 +298,27 @@ def picture(flight):
 
 
 def test_a_parked_car_is_in_the_pictures_and_in_the_truth(level):
-    flight = SteeredFlight(level, 1, start=(0, 0, 12), steered_by="truth", **SMALL)
+    flight = SteeredFlight(level, 1, start=(0, 0, 12), **SMALL)
     hold(flight, 0.5)
     before, pose = picture(flight), flight.true_pose
     lander = OracleLander(radius=1.0)
-    assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe
+    assert judge_touchdown(level, lander, pose, seconds=flight.seconds, bodies=flight.bodies).safe
     car = flight.park(0.0, 0.0, start=(20.0, 0.0))
-    assert judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe  # the car is still on its way
+    safe = judge_touchdown(level, lander, pose, seconds=flight.seconds, bodies=flight.bodies).safe
+    assert safe  # the car is still on its way
     hold(flight, car.arrives - flight.seconds + 0.1)
     after = picture(flight)
     changed = (np.abs(after - before).max(axis=2) > 25).mean()
     share = 4.4 * 1.8 / (64 * 48 * (12.0 / 48.1) ** 2)  # of the picture that a car covers
     assert 0.6 * share < changed < 2.5 * share
-    assert not judge_touchdown(flight.world, lander, pose, seconds=flight.seconds).safe
-    assert not level.bodies  # the original world has no bodies
+    assert not judge_touchdown(level, lander, pose, seconds=flight.seconds, bodies=flight.bodies).safe
+    assert not SteeredFlight(level, 1, **BLIND).bodies  # of another flight over the same world
     hold(flight, 9.0, Wanted(velocity=np.array([0.0, 0.0, -1.5])))
     assert flight.contact.pose.translation[2] == pytest.approx(level.height_at(0, 0) + 1.5 + flight.standing, abs=0.1)
 
 
 def test_a_person_walks_to_the_spot_and_stays(level):
-    flight = SteeredFlight(level, 1, start=(0, 0, 12), steered_by="truth", **SMALL)
+    flight = SteeredFlight(level, 1, start=(0, 0, 12), **SMALL)
     person = flight.walk_in(2.0, 1.0)
     places = person.place_at(np.array([person.since, person.since + 3.0, person.arrives, person.arrives + 50.0]))
     assert places[0, :2] == pytest.approx([2.0, -9.0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ from alight.settings.base import FrozenModel
 if TYPE_CHECKING:
     from alight.checks.result import CheckResult
     from alight.evaluation import Evaluation
-    from alight.jobs import Jobs
     from alight.sources import Source
     from alight.training.confusion import Confusion
     from alight.trials.report import CampaignNumbers
@@ -125,6 +124,7 @@ def run(
     Raises:
         AlightError: the input or a setting cannot be used; the message says how to mend it.
     """
+    from alight.cluster import open_jobs
     from alight.outputs import FileStore
     from alight.runner.opening import open_source
     from alight.runner.replay import prior_heights, replay, settings_for
@@ -136,17 +136,8 @@ def run(
     chosen = settings_for(recording, chosen)
     prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
     store = FileStore(Path(tempfile.gettempdir()))
-    with single_threaded_algebra(), closing(store), _workers(scheduler) as jobs:
+    with single_threaded_algebra(), closing(store), open_jobs(scheduler) as jobs:
         return Result(with_home(replay(recording, chosen, poses, progress, store, jobs, prior), armed_at))
-
-
-def _workers(scheduler: str | None) -> AbstractContextManager[Jobs | None]:
-    """Workers of a Dask cluster; None: this process."""
-    if scheduler is None:
-        return nullcontext()
-    from alight.photos.work import cluster_jobs
-
-    return cluster_jobs(scheduler)
 
 
 def judge(
@@ -264,7 +255,7 @@ def campaign(
     """Fly simulated landings in closed loop; those that the folder `out` holds already are not flown again.
 
     Args:
-        scenes: names, scene files, or `all`.
+        scenes: names, scene files, `package.module:factory` of other worlds, or `all`.
         out: folder of the campaign.
         landings: number of landings, those that the folder holds included; None: as many as the folder's campaign was
             begun with, or 20.

@@ -1,23 +1,35 @@
-"""Independent tasks: done in turn, read from saved results, or done on other machines.
+"""Independent tasks: done by this process or others, read from saved results, or done on other machines.
 
 A stage defines the tasks (`Task`); the caller chooses the workers (`Jobs`). The results are the same.
 """
 
 from __future__ import annotations
 
-from collections import deque
+import logging
+import multiprocessing
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
-from threading import Lock
+from queue import SimpleQueue
 from typing import Any, Protocol
 
+from threadpoolctl import threadpool_limits
+
 from alight import compiled, memory
+from alight.records import InputError
+
+log = logging.getLogger(__name__)
+
+FILES = 8  # that a process of `InProcesses` takes here: its queues and what wakes them
+_here = threading.local()  # of a thread of `do_alone`: the object that it keeps from task to task
 
 
 @dataclass(frozen=True, eq=False)
 class Sent:
-    """A large argument that many tasks share: it is sent to a process once, however many of them run there."""
+    """A large argument that many tasks share: it is sent to a machine once, however many of them run there."""
 
     name: str  # the same name is the same value
     value: Any
@@ -40,17 +52,23 @@ class Task:
     arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by their values, also within a tuple
     about: str = ""  # further inputs of the result, as text; a result saved with another text is not used
     here: bool = False  # stays in this process: not worth sending, or has tasks of its own
+    tries: int = 4  # times that it is begun, if its worker or its arguments are lost each time
+    if_lost: Callable[[], Any] | None = None  # gives the result after the last try; None: an InputError is raised
 
 
 class Jobs(Protocol):
     """Workers that do tasks."""
 
-    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
+    def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
         """Yield the result of each task, in the order of the tasks.
 
         Args:
             tasks: drawn from the iterable as they are done.
             at_once: this machine does as many tasks at a time as it has threads, each with compiled loops on one.
+            any_order: results may come in another order, each as soon as its task ends.
+
+        Raises:
+            InputError: the workers that had a task were lost time and again.
         """
 
 
@@ -59,29 +77,21 @@ class InTurn:
 
     def __init__(self) -> None:
         self._kept: tuple[str, Any] = "", None  # the last one: a step has one, hundreds of megabytes
-        self._making = Lock()
+        self._making = threading.Lock()
 
-    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
+    def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
         """As `Jobs`. The object that is kept from task to task (`KeptHere`) is freed after the last task."""
+        threads = compiled.most_threads() if at_once else 1
         try:
-            yield from self._run(tasks, compiled.most_threads() if at_once else 1)
+            yield from self._on_threads(tasks, threads) if threads > 1 else map(self.do, tasks)
         finally:
             self._kept = "", None
             memory.give_back()
 
-    def _run(self, tasks: Iterable[Task], threads: int) -> Iterator[Any]:
-        if threads <= 1:
-            yield from map(self.do, tasks)
-            return
+    def _on_threads(self, tasks: Iterable[Task], threads: int) -> Iterator[Any]:
         pool = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,))
-        under_way = deque[Future[Any]]()
-        try:
-            for task in tasks:  # few at a time: their arguments are large
-                if len(under_way) > threads:
-                    yield under_way.popleft().result()
-                under_way.append(pool.submit(self.do, task))
-            while under_way:
-                yield under_way.popleft().result()
+        try:  # few at a time: their arguments are large
+            yield from results(tasks, lambda task: pool.submit(self.do, task), lambda: threads + 1)
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -94,6 +104,137 @@ class InTurn:
             if self._kept[0] != kept.name:
                 self._kept = kept.name, kept.make()
             return self._kept[1]
+
+
+class InProcesses:
+    """Tasks done by processes of this machine, one each at a time: a process that dies loses its own task alone.
+
+    Args:
+        count: number of processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
+        """As `Jobs`. The processes end with the last task, or with an interruption."""
+        _allow_files(FILES * self._count)
+        before = set(multiprocessing.active_children())
+        pools, free = list[ProcessPoolExecutor](), SimpleQueue[ProcessPoolExecutor | None]()
+        for _ in range(self._count):
+            free.put(None)  # started when it is needed
+
+        def new() -> ProcessPoolExecutor:  # not forked: a forked process shares locks and threads of this one
+            pools.append(ProcessPoolExecutor(1, multiprocessing.get_context("spawn")))
+            return pools[-1]
+
+        def submit(task: Task) -> Future[Any]:
+            pool = free.get() or new()
+            try:
+                future = pool.submit(do_alone, task.do, *task.arguments)
+            except BrokenProcessPool:  # its process has died
+                pool = new()
+                future = pool.submit(do_alone, task.do, *task.arguments)
+            future.add_done_callback(lambda _: free.put(pool))
+            return future
+
+        try:
+            yield from results(tasks, submit, lambda: self._count, any_order, (BrokenProcessPool,))
+        finally:
+            for pool in pools:
+                pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - before:
+                process.terminate()  # or an interrupted run waits for tasks that it does not need any more
+
+
+def _allow_files(more: int) -> None:
+    """Raise the number of files that this process may open, if the system lets it."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource  # not on Windows, which needs none of this
+
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(soft + more, hard)), hard))
+
+
+@dataclass(eq=False)
+class _Begun:
+    """A task under way."""
+
+    task: Task
+    future: Any = None
+    tries: int = 0
+
+
+def results(
+    tasks: Iterable[Task],
+    submit: Callable[[Task], Any],
+    most: Callable[[], int],
+    any_order: bool = False,
+    lost: tuple[type[BaseException], ...] = (),
+) -> Iterator[Any]:
+    """Yield the results of tasks that threads, processes or machines do, as `Jobs.run`.
+
+    Args:
+        tasks: drawn as they are done; one that stays here waits for those before it.
+        submit: begins a task and returns its future, which has `result` and `add_done_callback`.
+        most: number of tasks that may be under way, so that memory does not grow with their number.
+        any_order: yield each result as soon as its task ends.
+        lost: what a future raises whose worker, or arguments, were lost; its task is begun again.
+
+    Raises:
+        InputError: a task was lost at its last try.
+    """
+    under_way, ended = list[_Begun](), SimpleQueue[_Begun]()
+
+    def begin(work: _Begun) -> None:
+        work.future, work.tries = submit(work.task), work.tries + 1
+        if any_order:
+            work.future.add_done_callback(lambda _: ended.put(work))
+
+    def next_result() -> Any:
+        while True:
+            work = ended.get() if any_order else under_way[0]
+            try:
+                value = work.future.result()
+            except lost as e:
+                name, tries, if_lost = work.task.name, work.task.tries, work.task.if_lost
+                if work.tries < tries:
+                    log.info("%s: begun again (%s)", name, type(e).__name__)
+                    begin(work)
+                    continue
+                if if_lost is None:
+                    why = f"the workers that had it were lost {tries} times; see their logs, and add memory"
+                    raise InputError(f"{name}: {why}") from e
+                value = if_lost()
+            under_way.remove(work)
+            return value
+
+    for task in tasks:
+        while task.here and under_way:
+            yield next_result()
+        if task.here:
+            yield InTurn().do(task)
+            continue
+        under_way.append(_Begun(task))
+        begin(under_way[-1])
+        while len(under_way) >= most():
+            yield next_result()
+    while under_way:
+        yield next_result()
+
+
+def do_alone(do: Callable[..., Any], *arguments: Any) -> Any:
+    """Do a task in another process than its sender's, on one thread, for the same results."""
+    compiled.use_threads(1)
+    with threadpool_limits(limits=1, user_api="blas"):
+        return do(*resolved(arguments, lambda sent: sent.value, _kept))
+
+
+def _kept(kept: KeptHere) -> Any:
+    """The last object that this thread made for itself, or a new one in its place."""
+    if getattr(_here, "name", None) != kept.name:
+        _here.name, _here.value = kept.name, kept.make()
+    return _here.value
 
 
 def resolved(

@@ -8,10 +8,11 @@ from alight_sim.log import write
 from alight_sim.patterns import FlightPlan
 from alight_sim.rigs import RigModel, default_rig
 from alight_sim.scene import Scene, built_in, read_scene
+from alight_sim.scene_world import SceneWorld, build, world_of
 from alight_sim.sensors import ImuErrors, NavErrors, Sensors
 from alight_sim.truth import SceneTruth, TrueFootprint
 from alight_sim.vehicle import Air, Limits
-from alight_sim.world import World, build, world_of
+from alight_sim.world import World
 
 __all__ = [
     "Air",
@@ -25,6 +26,7 @@ __all__ = [
     "RigModel",
     "Scene",
     "SceneTruth",
+    "SceneWorld",
     "Sensors",
     "SimulatedFlight",
     "Sun",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,18 +13,19 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64
 from alight.geometry import Camera, Pose
 from alight.records import InputError
+from alight_sim.exposure import Imaging
 from alight_sim.kernels.boxes import cast_boxes
 from alight_sim.kernels.raycast import cast_rays
 from alight_sim.kernels.shade import shade
 from alight_sim.materials import tables
-from alight_sim.movers import boxes_at
+from alight_sim.movers import Moving, boxes_at
+from alight_sim.patch import GroundPatch
+from alight_sim.things.base import Box
+from alight_sim.world import Poses
 
-if TYPE_CHECKING:  # the world's scene names a rig, and rigs are made here
-    from alight_sim.patch import GroundPatch
-    from alight_sim.things.base import Box
-    from alight_sim.world import World
+if TYPE_CHECKING:  # which draws its pictures with these cameras
+    from alight_sim.scene_world import SceneWorld
 
-Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
 COARSEST = 4  # halvings of the layers of looks, at most
 REACH = 12.0  # distance to which the ground is made, in heights above ground; beyond it goes on level
 FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
@@ -37,6 +38,11 @@ class Shutter:
     exposure: float = 0.0  # s
     line_time: float = 0.0  # s from one row to the next: rolling shutter
     moments: int = 1  # instants over which the exposure is summed
+
+    @classmethod
+    def of(cls, imaging: Imaging) -> Shutter:
+        """The shutter of an imaging."""
+        return cls(imaging.exposure_time, imaging.line_time, imaging.moments)
 
     def opened(self, rows: int, moment: int) -> F64:
         """(rows,) seconds of one moment of each row, from the picture's time; (1,) where all rows open together."""
@@ -60,7 +66,7 @@ class Eye:
         )
         object.__setattr__(self, "rays", tuple(rays))
 
-    def depth(self, world: World, world_from_cam: Pose, sample: int = 0) -> F64:
+    def depth(self, world: SceneWorld, world_from_cam: Pose, sample: int = 0) -> F64:
         """(H, W) depth of the ground point of each pixel, metres along the optical axis; -1 where it sees no ground.
 
         Raises:
@@ -70,10 +76,18 @@ class Eye:
         patch = world.patch(self.footprint(world, turns, places))
         return self._cast(world, patch, turns, places, sample)
 
-    def radiance(self, world: World, poses: Poses | Pose, time: float, shutter: Shutter | None = None) -> F32:
+    def radiance(
+        self,
+        world: SceneWorld,
+        poses: Poses | Pose,
+        time: float,
+        shutter: Shutter | None = None,
+        bodies: Sequence[Moving] = (),
+    ) -> F32:
         """(H, W, 3) linear light of an exposure whose middle is at `time`, seconds.
 
-        `poses` gives the camera's poses at given times; a Pose is a camera that stands still.
+        `poses` gives the camera's poses at given times; a Pose is a camera that stands still. `bodies` are drawn
+        beside the world's own.
 
         Raises:
             InputError: the camera is below the ground.
@@ -86,10 +100,11 @@ class Eye:
         for k in range(count):
             seconds = time + spans.opened(self.camera.height, k)
             turns, places = still(poses, len(seconds)) if isinstance(poses, Pose) else poses(seconds)
-            self._add(world, turns, places, seconds, k % self.samples, 1.0 / count, out)
+            boxes = boxes_at((*world.movers, *bodies), seconds)
+            self._add(world, turns, places, seconds, boxes, k % self.samples, 1.0 / count, out)
         return out
 
-    def footprint(self, world: World, turns: F64, places: F64) -> tuple[float, float, float, float]:
+    def footprint(self, world: SceneWorld, turns: F64, places: F64) -> tuple[float, float, float, float]:
         """West, south, east, north of the ground that the picture can show: a function of the poses and the lens."""
         edge = _border(self.rays[0])
         ends = [_reach(world, turns[k] @ edge.T, places[k]) for k in {0, len(turns) - 1}]
@@ -98,7 +113,7 @@ class Eye:
         east, north = spots.max(axis=0) + 1.0
         return float(west), float(south), float(east), float(north)
 
-    def _cast(self, world: World, patch: GroundPatch, turns: F64, places: F64, sample: int) -> F64:
+    def _cast(self, world: SceneWorld, patch: GroundPatch, turns: F64, places: F64, sample: int) -> F64:
         for east, north, up in places[:: max(1, len(places) - 1)]:
             if up <= world.height_at(float(east), float(north)):
                 raise InputError(f"the camera is below the ground at east {east:.1f}, north {north:.1f}; fly higher")
@@ -110,13 +125,15 @@ class Eye:
         cast_rays(patch.height, *patch.pyramid, origins, self.rays[sample], to_grid @ turns, patch.low, out)
         return out
 
-    def _add(self, world: World, turns: F64, places: F64, seconds: F64, sample: int, weight: float, out: F32) -> None:
+    def _add(
+        self, world: SceneWorld, turns: F64, places: F64, seconds: F64, boxes: F64, sample: int, weight: float, out: F32
+    ) -> None:
         middle = float(seconds[len(seconds) // 2])
         pixel = 1.0 / math.sqrt(self.camera.fu * self.camera.fv)
         bounds = self.footprint(world, turns, places)
         patch = world.patch(bounds, middle, _level(world, bounds, float(places[:, 2].min()), pixel))
         depth, faces = self._cast(world, patch, turns, places, sample), np.zeros(out.shape[:2], np.int16)
-        boxes = _near(boxes_at(world.movers, seconds), patch)
+        boxes = _near(boxes, patch)
         turns, places = np.ascontiguousarray(turns), np.ascontiguousarray(places)
         if boxes.shape[1]:
             cast_boxes(boxes, places, self.rays[sample], turns, depth, faces)
@@ -130,7 +147,7 @@ class Eye:
         )  # fmt: skip
 
 
-def _level(world: World, bounds: Box, up: float, pixel: float) -> int:
+def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:
     """Number of halvings of the cells of looks and light: no finer than a pixel's footprint on the ground below."""
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
@@ -156,7 +173,7 @@ def _border(rays: F32) -> F64:
     return np.concatenate(sides).astype(np.float64)
 
 
-def _reach(world: World, rays: F64, place: F64) -> F64:
+def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
     """(N, 2) east and north where rays (3, N) meet the lowest ground, or REACH heights away."""
     height = max(float(place[2]) - world.low, 1.0)
     flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)

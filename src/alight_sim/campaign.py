@@ -6,21 +6,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from alight_sim.scene import Scene, parse_scene
-from alight_sim.things.base import Box
-from alight_sim.world import World, build
+from alight_sim.scene_world import SceneWorld, build
 
 
 @dataclass(frozen=True)
 class CampaignWorld:
-    """One kind of world, and the area in which a place is searched."""
+    """One kind of world."""
 
     name: str
     scene: str | Scene  # a built-in scene's name, or a scene
-    area: Box = (-45.0, -45.0, 45.0, 45.0)  # west, south, east, north: searched for a place
-    start: tuple[float, float, float] = (-20.0, -12.0, 40.0)  # east, north, metres above the ground there
     safe: bool = True  # there are places where a small lander is safe
 
-    def build(self, seed: int = 0) -> World:
+    def build(self, seed: int = 0) -> SceneWorld:
         """Build the world of a seed."""
         return build(self.scene, seed)
 

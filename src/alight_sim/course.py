@@ -9,6 +9,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.records import InputError, Terrain
 from alight_sim.patterns import FlightPlan, line
+from alight_sim.scene_world import SceneWorld
 from alight_sim.vehicle import VEHICLES, TrueTrajectory, fly_through
 from alight_sim.world import World
 
@@ -20,7 +21,7 @@ LONGEST = 7200.0  # s
 Extent = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
-def chart(world: World, plan: FlightPlan, rng: np.random.Generator) -> TrueTrajectory:
+def chart(world: SceneWorld, plan: FlightPlan, rng: np.random.Generator) -> TrueTrajectory:
     """Fly the plan over the world.
 
     Raises:
@@ -53,7 +54,7 @@ def ground_at(world: World, place: F64) -> float:
     return float(np.nanquantile(heights, LOW))
 
 
-def _inside(world: World, points: F64) -> None:
+def _inside(world: SceneWorld, points: F64) -> None:
     west, south, east, north = world.extent
     for k, p in enumerate(points):
         if not (west <= p[0] <= east and south <= p[1] <= north):
@@ -63,7 +64,7 @@ def _inside(world: World, points: F64) -> None:
             )
 
 
-def _above_ground(world: World, points: F64) -> None:
+def _above_ground(world: SceneWorld, points: F64) -> None:
     for k, p in enumerate(points):
         ground = world.height_at(float(p[0]), float(p[1]))
         if p[2] < ground:
@@ -73,7 +74,7 @@ def _above_ground(world: World, points: F64) -> None:
             )
 
 
-def _what(world: World, p: F64) -> str:
+def _what(world: SceneWorld, p: F64) -> str:
     """Name of the thing at a place, for messages."""
     reach = 0.6 * world.cell  # at least one cell's centre
     around = world.truth((p[0] - reach, p[1] - reach, p[0] + reach, p[1] + reach))
@@ -85,7 +86,7 @@ def _what(world: World, p: F64) -> str:
     return names.get(kind, "the ground")
 
 
-def _keeps_clear(world: World, trajectory: TrueTrajectory) -> None:
+def _keeps_clear(world: SceneWorld, trajectory: TrueTrajectory) -> None:
     """Check extent and clearance along the flight, every metre or tenth of a second."""
     west, south, east, north = world.extent
     fastest = float(np.linalg.norm(np.diff(trajectory.position.c, axis=0), axis=1).max() / 0.25)

@@ -17,18 +17,19 @@ from alight.arrays import F64, I64, U8
 from alight.geometry import LocalFrame, Pose
 from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig
 from alight.settings import ImuNoise
-from alight_sim.cameras import Eye, Poses, Shutter
+from alight_sim.cameras import Eye, Shutter
 from alight_sim.course import LEAD, Extent, chart
 from alight_sim.exposure import Imaging, Sensor, gains
 from alight_sim.faults import Exposures, Faults, exposures
 from alight_sim.patterns import FlightPlan
 from alight_sim.rigs import RigModel
 from alight_sim.scene import Scene, explain
+from alight_sim.scene_world import SceneWorld, build
 from alight_sim.section import Section
 from alight_sim.sensors import ImuErrors, NavErrors, imu_biases, simulated_imu, simulated_nav
 from alight_sim.truth import SceneTruth
 from alight_sim.vehicle import Limits, TrueTrajectory
-from alight_sim.world import World, build
+from alight_sim.world import Poses, World
 
 START_NS = 1_700_000_000_000_000_000
 NAV_OFFSET_NS = 13_000_000  # of the GPS/INS rows, which do not fall on exposures
@@ -43,7 +44,7 @@ S = TypeVar("S", bound=Section)
 class SimulatedFlight:
     """A flight over a world, used like a recording; every call of `events` gives the same events."""
 
-    world: World
+    world: SceneWorld
     trajectory: TrueTrajectory
     seed: int
     true_rig: Rig  # the rig that draws the pictures
@@ -238,7 +239,7 @@ class SimulatedFlight:
     def image(self, index: int, cam: int) -> U8:
         """Draw one picture, (H, W, 3) RGB, lost or not; the order of calls does not matter."""
         seconds = float(self.since(self.frame_times[index : index + 1])[0])
-        light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, self._shutter)
+        light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, Shutter.of(self.imaging))
         key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
         return self._glass[cam].expose(light, self._gains[cam][index], key, self.faults.cover(seconds, cam))
 
@@ -246,10 +247,6 @@ class SimulatedFlight:
     def eyes(self) -> tuple[Eye, ...]:
         """The cameras with their undistorted rays."""
         return tuple(Eye(c.camera, self.imaging.samples) for c in self.true_rig.cameras)
-
-    @property
-    def _shutter(self) -> Shutter:
-        return Shutter(self.imaging.exposure_time, self.imaging.line_time, self.imaging.moments)
 
     @cached_property
     def _glass(self) -> tuple[Sensor, ...]:
@@ -316,7 +313,7 @@ def seen_box(flight: SimulatedFlight) -> Extent:
 
 
 def fly(
-    scene: str | Path | Scene | World = "demo",
+    scene: str | Path | Scene | SceneWorld = "demo",
     seed: int = 0,
     duration: float | None = None,
     *,
@@ -340,7 +337,7 @@ def fly(
     Raises:
         InputError: no such scene, or the flight cannot be flown: `alight_sim.course.chart`.
     """
-    world = scene if isinstance(scene, World) else build(scene, seed)
+    world = scene if isinstance(scene, SceneWorld) else build(scene, seed)
     s = world.scene or Scene()
     wishes = {"duration": duration, "height": height, "speed": speed, "waypoints": waypoints, "limits": limits}
     used = s.model_copy(

@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,10 +18,10 @@ from alight.records import Frame
 from alight_sim.course import ground_at
 from alight_sim.flight import START_NS
 from alight_sim.oracle import OracleLander, Touchdown, judge_touchdown
-from alight_sim.scene import Scene
+from alight_sim.scene_world import build
 from alight_sim.steered.cameras import SteeredCameras
 from alight_sim.steered.flight import sized_rig
-from alight_sim.world import World, build
+from alight_sim.world import World
 
 KEPT_NS = 60_000_000_000  # length of track that is kept
 LEAD_NS = 200_000_000  # from the first pose to the first exposure
@@ -96,14 +96,12 @@ class FollowedCameras:
         self, scene: str | Path, seed: int = 0, *, size: tuple[int, int] = (320, 240), rate_hz: float = 5.0,
         start: tuple[float, float] = (0.0, 0.0), standing: float = 0.35,
     ) -> None:  # fmt: skip
-        made = build(scene, seed)
-        self.world: World = replace(made, bodies=[])
+        self.world: World = build(scene, seed)
         self.rate_hz, self.track = rate_hz, ReportedTrack()
-        found = made.scene or Scene()
-        true_rig = sized_rig(found.rig.rig, size, stereo=True)
-        self.rig = found.faults.claimed(true_rig)
+        faults, true_rig = self.world.faults, sized_rig(self.world.rig, size, stereo=True)
+        self.rig = faults.claimed(true_rig)
         self._seed = seed
-        self._cameras = SteeredCameras(self.world, true_rig, found.imaging, found.faults, rate_hz, self._seeds)
+        self._cameras = SteeredCameras(self.world, true_rig, faults, rate_hz, self._seeds)
         ground = ground_at(self.world, np.array([*start, 0.0]))
         self._home = np.array([*start, ground + standing])
         self._offset: F64 | None = None  # (3,) metres from the reported frame to the scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -119,7 +119,7 @@ def car_boxes(places: F64, heading: F64, size: tuple[float, float, float], paint
     return out.reshape(len(heading), -1, NUMBERS)
 
 
-def boxes_at(movers: tuple[Moving, ...], times: F64) -> F64:
+def boxes_at(movers: Sequence[Moving], times: F64) -> F64:
     """(T, M, 12) all boxes at times in seconds."""
     none = np.zeros((len(times), 0, NUMBERS))
     return np.concatenate([none, *(m.boxes_at(times) for m in movers)], axis=1)

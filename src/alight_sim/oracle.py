@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from alight.arrays import F64, U8, Mask
 from alight.geometry import Pose
 from alight.records import Terrain
+from alight_sim.movers import Moving
 from alight_sim.resting import resting_on_feet, resting_on_skids
 from alight_sim.things.base import Box
 from alight_sim.world import World
@@ -70,13 +71,13 @@ class TrueSurface:
     label: U8  # (R, C) Terrain codes
 
     @classmethod
-    def of(cls, world: World, box: Box, seconds: float | None = None) -> TrueSurface:
-        """The surface of a box (west, south, east, north) with the bodies at a time, seconds; None: without them."""
+    def of(cls, world: World, box: Box, seconds: float | None = None, bodies: Sequence[Moving] = ()) -> TrueSurface:
+        """The surface of a box (west, south, east, north) with all that moves at a time, s; None: without it."""
         truth = world.truth(box)
         height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
         grid = truth.grid
         out = cls(grid.east, grid.north - (grid.rows - 1) * grid.cell, grid.cell, height, label)
-        for mover in world.movers if seconds is not None else ():
+        for mover in (*world.movers, *bodies) if seconds is not None else ():
             for body in mover.boxes_at(np.array([seconds]))[0]:
                 out._stand(body)
         return out
@@ -177,20 +178,22 @@ def judge_touchdown(
     pose: Pose,
     velocity_world: Sequence[float] | F64 = (0.0, 0.0, 0.0),
     seconds: float = 0.0,
+    bodies: Sequence[Moving] = (),
 ) -> Touchdown:
     """Judge a touchdown: the lander at its place of contact, with its heading and velocity.
 
     Args:
-        world: with its bodies (`SteeredFlight.world`).
+        world: the ground, and what moves on it.
         lander: its gear and limits.
         pose: `world_from_body` at the contact; its heading and place count, the ground gives height and tilt.
         velocity_world: (3,) m/s just before the contact.
-        seconds: time of the flight, for the places of bodies.
+        seconds: time of the flight, for the places of what moves.
+        bodies: that have come on command (`SteeredFlight.bodies`).
     """
     east, north = float(pose.translation[0]), float(pose.translation[1])
     heading = math.atan2(pose.rotation[0, 0], pose.rotation[1, 0])
     spare = lander.reach + 3.0 * world.cell
-    surface = TrueSurface.of(world, (east - spare, north - spare, east + spare, north + spare), seconds)
+    surface = TrueSurface.of(world, (east - spare, north - spare, east + spare, north + spare), seconds, bodies)
     found = _judged(surface, lander, np.array([[east, north]]), heading)
     sink, drift = -float(velocity_world[2]), math.hypot(velocity_world[0], velocity_world[1])
     reasons = [name for name, wrong in found.wrong.items() if wrong[0]]
@@ -213,7 +216,7 @@ def safe_places(
 ) -> SafePlaces:
     """Judge centres `step` metres apart in an area (west, south, east, north), as `judge_touchdown` does.
 
-    `headings` are a golden angle apart, one alone without gear; `seconds`: bodies at that time, None: without.
+    `headings` are a golden angle apart, one alone without gear; `seconds`: with the world's movers at that time.
     """
     west, south, right, top = area
     e, n = np.arange(west, right + 1e-9, step), np.arange(south, top + 1e-9, step)

@@ -60,6 +60,8 @@ class PointMass:
     velocity: F64 = field(default_factory=lambda: np.zeros(3))
     heading: float = 0.0
     touchdown_speed: float = 0.0  # m/s, downwards, of the last contact
+    battery: float = 1.0  # share of a full charge
+    endurance: float = 1200.0  # s of flight with a full battery
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
@@ -91,9 +93,9 @@ class PointMass:
         return self._rates.copy()
 
     @property
-    def specific_force_body(self) -> F64:
-        """(3,) m/s^2, as an accelerometer measures it."""
-        return np.asarray(self._attitude().T @ (self._acceleration + _LIFT))
+    def imu(self) -> tuple[F64, F64]:
+        """(3,) rad/s and (3,) m/s^2 in the body, as gyroscope and accelerometer measure them."""
+        return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + _LIFT))
 
     def step(self, dt: float, wanted: Wanted | None) -> None:
         """Move for `dt` seconds; None: the motors stand still."""
@@ -102,6 +104,7 @@ class PointMass:
             self._fall(dt)
         else:
             self._fly(dt, wanted)
+            self.battery = max(0.0, self.battery - dt / self.endurance)
         self._meet_ground()
         turn = before.T @ self._attitude()
         self._rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (2 * dt)

@@ -54,7 +54,7 @@ class Rehearsal:
     """A vehicle over a scene that a simulated autopilot flies in real time; a context with a thread of its own.
 
     Args:
-        flight: made with `steered_by="truth"`; on the ground or in the air.
+        flight: on the ground or in the air.
         folder: for its pictures, stamped by this machine's steady clock.
         port: of this machine, to send to; senders to `server.port` are answered as well.
         px4: speak PX4's dialect.

@@ -125,10 +125,12 @@ class NavStream:
         )
         self.errors = errors
         self.offset = np.zeros(3)  # metres: error of the last row without its white noise, drawn or lost
+        self.attitude_error, self.velocity_error = np.zeros(3), np.zeros(3)  # rad in the body, m/s: of the last row
+        self.located_at = -math.inf  # s, of the last row with a position
         self._drift = MarkovNoise(drift, np.array(errors.position), errors.position_tau)
         self._turn = MarkovNoise(turn, np.radians(errors.attitude_deg), errors.attitude_tau)
         self._wind = MarkovNoise(wind, np.full(3, errors.velocity), errors.velocity_tau)
-        self._sigma_position = _claimed(errors.position, errors.position_white, least=1e-3)
+        self.sigma_position = _claimed(errors.position, errors.position_white, least=1e-3)
         in_radians = np.radians(errors.attitude_deg), math.radians(errors.attitude_white_deg)
         self._sigma_attitude = np.asarray(np.maximum(np.hypot(*in_radians), 1e-4))
         self._sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
@@ -141,18 +143,20 @@ class NavStream:
         self.offset = drift + jump
         position = drift + (e.position_white * self._white.standard_normal(3) + jump) + true.position_world
         attitude = self._turn.at(seconds) + math.radians(e.attitude_white_deg) * self._turn_white.standard_normal(3)
-        velocity = self._wind.at(seconds) + e.velocity_white * self._speed.standard_normal(3) + true.velocity_world
+        self.attitude_error = attitude
+        self.velocity_error = self._wind.at(seconds) + e.velocity_white * self._speed.standard_normal(3)
         rates = true.angular_velocity_body + math.radians(e.rate_white_deg) * self._rate.standard_normal(3)
         if self._gone("rows", seconds):
             return None
         here = not self._gone("position", seconds)
+        self.located_at = seconds if here else self.located_at
         return NavSample(
             t_ns,
             position if here else None,
-            self._turned(seconds) @ true.world_from_body @ so3_exp(attitude),
-            velocity,
+            self.heading_error(seconds) @ true.world_from_body @ so3_exp(attitude),
+            self.velocity_error + true.velocity_world,
             rates,
-            self._sigma_position if here else None,
+            self.sigma_position if here else None,
             self._sigma_attitude,
             self._sigma_velocity,
         )
@@ -164,7 +168,7 @@ class NavStream:
                 out += jump.offset
         return out
 
-    def _turned(self, seconds: float) -> F64:
+    def heading_error(self, seconds: float) -> F64:
         """(3, 3) rotation in the world: the error of the heading."""
         tau = self.errors.yaw_tau
         fade = 1.0 if tau is None else math.exp(-max(seconds, 0.0) / tau)

@@ -59,11 +59,11 @@ class FaultyJudging(JudgingProcess):
         super().__init__(*given)
         self._fault, self._count = fault, count
 
-    def judge(self, seen: MapSnapshot) -> Any:
+    def judge_and_remember(self, seen: MapSnapshot) -> Any:
         with self._count.open("a") as f:
             f.write(".")
         self._fault.strike(self._count.stat().st_size)
-        return super().judge(seen)
+        return super().judge_and_remember(seen)
 
 
 class IdleOrBusy:

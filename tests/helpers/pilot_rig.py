@@ -12,8 +12,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from alight.flight.session.order_taker import OrderTaker
 from alight.flight.session.pilot import LandingPilot, PilotView
 from alight.geometry import Pose
+from alight.pipeline import FlightPolicy
+from alight.pipeline.navigation import Navigation
 from alight.records import Frame, Motion, MotionState
-from alight.records.executive import FlightState, LookRecord, Seen, Transition
+from alight.records.executive import FlightState, LookRecord, MapVerdict, Transition
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError
 from alight_sim.point_mass import FlightLimits, PointMass
@@ -26,7 +28,7 @@ HARMLESS = {"HEARTBEAT", "TIMESYNC"}
 SET_MESSAGE_INTERVAL = 511
 LATER = 1_000  # ns from the newest message to the tick that uses it: no heartbeat is of this very instant
 
-See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the vehicle
+See = Callable[[int, float, np.ndarray], MapVerdict]  # number, second, place of the vehicle
 
 
 def seldom(r: PilotRig, period: float) -> None:
@@ -57,6 +59,7 @@ class PilotRig(Rig):
         super().__init__(dialect, step=step, estimate=EstimateError(WRONG), **more)
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
         self.pilot: LandingPilot | None = None
+        self.policy, self.judges = FlightPolicy(every=0), True  # False: no verdict comes
         self.pictures, self.positions = True, True
         self.frame_id, self.motion_state = 0, MotionState.GOOD
         self.freeze = False
@@ -81,7 +84,7 @@ class PilotRig(Rig):
 
     def begin(self, hand: OrderTaker | None = None, flying: bool = False) -> None:
         """Begin the landing."""
-        self.pilot = LandingPilot(self.settings, LOCAL, self.vehicle, hand or self.vehicle, self._judge, self)
+        self.pilot = LandingPilot(self.settings, LOCAL, self.vehicle, hand or self.vehicle, self.policy, self)
         self._expose()
         self.run(1.0)
         self._begun = self.t
@@ -135,12 +138,15 @@ class PilotRig(Rig):
             return
         if not self.freeze:
             self._image = self._image + np.uint8(1)
-        self.pilot.saw(Frame(self.now_ns, (self._image,)), self.now_ns)
+        frame = Frame(self.now_ns, (self._image,))
+        self.pilot.saw(frame, self.now_ns)
         pose = Pose(np.eye(3), self.truth())
         motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
         self._later.append((self.t + LATE, lambda: self.pilot.moved(motion)))  # type: ignore[union-attr]
+        if self.policy.due_verdict(Navigation(frame, motion), None, self.judges):
+            self._judge()
 
-    def _judge(self, about: np.ndarray | None) -> None:
+    def _judge(self) -> None:
         at, t, t_ns = self.truth(), self.t - self._begun, self.now_ns
         self._number += 1
         number = self._number

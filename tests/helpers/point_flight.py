@@ -14,8 +14,8 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Camera, Pose, so3_exp, so3_log
-from alight.motion import MotionFilter, RollbackFilter
-from alight.records import Event, ImuSample, Motion, NavSample, Rig, RigCamera, Tracks
+from alight.motion import MotionFilter
+from alight.records import Event, ImuSample, Motion, NavSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import FilterSettings
 
 START = 1_700_000_000_000_000_000
@@ -225,7 +225,7 @@ def run(
     return f, [m for m in fed(f, events) if m is not None]
 
 
-def fed(f: MotionFilter | RollbackFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
+def fed(f: MotionFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
     """Feed events in their order; return the filter's motion of each exposure, None without one."""
     out = []
     for e in events:
@@ -236,6 +236,12 @@ def fed(f: MotionFilter | RollbackFilter, events: Iterable[Event | Tracks]) -> l
         elif isinstance(e, Tracks):
             out.append(f.feed_tracks(e))
     return out
+
+
+def predicted(f: MotionFilter, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
+    """The camera poses at an exposure, relative to that at `before_ns`, as the tracker gets them."""
+    predictor = f.predictor()
+    return None if predictor is None else predictor.cameras(stamp_ns, before_ns, f.imu)
 
 
 def best(m: Motion) -> tuple[F64, F64]:

@@ -105,8 +105,7 @@ def candidate(rank: int = 1, east: float = 5.0, north: float = -2.0) -> Site:
     """A place like that of the site, where an obstacle may have been missed, and the view that would settle it."""
     look = NextView(east + 1.0, north + 1.0, 14.12, 12.0, settles=True)
     return replace(
-        site(rank, east, north), kind="candidate", p_safe=0.62, p_obstacle=0.63, resolved=0.22, doubt="obstacle",
-        look=look,
+        site(rank, east, north), p_safe=0.62, p_obstacle=0.63, resolved=0.22, doubt="obstacle", look=look,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from alight.cli.app import (
 )
 from alight.records import InputError, p_safe_text
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS
+from alight.records.telemetry import FirmwareName
 
 if TYPE_CHECKING:
     from alight.trials.campaign import Campaign, Ended
@@ -30,6 +31,10 @@ def campaign(
     out: OutOption,
     scenes: Annotated[
         list[str] | None, typer.Argument(metavar="SCENES", help="Names, scene files, or 'all'; none: go on with OUT.")
+    ] = None,
+    worlds: Annotated[
+        list[str] | None,
+        typer.Option("--world", metavar="PACKAGE.MODULE:FACTORY", help="A world of another package; may be repeated."),
     ] = None,
     landings: Annotated[int | None, typer.Option(min=1, max=MOST_LANDINGS, help="How many landings; 20.")] = None,
     seed: Annotated[
@@ -43,6 +48,12 @@ def campaign(
     look_again: Annotated[
         bool | None, typer.Option("--look-again/--no-look-again", help="Look again from lower heights before landing.")
     ] = None,
+    link_faults: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of the landings with a takeover, a lost link, refused modes.")
+    ] = 0.0,
+    autopilot: Annotated[
+        FirmwareName, typer.Option(help="Whose dialect the simulated autopilot speaks.")
+    ] = "ardupilot",
     compare: Annotated[
         Path | None, typer.Option(metavar="OTHER", help="Another campaign, for a table of both.")
     ] = None,
@@ -55,10 +66,13 @@ def campaign(
     chosen = read_settings(settings, assign)
     from alight.trials import campaign as runner
 
-    if scenes:
-        planned = runner.Campaign.of(scenes, runner.wanted_landings(out, landings), seed or 0, chosen)
-    elif settings or assign or seed is not None:
-        raise InputError("name SCENES beside --seed, --set, --settings or --no-look-again; without, OUT's own are used")
+    if wrong := [w for w in worlds or [] if not runner.is_factory(w)]:
+        raise InputError(f"--world {wrong[0]}: {runner.FORM}")
+    if named := [*(scenes or []), *(worlds or [])]:
+        wanted = runner.wanted_landings(out, landings)
+        planned = runner.Campaign.of(named, wanted, seed or 0, chosen, link_faults, autopilot)
+    elif settings or assign or seed is not None or link_faults or autopilot != "ardupilot":
+        raise InputError("name SCENES or --world beside the options of a new campaign; without, OUT's own are used")
     else:
         planned = runner.continued(out, landings)
     if only is not None:
@@ -101,7 +115,7 @@ def _tell(ended: Ended) -> None:
         f"{r.cpu_s:.0f} s of CPU",
         f"{_clock(ended.left_s)} left" if ended.done < ended.of else "",
     ]
-    style = "none" if r.outcome in ("landed safely", "rightly refused") else "yellow"
+    style = "none" if r.is_right else "yellow"
     complain(", ".join([f"{ended.done}/{ended.of}", *filter(None, told)]), style)
 
 

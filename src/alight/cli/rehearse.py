@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from contextlib import suppress
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +11,7 @@ import typer
 
 from alight.cli.app import SeedOption, VerboseOption, app, complain, say
 from alight.records import InputError
+from alight.records.telemetry import FirmwareName
 
 if TYPE_CHECKING:
     from alight_sim.oracle import Touchdown
@@ -20,13 +20,6 @@ PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begin
 NOT_DOWN = "it has not touched the ground"
 PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
 BEHIND = 1.0  # s, from which a rehearsal reports that the machine is too slow
-
-
-class Dialects(StrEnum):
-    """Autopilots that can be simulated."""
-
-    ARDUPILOT = "ardupilot"
-    PX4 = "px4"
 
 
 @app.command()
@@ -45,7 +38,7 @@ def rehearse(
     width: Annotated[int, typer.Option(min=80, max=4000, help="Of the pictures, pixels; the height follows.")] = 320,
     rate: Annotated[float, typer.Option(min=1.0, max=100.0, help="Exposures a second.")] = 5.0,
     wind: Annotated[float, typer.Option(min=0.0, max=50.0, help="From the west, m/s.")] = 0.0,
-    autopilot: Annotated[Dialects, typer.Option(help="Whose dialect it speaks.")] = Dialects.ARDUPILOT,
+    autopilot: Annotated[FirmwareName, typer.Option(help="Whose dialect it speaks.")] = "ardupilot",
     follow: Annotated[
         str | None,
         typer.Option(
@@ -59,7 +52,7 @@ def rehearse(
 ) -> None:
     """Simulate an autopilot and its cameras in real time, to try alight fly; Ctrl-C ends it."""
     if follow is not None:
-        others = autopilot is not Dialects.ARDUPILOT
+        others = autopilot != "ardupilot"
         given = {"--port": port != PORT, "--height": height != HEIGHT, "--wind": wind > 0.0, "--autopilot": others}
         if any(given.values()):
             which = " and ".join(name for name, is_given in given.items() if is_given)
@@ -74,9 +67,9 @@ def rehearse(
     lander = OracleLander()
     flight = SteeredFlight(
         scene, seed, size=_size(width), rate_hz=rate, start=(*PLACE, height), wind=(wind, 0.0, 0.0),
-        steered_by="truth", radius=lander.reach,
+        radius=lander.reach,
     )  # fmt: skip
-    with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
+    with Rehearsal(flight, folder, port, autopilot == "px4") as rehearsal:
         say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {shlex.quote(str(folder))} --out OUT")
         try:
             rehearsal.wait(seconds, lambda: flight.contact is not None and not rehearsal.autopilot.logic.armed)

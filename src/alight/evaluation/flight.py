@@ -15,7 +15,7 @@ from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs.reading import Run, read_bands
 from alight.raster import clearance_of, gradient
-from alight.records import Flag, Hazard, InputError, Terrain
+from alight.records import Flag, Hazard, InputError, Terrain, is_site
 from alight.runner.opening import open_source
 from alight.settings import Lander, Settings
 from alight.sources.source import Trajectory
@@ -178,7 +178,7 @@ def decision(
     e, n = e - offset[0], n - offset[1]
     good_cells = truth.grid.nearest_at(safe, e, n) > 0
     known = np.isfinite(truth.grid.nearest_at(truth.dem, e, n))
-    claimed = (run.safe >= run.settings.hazards.p_safe) & known
+    claimed = is_site(run.safe, run.settings.hazards.p_safe) & known
     near = dilated(good_cells, NEAR / run.grid.cell)
     out.put(f"declared safe and not within {NEAR} m of truly safe, %{suffix}", share(claimed & ~near, claimed))
     out.put(f"truly safe cells found, %{suffix}", share(claimed & good_cells, good_cells))

@@ -26,7 +26,7 @@ from alight.raster import (
     log_brightness,
     upsample,
 )
-from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
+from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap, is_site
 from alight.settings import HazardsSettings, Lander
 
 LEAST_BLOCKS = 4.0  # cells of radius: a smaller footprint holds too few blocks of 2 x 2 cells for a plane
@@ -262,7 +262,8 @@ def assess(
         factor[~judged] = np.nan
     p = f.relief * f.obstacle * f.ground
     p[judged & (reasons != 0)] = 0
-    reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint16(Hazard.DOUBT), np.uint16(0))
+    doubtful = judged & (reasons == 0) & ~is_site(p, settings.p_safe)
+    reasons |= np.where(doubtful, np.uint16(Hazard.DOUBT), np.uint16(0))
     return HazardMap(
         grid=elevation.grid,
         slope=slope,

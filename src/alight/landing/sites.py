@@ -164,7 +164,7 @@ def _candidate(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
     site = _site(c, rank, at, clearance)
     place, settles_at = np.array([site.east, site.north, site.up]), float(c.hazards.settles_at[at])
     look = None if c.observer is None else next_view(place, settles_at, c.observer, c.settings)
-    return replace(site, kind="candidate", doubt=_doubt(site), look=look)
+    return replace(site, doubt=_doubt(site), look=look)
 
 
 def choose_sites(

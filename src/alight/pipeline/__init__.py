@@ -5,5 +5,9 @@ from alight.pipeline.judging import Verdict, without_water
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.navigation import TimedPoses
 from alight.pipeline.pipeline import Pipeline
+from alight.pipeline.policy import FlightPolicy, LanePolicy, ScheduledPolicy
 
-__all__ = ["Decision", "Lanes", "Pipeline", "TimedPoses", "Verdict", "without_water"]
+__all__ = [
+    "Decision", "FlightPolicy", "LanePolicy", "Lanes", "Pipeline", "ScheduledPolicy", "TimedPoses", "Verdict",
+    "without_water",
+]  # fmt: skip

@@ -57,19 +57,20 @@ NO_COVER = "the kind of ground is not judged (terrain.enabled=false): nothing re
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Verdict on one map: land cover, hazards and sites, in the world."""
+    """Verdict on one map: land cover, hazards and sites, in the frame of the map."""
 
     elevation: ElevationMap  # with the heights of water refused
-    cover: TerrainMap | None
-    danger: HazardMap
+    land_cover: TerrainMap | None
+    hazards: HazardMap
     sites: Sites
-    frame: MapFrame  # of the map, with the covariance of its place in the world
+    frame: MapFrame  # of the map, with its place in the world
     missing: MissingVeto = NOTHING_MISSING
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Evidence that the verdict had to do without."""
-        about = (NO_COVER,) if self.cover is None else () if self.cover.coloured else (GREY,)
+        cover = self.land_cover
+        about = (NO_COVER,) if cover is None else () if cover.coloured else (GREY,)
         return about + tuple(words for veto, words in MISSING.items() if veto in self.missing)
 
     @property
@@ -77,6 +78,18 @@ class Verdict:
         """Without a site: the view that would settle the doubt about the first candidate that has one. Else None."""
         views = [c.look for c in self.sites.candidates if c.look is not None]
         return views[0] if views and not self.sites.sites else None
+
+    def in_world(self) -> Verdict:
+        """The verdict in the world, for results that leave the pipeline."""
+        frame, cover = self.frame, self.land_cover
+        return replace(
+            self,
+            elevation=frame.elevation(self.elevation),
+            land_cover=None if cover is None else frame.on_grid(cover),
+            hazards=frame.on_grid(self.hazards),
+            sites=frame.sites(self.sites),
+            frame=replace(frame, offset_world=np.zeros(3)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,16 +153,6 @@ class JudgingLane:
         self._settings, self._appearance, self._timings = settings, appearance, timings
         self.memory = memory
 
-    @property
-    def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
-        return self.memory.reserve
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings on the sites, where the motion began anew."""
-        return self.memory.warnings
-
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and candidates with the views that would settle their doubt."""
         s, frame = self._settings, seen.frame
@@ -170,14 +173,7 @@ class JudgingLane:
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
             self._keep(chosen, danger, frame)
-        return Verdict(
-            frame.elevation(without_water(seen.elevation, cover)),
-            None if cover is None else frame.on_grid(cover),
-            frame.on_grid(danger),
-            frame.sites(chosen),
-            frame,
-            seen.missing,
-        )
+        return Verdict(without_water(seen.elevation, cover), cover, danger, chosen, frame, seen.missing)
 
     def _with_earlier(self, cover: TerrainMap, t_ns: int) -> TerrainMap:
         """Land cover with the roofs (G13c) and the doubts (T8) of this map and of earlier ones."""
@@ -209,13 +205,13 @@ class JudgingLane:
         out: dict[str, object] = {
             "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
         }
-        resolved = found.danger.resolved[np.isfinite(found.danger.resolved)]
+        resolved = found.hazards.resolved[np.isfinite(found.hazards.resolved)]
         if resolved.size:
             out["quality"] = (
-                f"{self._settings.parallax.quality}: heights on cells of {found.danger.grid.cell:g} m; on half of the "
+                f"{self._settings.parallax.quality}: heights on cells of {found.hazards.grid.cell:g} m; on half of the "
                 f"ground an obstacle of {float(np.median(resolved)):.2f} m would be found with a chance of 95 %"
             )
-        out |= reserve_notes(self.reserve.sites[len(found.sites.sites) :])
+        out |= reserve_notes(self.memory.reserve.sites[len(found.sites.sites) :])
         if self.memory.lost:
             out["sites given up"] = list(self.memory.lost)
         return out

@@ -10,12 +10,12 @@ from alight import terrain
 from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
-from alight.landing.reserve import Reserve
-from alight.pipeline.judging import JudgingLane, Verdict
+from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
 from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, mapping_lane
 from alight.pipeline.navigation import FilterLane, Navigation, NavigationLane, TimedPoses, Trajectory, navigation_lane
+from alight.pipeline.policy import LanePolicy
 from alight.pipeline.timing import Timings
-from alight.records import Event, Frame, PriorHeights, Rig, Schedule
+from alight.records import Event, Frame, PriorHeights, Rig
 from alight.settings import StageSettings
 
 Progress = Callable[[float], None]
@@ -25,12 +25,8 @@ class Judge(Protocol):
     """One way to judge a map: in this process, or in another one."""
 
     @property
-    def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings on the sites, where the motion began anew."""
+    def memory(self) -> JudgingMemory:
+        """The sites of all maps judged so far, and warnings on them."""
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map."""
@@ -58,7 +54,7 @@ class Lanes:
         far: TileStore | None = None,
         history: bool = True,
         appearance: terrain.Model | None = None,
-        schedule: Schedule | None = None,
+        policy: LanePolicy | None = None,
         jobs: Jobs | None = None,
         prior: PriorHeights | None = None,
         navigation: NavigationLane | None = None,
@@ -66,13 +62,13 @@ class Lanes:
         """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
         jobs = jobs or InTurn()
         judging = JudgingLane(stages, appearance, timings)
-        if schedule is not None and (schedule.navigation_anew or schedule.mapping_anew):
-            from alight.pipeline.mapping.recursive import RecursiveMapper
+        if policy is not None and (policy.navigation_anew or policy.mapping_anew):
+            from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 
             again = FilterAgain(
-                lambda number: FilterLane(rig, stages, history, frame_id=number), schedule.navigation_anew
+                lambda number: FilterLane(rig, stages, history, frame_id=number), policy.navigation_anew
             )
-            mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), schedule.mapping_anew)
+            mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), policy.mapping_anew)
             return cls(again, mapping, judging)
         return cls(
             navigation or navigation_lane(rig, kind, stages, poses, history),
@@ -90,9 +86,9 @@ class FilterAgain:
     def feed(self, event: Event) -> Navigation | None:
         """As the lane; a new lane first takes the rows since the last exposure of the one before."""
         if isinstance(event, Frame) and event.t_ns in self._before:
-            waiting = self._lane.waiting()
+            rows = self._lane.batcher.rest().rows
             self._lane = self._make(self._lane.next_frame)
-            for row in waiting:
+            for row in rows:
                 self._lane.feed(row)
         return self._lane.feed(event)
 

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from alight import terrain
-from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.jobs import Jobs
-from alight.landing import route
 from alight.landing.reserve import Reserve
-from alight.pipeline.decision import Decision
+from alight.pipeline.decision import Decision, conclude
 from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses
+from alight.pipeline.policy import FlightPolicy, LanePolicy
 from alight.pipeline.timing import Clock, Tell, Timings
-from alight.pipeline.turns import turns
-from alight.records import Event, Motion, PriorHeights, Rig, Route, Schedule
+from alight.records import Event, Motion, PriorHeights, Rig
 from alight.settings import ImuNoise, Settings
 
 
@@ -33,8 +30,10 @@ class Pipeline:
         far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
         history: keep the data for `finish`; without it a flight may last for ever.
         appearance: model of appearance; None: land cover from the map's own evidence alone.
-        schedule: of a live run, to be repeated; None: every exposure in its turn.
-        lanes, navigation: used instead of the usual ones; one whose motions all come at the end (bundle adjustment).
+        policy: chooses exposures, effort and the maps that are judged; None: a `FlightPolicy` by `sites.every`.
+        on_verdict: called with the verdict on a map that was judged in flight, and the stamp of its newest exposure.
+        lanes: to use instead of those for `kind` and the settings, such as processes of their own.
+        navigation: a lane whose motions all come at the end, such as bundle adjustment; None: the filter, or `poses`.
         imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
     """
 
@@ -48,7 +47,8 @@ class Pipeline:
         far: TileStore | None = None,
         history: bool = True,
         appearance: terrain.Model | None = None,
-        schedule: Schedule | None = None,
+        policy: LanePolicy | None = None,
+        on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None,
         lanes: Lanes | None = None,
         navigation: NavigationLane | None = None,
         imu: ImuNoise | None = None,
@@ -56,41 +56,40 @@ class Pipeline:
         prior: PriorHeights | None = None,
     ) -> None:
         self._settings = stages = (settings or Settings()).stages(imu)
-        self._timings, self._turns = Timings(clock, history), turns(schedule, stages.sites.every)
+        self._timings, self._on_verdict = Timings(clock, history), on_verdict
+        self._policy = policy or FlightPolicy(stages.sites.every)
         lanes = lanes or Lanes.of(
-            rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs, prior, navigation
+            rig, kind, stages, self._timings, poses, far, history, appearance, self._policy, jobs, prior, navigation
         )
         self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
 
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion when that is known at once."""
-        if not self._turns.takes(event):
+        if not self._policy.tracks(event):
             return None
         with self._timings.of("motion"):
             navigation = self._navigation.feed(event)  # features, motion: docs/method/motion.md
         if navigation is not None and (seen := self.map(navigation)) is not None:
-            self.judge(seen)
+            self._on_verdict(self.judge(seen), navigation.frame.t_ns)
         return None if navigation is None else navigation.motion
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
         """Improve the map with an exposure; return the map if it is to be judged, else None."""
-        if not (turn := self._turns).maps(navigation):
+        policy = self._policy
+        if not policy.maps(navigation):
             return None
-        update = self._mapping.feed(navigation, turn.effort(navigation))  # docs/method/parallax.md
-        return self._mapping.snapshot(turn.about(navigation)) if turn.judges(navigation, update) else None
+        update = self._mapping.feed(navigation, policy.effort(navigation))  # docs/method/parallax.md
+        due = policy.due_verdict(navigation, update)
+        return None if due is None else self._mapping.snapshot(due.about)
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and the next view where there is no site."""
         return self._judging.judge(seen)  # docs/method/land-cover.md, docs/method/hazards.md
 
-    def judge_now(self, about: F64 | None = None) -> Verdict | None:
-        """Judge the ground under the newest keyframe, and about a place of the map, (2,) metres; None without a map."""
-        return None if (seen := self._mapping.snapshot(about)) is None else self.judge(seen)
-
     @property
     def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
-        return self._judging.reserve
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
+        return self._judging.memory.reserve
 
     @property
     def timings(self) -> Mapping[str, Sequence[float]]:
@@ -99,22 +98,4 @@ class Pipeline:
 
     def finish(self, tell: Tell = lambda stage, share: None) -> Decision:
         """Refine the motion, build the map, judge it and choose."""
-        with self._timings.of("motion, all frames together"):
-            trajectory = self._navigation.finish(lambda f: tell("motion", f))
-        if not trajectory.usable:
-            return Decision.none(trajectory, trajectory.reason)
-        found = self._mapping.finish(trajectory, lambda f: tell("heights", f))
-        if found.snapshot is None:
-            return Decision.none(trajectory, found.reason, *found.warnings, judge=self._judging)
-        tell("judging", 0.2)
-        way = self._route(verdict := self.judge(found.snapshot), found.snapshot)
-        tell("judging", 1.0)
-        return Decision.of(trajectory, found, verdict, way, self._judging)
-
-    def _route(self, verdict: Verdict, seen: MapSnapshot) -> Route | None:
-        """The way to the best site, planned in the world."""
-        if not verdict.sites.sites:
-            return None
-        vehicle, site = seen.frame.point(seen.vehicle.position), verdict.sites.sites[0]
-        way = route.plan_route(site, seen.frame.elevation(seen.elevation), vehicle, self._settings.route)
-        return replace(way, frame_id=seen.frame.frame_id)
+        return conclude(self._navigation, self._mapping, self._judging, self._settings, self._timings, tell)

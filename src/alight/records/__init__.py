@@ -5,7 +5,19 @@ World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is 
 
 from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError
 from alight.records.events import Event, Frame, ImuSample, NavSample, Pixels, Prediction, Rig, RigCamera, Tracks
-from alight.records.landing import Doubt, Hazard, HazardMap, Kind, NextView, Route, Site, Sites, Waypoint, p_safe_text
+from alight.records.landing import (
+    Doubt,
+    Hazard,
+    HazardMap,
+    Kind,
+    NextView,
+    Route,
+    Site,
+    Sites,
+    Waypoint,
+    is_site,
+    p_safe_text,
+)
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
 from alight.records.prior import PriorComparison, PriorHeights
@@ -102,6 +114,7 @@ __all__ = [
     "Waypoint",
     "is_absolute",
     "is_measured",
+    "is_site",
     "is_trusted",
     "p_safe_text",
 ]

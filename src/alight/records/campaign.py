@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from alight.records.telemetry import FirmwareName
+
 Outcome = Literal[
     "landed safely", "landed unsafely", "rightly refused", "wrongly refused", "handed over", "failed"
 ]  # fmt: skip
@@ -30,6 +32,7 @@ class FaultRecord(_Line):
     after: float  # s, of the flight, or since `state` was first entered
     state: str | None = None
     numbers: dict[str, float] = {}
+    takes_control: bool = False  # another one flies from then on, so that the landing is rightly handed over
     happened: float | None = None  # s of the flight; None: the landing ended before
 
 
@@ -48,7 +51,7 @@ class Conditions(_Line):
 
     landing: int = Field(ge=0)  # its number in the campaign
     seed: int  # of the campaign
-    scene: str
+    scene: str  # name, file, or package.module:factory
     world_seed: int
     flight_seed: int  # of noise, gusts and drift
     heading: float  # rad, clockwise from north
@@ -56,8 +59,9 @@ class Conditions(_Line):
     gusts: float  # m/s^2, standard deviation
     gps_sigma: tuple[float, float, float]  # of the drift: east, north, up
     gps_tau: float  # s, its correlation time
-    light: LightRecord | None = None  # None: the scene's own
+    light: LightRecord | None = None  # None: the world's own
     faults: tuple[FaultRecord, ...] = ()
+    firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
 
     @property
     def wind_speed(self) -> float:
@@ -159,6 +163,12 @@ class LandingRecord(_Line):
         return struck or (self.touchdown is not None and self.touchdown.bad_ground)
 
     @property
+    def is_right(self) -> bool:
+        """True if it ended as it should: landed safely, rightly refused, or handed over to the one who took control."""
+        taken = any(f.takes_control and f.happened is not None for f in self.conditions.faults)
+        return self.outcome in PLACES or (self.outcome == "handed over" and taken)
+
+    @property
     def was_lost(self) -> bool:
         """True if its process died, so that nothing is known of the landing."""
         return self.error is not None and self.error.startswith(LOST)
@@ -184,8 +194,10 @@ class CampaignHead(_Line):
     scenes: tuple[str, ...] = Field(min_length=1)
     landings: int = Field(ge=1, le=MOST_LANDINGS)  # to be flown; with more of them it is still the same campaign
     settings: dict[str, Any]
+    link_faults: float = Field(0.0, ge=0, le=1)  # share of the landings with a fault of the link or the autopilot
+    firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
     sources: str = ""  # digest of the program; empty: not known
-    files: dict[str, str] = {}  # digests of scene files, their rasters, and the model of appearance
+    files: dict[str, str] = {}  # digests of scene files, their rasters, modules of worlds, the model of appearance
 
     def differing(self, other: CampaignHead) -> str | None:
         """The first difference from another campaign, in words; None: it is the same."""
@@ -193,6 +205,8 @@ class CampaignHead(_Line):
             return f"seed {self.seed}"
         if self.scenes != other.scenes:
             return f"the scenes {' '.join(self.scenes)}"
+        if (self.link_faults, self.firmware) != (other.link_faults, other.firmware):
+            return f"a {self.firmware} autopilot and a share of {self.link_faults:g} of link faults"
         if self.alight != other.alight:
             return f"version {self.alight} of Alight"
         if self.settings != other.settings:

@@ -52,8 +52,8 @@ class FlightEvent(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """One verdict on the ground, in the frame of its map."""
+class MapVerdict:
+    """A verdict on a map, in the map's frame, as far as the executive decides by it."""
 
     number: int  # of the verdict, rising
     t: float  # s, of the newest exposure that the map holds
@@ -72,7 +72,7 @@ class Situation:
     position: F64 | None  # (3,) metres, of the vehicle; None: not known
     state: MotionState
     frame_id: int = 0  # of the position
-    seen: Seen | None = None  # the newest verdict
+    seen: MapVerdict | None = None  # the newest verdict
     picture_age: float = 0.0  # s, of the newest picture that is no repetition
     frozen: bool = False  # pictures come, each equal to the one before bit for bit
     height: float | None = None  # metres above the ground below; None: not known
@@ -88,6 +88,14 @@ class Situation:
     def wind_speed(self) -> float:
         """Wind speed, m/s over the ground; 0 where it is not known."""
         return 0.0 if self.wind is None else math.hypot(float(self.wind[0]), float(self.wind[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Need:
+    """Verdicts that the executive needs now."""
+
+    seconds: float  # from one verdict to the next, counted between the newest exposures of their maps
+    about: F64 | None = None  # (2,) metres in the map's frame, a place that the map must show as well; None: none
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U16
+from alight.arrays import F32, F64, U16, Mask
 from alight.geometry import Grid
 from alight.records.surface import Terrain
 
@@ -29,6 +29,19 @@ class Hazard(IntFlag):
     EDGE = 64  # the footprint leaves the map
     DOUBT = 128  # every limit is met, but not surely enough (p_safe below the least wanted)
     TRAFFIC = 256  # something moved across it or beside it a moment ago
+
+
+def is_site(p_safe: F32, least: float) -> Mask:
+    """Whether P(safe) makes a touchdown that no limit refuses a site; else it is a candidate, (R, C).
+
+    This is the one decision between the two. Its result is `Hazard.DOUBT`: a place without any reason is a site, one
+    with this reason alone a candidate.
+
+    Args:
+        p_safe: (R, C), 0 where a limit refuses a touchdown, NaN where it cannot be judged.
+        least: P(safe) of a site, at least.
+    """
+    return p_safe >= least
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +115,13 @@ class Site:
     terrain: Terrain
     heading: float  # rad, clockwise from north, of the suggested touchdown
     height_sigma: float  # metres
-    kind: Kind = "site"
     doubt: Doubt | None = None  # of a candidate: the smallest factor of P(safe)
     look: NextView | None = None  # of a candidate; None: no nearer view would settle the doubt
+
+    @property
+    def kind(self) -> Kind:
+        """A candidate is a place in doubt."""
+        return "site" if self.doubt is None else "candidate"
 
     def moved(self, shift: F64) -> Site:
         """The site and its view, moved by `shift`, (3,) metres."""

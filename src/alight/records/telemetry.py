@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.records.errors import InputError
 
+FirmwareName = Literal["ardupilot", "px4"]
 _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3

@@ -12,7 +12,7 @@ from pathlib import Path
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, is_finished, prepare_folder
-from alight.pipeline import Pipeline, TimedPoses
+from alight.pipeline import Pipeline, ScheduledPolicy, TimedPoses
 from alight.pipeline.navigation import NavigationLane
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
 from alight.runner.opening import open_source
@@ -79,7 +79,7 @@ def replay(
         far,
         history=source.schedule is None,  # a live run has none
         appearance=appearance_of(settings),
-        schedule=source.schedule,
+        policy=None if source.schedule is None else ScheduledPolicy(source.schedule),
         navigation=_adjustment(source, settings, jobs) if given is None else None,
         imu=source.imu_noise,
         jobs=jobs,
@@ -188,9 +188,10 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     with closing(FileStore(out)) as far:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
-        from alight.photos.work import SavedJobs, WorkFolder, cluster_jobs, work_key
+        from alight.cluster import open_jobs
+        from alight.photos.work import SavedJobs, WorkFolder, work_key
 
-        with cluster_jobs(how.scheduler) as jobs:
+        with open_jobs(how.scheduler) as jobs:
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
             try:
                 saved = SavedJobs(jobs, work)

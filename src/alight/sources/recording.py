@@ -85,7 +85,7 @@ def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
         ValueError, KeyError, TypeError, IndexError, OverflowError: it is damaged.
     """
     t_ns, value = int(entry["t_ns"]), int(entry["value"])
-    place = entry.get("about")  # missing in recordings from before 2026-11-23
+    place = entry["about"]
     about = None if place is None else (float(place[0]), float(place[1]))
     entries[kind].append(t_ns)
     entries["effort"] += [value] * (kind == "mapped")

@@ -12,7 +12,7 @@ from alight.records import RunResult
 from alight.records.executive import FlightState
 from alight.runs import appearance_of, result_of
 from alight.settings import Settings
-from alight.trials.landing import fly_landing
+from alight.trials.landing import Trial, fly_landing
 from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.touchdown import judge_flight
@@ -59,11 +59,11 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
     vehicle = SteeredFlight("demo", seed, start=START, radius=lander.reach)
     done = [0.0]
 
-    def happening(t: float, state: FlightState) -> None:
-        done[0] = max(done[0], SHARE.get(state, 0.0))
-        tell(state.value, done[0])
+    def happening(trial: Trial) -> None:
+        done[0] = max(done[0], SHARE.get(trial.state, 0.0))
+        tell(trial.state.value, done[0])
 
-    flown = fly_landing(vehicle, settings, appearance_of(settings), happening, keep_pictures=True, map_all=True)
+    flown = fly_landing(vehicle, settings, appearance_of(settings), happening, map_all=True)
     assert flown.decision is not None
     ended, _ = flown.diary.end or (flown.state, "")
     tell(ended.value, 1.0)

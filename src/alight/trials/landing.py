@@ -1,35 +1,41 @@
-"""One landing in closed loop: a vehicle that can be steered, the three lanes in turn, and the executive."""
+"""One landing in virtual time: the pilot that flies vehicles, over a simulated autopilot and simulated pictures.
+
+Everything of `alight fly` takes part except its sockets, threads and processes: telemetry and orders are MAVLink in two
+byte queues, clocks are tied by TIMESYNC, and the three lanes run in turn.
+"""
 
 from __future__ import annotations
 
-import math
+import heapq
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from alight import terrain
-from alight.arrays import F64
-from alight.flight.executive import ENDS, Executive
-from alight.flight.session.pictures import PictureWatch
-from alight.flight.session.verdicts import as_seen, judged_every, look_picture
-from alight.pipeline import Decision, Pipeline
+from alight.checks.result import Judged
+from alight.flight.autopilot import Autopilot, TelemetryEvents
+from alight.flight.executive import ENDS
+from alight.flight.session.pilot import LandingPilot
+from alight.flight.session.preflight import judge_motion
+from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
-from alight.records import Frame, Motion, MotionState, NavSample
-from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
+from alight.records import Event, Frame
+from alight.records.executive import FlightDiary, FlightState, LookRecord, Transition
+from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
-from alight.trials.mean_tie import MeanTie
-from alight_sim.steered import SteeredFlight, Wanted
+from alight_sim.autopilot import SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4
+from alight_sim.autopilot.dialects import Doing
+from alight_sim.steered import SteeredFlight
+from alight_sim.steered.flown import FlownEstimate, FlownVehicle
 
-TICK = 0.1  # s between two orders
-LATENCY = 0.5  # s from a map to its verdict, which the loop may not use before
-LONGEST = 1.5  # times the budget of time, after which the loop gives up
-SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
-BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
+SEPARATION = 46.0  # m, ellipsoid above sea level
+IMU_RATE = 100.0  # Hz, as `alight fly` requests it
+STEP, STEPS = 0.01, 5  # s between two steps of the vehicle, and steps between two of the pilot
+MOTION_NS, VERDICT_NS = 100_000_000, 500_000_000  # from the arrival of an exposure until each is known
+READY = 30.0  # s that the autopilot and the motion may take until the landing begins all the same
+LONGEST = 1.5  # times the budget of time, after which the trial ends
 
 
 @dataclass
@@ -43,43 +49,46 @@ class Landing:
     verdicts: int = 0
     decision: Decision | None = None  # of the whole flight, if requested
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
-    cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging
+    cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging, link
+    notes: Sequence[str] = ()  # on the cameras and the autopilot, with their times
 
 
 def fly_landing(
     vehicle: SteeredFlight,
     settings: Settings,
     appearance: terrain.Model | None = None,
-    happening: Callable[[float, FlightState], None] = lambda t, state: None,
-    keep_pictures: bool = False,
+    happening: Callable[[Trial], None] = lambda trial: None,
+    firmware: FirmwareName = "ardupilot",
     map_all: bool = False,
 ) -> Landing:
     """Search, look, look again, and land or give up.
 
     Args:
-        vehicle: the simulated vehicle that is steered.
+        vehicle: the simulated vehicle, in the air.
         settings: all settings; the map is always built recursively.
         appearance: model of the appearance of ground; None: there is none.
-        happening: called with the time (s) and the state before every order; it may act on the vehicle.
-        keep_pictures: keep a picture of the ground at every look.
+        happening: called before every decision; it may act on the vehicle, the autopilot and the link.
+        firmware: of the simulated autopilot.
         map_all: make and judge the map of the whole flight at its end.
     """
-    loop = _Loop(vehicle, settings, appearance, keep_pictures)
-    while not loop.over:
-        happening(loop.t, loop.executive.state)
-        loop.step()
-    return loop.result(map_all)
+    trial = Trial(vehicle, settings, appearance, firmware)
+    while not trial.over:
+        if trial.begun:
+            happening(trial)
+        trial.step()
+    return trial.result(map_all)
 
 
 class _MeasuredPipeline(Pipeline):
-    """The pipeline of a vehicle, which adds the time that mapping takes to `costs`."""
+    """The pipeline of a vehicle, which adds the time that mapping and judging take to `costs`."""
 
     def __init__(
-        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings
-    ) -> None:
+        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings,
+        policy: FlightPolicy, on_verdict: Callable[[Verdict, int], None],
+    ) -> None:  # fmt: skip
         super().__init__(
             vehicle.rig, "flight", settings, clock=time.perf_counter, history=False, appearance=appearance,
-            imu=vehicle.imu_noise,
+            policy=policy, on_verdict=on_verdict, imu=vehicle.imu_noise,
         )  # fmt: skip
         self._costs = costs
 
@@ -88,144 +97,177 @@ class _MeasuredPipeline(Pipeline):
         with self._costs.of("mapping"):
             return super().map(navigation)
 
+    def judge(self, seen: MapSnapshot) -> Verdict:
+        """As `Pipeline.judge`, measured."""
+        with self._costs.of("judging"):
+            return super().judge(seen)
 
-class _Loop:
+
+class TrialLink:
+    """The link between pilot and autopilot: bytes in both directions, without delay."""
+
+    def __init__(self, ours: Autopilot, theirs: SimulatedAutopilot) -> None:
+        self._ours, self._theirs = ours, theirs
+        self._now_ns = self._cut_until_ns = 0
+
+    def cut(self, seconds: float) -> None:
+        """Lose all bytes of the next seconds."""
+        self._cut_until_ns = self._now_ns + round(seconds * 1e9)
+
+    def carry(self, now_ns: int) -> None:
+        """Deliver the pending bytes of both sides; the autopilot's answers to them arrive at once."""
+        self._now_ns = now_ns
+        self._inward()
+        self._ours.tick(now_ns)
+        for data in self._ours.pending():
+            if now_ns >= self._cut_until_ns:
+                self._theirs.receive(data)
+        self._inward()
+
+    def _inward(self) -> None:
+        data = b"".join(self._theirs.pending())
+        if data and self._now_ns >= self._cut_until_ns:
+            self._ours.receive(data, self._now_ns)
+
+
+class Trial:
+    """One landing, step by step.
+
+    Args:
+        vehicle, settings, appearance, firmware: as of `fly_landing`.
+    """
+
     def __init__(
-        self,
-        vehicle: SteeredFlight,
-        settings: Settings,
-        appearance: terrain.Model | None,
-        keep_pictures: bool,
-    ) -> None:
-        self._vehicle, self._keep = vehicle, keep_pictures
-        self._settings = settings.model_copy(
-            update={
-                "sites": settings.sites.model_copy(update={"every": 0}),  # judged when the executive needs it
-                "parallax": settings.parallax.model_copy(update={"method": "ring"}),
-            }
-        )
+        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
+        firmware: FirmwareName = "ardupilot",
+    ) -> None:  # fmt: skip
+        self._vehicle, self._settings = vehicle, as_flown(settings)
         self._costs = Timings(time.process_time)
-        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs)
-        self.executive = Executive(settings.stages())
-        self._begin = vehicle.time_ns
-        self._motion: Motion | None = None
-        self._pictures = PictureWatch()
-        self._seen: Seen | None = None
-        self._pending: tuple[float, Seen] | None = None  # and when it is known
-        self._judged_at = -math.inf
-        self._number, self._most = 0, LONGEST * settings.executive.time_budget
-        self._landing = Landing()
-        self._rows: deque[tuple[int, F64]] = deque(maxlen=40)  # GPS/INS, ns and metres
-        self._tie = MeanTie()
-        self._held: F64 | None = None
-        self._wanted = Wanted()
+        policy = FlightPolicy(every=0)  # judged when the executive needs it
+        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs, policy, self._judged)
+        local, self._flown = vehicle.local, FlownVehicle(vehicle)
+        home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
+        dialect = SpokenPx4() if firmware == "px4" else SpokenArduPilot()
+        self.autopilot = SimulatedAutopilot(dialect, self._flown, home, FlownEstimate(vehicle))
+        self.autopilot.hover(Doing.PILOT)
+        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE}, TelemetryEvents(local))
+        self.link = TrialLink(self._ours, self.autopilot)
+        self._connect()
+        assert self._ours.vehicle is not None
+        self._log = TrialLog()
+        self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, self._log)
+        self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
+        self._start_ns = vehicle.time_ns
+        self._begin_ns: int | None = None
+        self._numbers = self._verdicts = 0
+
+    def _connect(self) -> None:
+        """Let the autopilot send its first heartbeat."""
+        while self._ours.vehicle is None:
+            self.autopilot.step(STEP)
+            self.link.carry(self._vehicle.time_ns)
+
+    @property
+    def begun(self) -> bool:
+        """True once the landing has begun."""
+        return self._begin_ns is not None
 
     @property
     def t(self) -> float:
-        """Seconds of the flight."""
-        return (self._vehicle.time_ns - self._begin) * 1e-9
+        """Seconds of the landing."""
+        return 0.0 if self._begin_ns is None else (self._vehicle.time_ns - self._begin_ns) * 1e-9
+
+    @property
+    def state(self) -> FlightState:
+        """State of the executive."""
+        return self._pilot.state
 
     @property
     def over(self) -> bool:
         """True once the vehicle has landed, the landing is given up, or it has taken too long."""
-        return self.executive.state in ENDS or self.t > self._most
+        return self.state in ENDS or self.t > LONGEST * self._settings.executive.time_budget
 
     def step(self) -> None:
-        """Let the vehicle fly for `TICK` seconds, process its events, and set the next order."""
+        """Let the vehicle fly for one step of the pilot, process what has come, and decide."""
         with self._costs.of("simulator"):
-            events = self._vehicle.step(TICK, self._wanted)
-        for event in events:
-            if isinstance(event, NavSample) and event.position_world is not None:
-                self._rows.append((event.t_ns, event.position_world))
-            fresh = self._pictures.fresh(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
-            with self._costs.of("pipeline"):
-                motion = None if fresh is None else self._pipeline.feed(fresh)
-            if motion is not None:
-                self._motion = motion
-                self._tie_to_autopilot(motion)
-        if self._motion is None:  # there is no motion before the first exposure
+            for _ in range(STEPS):
+                self.autopilot.step(STEP)
+        now_ns = self._vehicle.time_ns
+        with self._costs.of("link"):
+            self.link.carry(now_ns)
+            events: list[Event] = [*self._ours.samples(), *self._flown.take()]
+        for event in sorted(events, key=lambda e: (e.t_ns, isinstance(e, Frame))):
+            self._feed(event)
+        while self._later and self._later[0][0] <= now_ns:
+            heapq.heappop(self._later)[2]()
+        with self._costs.of("link"):
+            self._fly(now_ns)
+
+    def _fly(self, now_ns: int) -> None:
+        for notice in self._ours.notices():
+            self._pilot.noticed(notice)
+        if self._begin_ns is None and self._is_ready(now_ns):
+            self._begin_ns = now_ns
+            self._pilot.begin(now_ns)
+        if self._begin_ns is not None:
+            self._pilot.tick(now_ns)
+
+    def _is_ready(self, now_ns: int) -> bool:
+        """True if the motion and the autopilot's position are known, or will not be."""
+        m, vehicle = self._pilot.motion, self._ours.vehicle
+        assert vehicle is not None
+        known = m is not None and judge_motion(m, (now_ns - m.t_ns) * 1e-9).verdict is not Judged.BAD
+        return (known and vehicle.telemetry.has_position) or (now_ns - self._start_ns) * 1e-9 > READY
+
+    def _feed(self, event: Event) -> None:
+        fresh = self._pilot.saw(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
+        if fresh is None:
             return
-        self._judge()
-        diary = self.executive.diary
-        before = len(diary.looks)
-        order = self.executive.tick(self._situation())
-        if self._keep and len(diary.looks) > before and self._seen is not None:
-            diary.pictures.append(look_picture(diary.looks[-1], self._seen))
-        self._obey(order)
+        with self._costs.of("pipeline"):
+            motion = self._pipeline.feed(fresh)
+        if motion is not None:
+            self._after(MOTION_NS, lambda: self._pilot.moved(motion))
 
-    def _situation(self) -> Situation:
-        m = self._motion
-        assert m is not None
-        lost = m.state in (MotionState.LOST, MotionState.INITIALISING)
-        return Situation(
-            self.t, None if lost else m.world_from_body.translation, m.state, m.frame_id, self._seen,
-            self._pictures.age(self._vehicle.time_ns), self._pictures.frozen > 0,
-            standing=self._vehicle.landed, battery=self._vehicle.battery, wind=self._vehicle.learned_wind,
-            holds=bool(self._rows) and self._vehicle.time_ns - self._rows[-1][0] < SILENT_NS,
-        )  # fmt: skip
+    def _judged(self, verdict: Verdict, t_ns: int) -> None:
+        self._verdicts += 1
+        self._after(VERDICT_NS, lambda: self._pilot.judged(verdict, t_ns))
 
-    def _judge(self) -> None:
-        """Judge the map as often as the state needs; the verdict is used `LATENCY` seconds later."""
-        if self._pending is not None and self.t >= self._pending[0]:
-            _, self._seen = self._pending
-            self._pending = None
-        every = judged_every(self.executive)
-        if every is None or self._pending is not None or self.t - self._judged_at < every:
-            return
-        self._judged_at = self.t
-        assert self._motion is not None
-        seen = (self._motion.t_ns - self._begin) * 1e-9  # as late as the pictures
-        with self._costs.of("judging"):
-            verdict = self._pipeline.judge_now(self.executive.about)
-        if verdict is not None:
-            self._number += 1
-            self._landing.verdicts += 1
-            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, seen))
+    def _after(self, delay_ns: int, call: Callable[[], None]) -> None:
+        self._numbers += 1
+        heapq.heappush(self._later, (self._vehicle.time_ns + delay_ns, self._numbers, call))
 
-    def _tie_to_autopilot(self, motion: Motion) -> None:
-        """Tie commands to the autopilot's own estimate of the same instant: the error of GPS cancels."""
-        if len(self._rows) < 2 or motion.state in (MotionState.LOST, MotionState.INITIALISING):
-            return
-        t = np.array([r[0] for r in self._rows], np.float64)
-        own = np.array([np.interp(motion.t_ns, t, axis) for axis in np.array([r[1] for r in self._rows]).T])
-        self._tie.add(own - motion.world_from_body.translation, motion.frame_id)
-
-    def _obey(self, order: Order) -> None:
-        m = self._motion
-        assert m is not None
-        if order.what in ("fly", "land") and order.position is not None and self._tie.frame_id == m.frame_id:
-            to = order.position
-            if order.what == "land":
-                kept = m.world_from_body.translation[2] if order.height is None else order.height
-                to = np.array([*to[:2], to[2] - BELOW if order.down else kept])
-            target = to + self._tie.mean
-            self._wanted = Wanted(target, speed=order.speed, sink=order.sink)
-            self._held = None
-        elif order.what == "land" and order.position is None and self._rows:
-            if self._held is None:
-                self._held = self._rows[-1][1].copy()
-            below = np.array([*self._held[:2], self._rows[-1][1][2] - BELOW])
-            self._wanted = Wanted(below, speed=order.speed, sink=order.sink)
-        elif order.what != "nothing":
-            if self._held is None and self._rows:
-                self._held = self._rows[-1][1].copy()
-            self._wanted = Wanted(self._held, speed=1.0)
-
-    def result(self, map_all: bool) -> Landing:
+    def result(self, map_all: bool = False) -> Landing:
         """The landing as it is now; `map_all`: with the decision on the map of the whole flight."""
-        d = self.executive.diary
+        d = self._pilot.diary
         commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
-        p = commits[-1].p_safe if commits else None
-        decision = self._pipeline.finish() if map_all else None
-        return replace(
-            self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p, decision=decision,
-            timings=self._pipeline.timings, cpu_of=self._cpu_of(),
+        return Landing(
+            self.state, d, self.t, commits[-1].p_safe if commits else None, self._verdicts,
+            self._pipeline.finish() if map_all else None, self._pipeline.timings, self._cpu_of(), self._log.lines,
         )  # fmt: skip
 
     def _cpu_of(self) -> dict[str, float]:
         spent = {name: sum(steps) for name, steps in self._costs.stages.items()}
-        mapping, pipeline = spent.get("mapping", 0.0), spent.get("pipeline", 0.0)
-        return {
-            "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
-            "judging": spent.get("judging", 0.0),
-        }  # fmt: skip
+        found = {name: spent.get(name, 0.0) for name in ("simulator", "link", "mapping", "judging")}
+        return {**found, "navigation": spent.get("pipeline", 0.0) - found["mapping"] - found["judging"]}
+
+
+def as_flown(settings: Settings) -> Settings:
+    """The settings of a landing, whose map is recursive."""
+    return settings.model_copy(update={"parallax": settings.parallax.model_copy(update={"method": "ring"})})
+
+
+class TrialLog:
+    """Log of a landing (`LandingLog`) that keeps the notes; the diary has the rest."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def order(self, t_ns: int, state: str, words: str) -> None:
+        """Leave orders out: there are many."""
+
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
+        """Leave entries of the diary out: it is kept whole."""
+
+    def note(self, lane: str, words: str) -> None:
+        """Keep a note."""
+        self.lines.append(f"{lane}: {words}")

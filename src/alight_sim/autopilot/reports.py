@@ -33,11 +33,14 @@ class SimulatedState:
     vehicle: TrueVehicle
     degrees: tuple[float, float, float]  # its estimate: latitude, longitude, metres above sea level
     metres: F64  # its estimate: (3,) from the home
+    velocity: F64  # its estimate: (3,) m/s
+    world_from_body: F64  # its estimate: (3, 3)
     home: SimulatedHome
     ready: bool
+    fixed: bool  # its receiver has a fix
+    accuracy: tuple[float, float]  # metres, that its receiver claims: over the ground, in height
     boot: float  # s
     middle: float  # s, middle of the interval of the inertial measurements
-    battery: float  # share of its full charge
     checks: bool = True  # whether it checks itself before arming
 
     @property
@@ -48,7 +51,7 @@ class SimulatedState:
     @property
     def ned_from_frd(self) -> F64:
         """(3, 3) attitude: rotation of FRD axes into NED."""
-        return np.asarray(_SWAP @ self.vehicle.world_from_body.rotation @ _FLIP)
+        return np.asarray(_SWAP @ self.world_from_body @ _FLIP)
 
 
 class Reports:
@@ -87,7 +90,8 @@ class Reports:
         for message, interval in self._interval.items():
             if message not in self.silent and interval > 0 and t >= self._due[message] - 1e-9:
                 self._due[message] = max(self._due[message] + interval, t)
-                self._send(self._make[message](now))
+                if (made := self._make[message](now)) is not None:
+                    self._send(made)
         self._events(now)
 
     def _events(self, now: SimulatedState) -> None:
@@ -98,9 +102,10 @@ class Reports:
     def _sys_status(self, now: SimulatedState) -> Any:
         bits = _PRE_ARM if now.checks and (now.ready or now.logic.armed) else 0
         enabled = _PRE_ARM if now.checks else 0
-        volts = round((10.5 + 2.1 * now.battery) * 1e3)
+        battery = now.vehicle.battery
+        volts = round((10.5 + 2.1 * battery) * 1e3)
         return mavlink.MAVLink_sys_status_message(
-            _PRE_ARM, enabled, bits, 300, volts, 900, round(100 * now.battery), 0, 0, 0, 0, 0, 0
+            _PRE_ARM, enabled, bits, 300, volts, 900, round(100 * battery), 0, 0, 0, 0, 0, 0
         )
 
     def _system_time(self, now: SimulatedState) -> Any:
@@ -108,51 +113,63 @@ class Reports:
 
     def _gps(self, now: SimulatedState) -> Any:
         lat, lon, msl = now.degrees
-        fix = 3 if now.ready else 1
+        fix, (over, up) = 3 if now.fixed and now.ready else 1, now.accuracy
         return mavlink.MAVLink_gps_raw_int_message(
             round(now.boot * 1e6), fix, round(lat * 1e7), round(lon * 1e7), round(msl * 1e3), 90, 130, 0, 0, 14,
-            alt_ellipsoid=round((msl + now.home.separation) * 1e3), h_acc=800, v_acc=1200, vel_acc=150,
+            alt_ellipsoid=round((msl + now.home.separation) * 1e3), h_acc=round(1e3 * over), v_acc=round(1e3 * up),
+            vel_acc=150,
         )  # fmt: skip
 
-    def _imu_values(self, now: SimulatedState) -> tuple[F64, F64]:
-        return _FLIP @ now.vehicle.specific_force_body, _FLIP @ now.vehicle.angular_velocity_body
+    def _imu_values(self, now: SimulatedState) -> tuple[F64, F64] | None:
+        """Specific force and turn rates in FRD; None: the IMU is silent."""
+        imu = now.vehicle.imu
+        return None if imu is None else (_FLIP @ imu[1], _FLIP @ imu[0])
+
+    def _rates(self, now: SimulatedState) -> F64:
+        """(3,) rad/s in FRD; 0 while the IMU is silent."""
+        values = self._imu_values(now)
+        return np.zeros(3) if values is None else values[1]
+
+    def _milli(self, now: SimulatedState) -> list[int] | None:
+        """Specific force in mg and turn rates in mrad/s, as integers."""
+        values = self._imu_values(now)
+        if values is None:
+            return None
+        return [*(round(v / 9.80665 * 1e3) for v in values[0]), *(round(v * 1e3) for v in values[1])]
 
     def _imu(self, now: SimulatedState) -> Any:
-        force, rates = self._imu_values(now)
-        mg = [round(v / 9.80665 * 1e3) for v in force]
-        return mavlink.MAVLink_scaled_imu_message(now.boot_ms, *mg, *[round(v * 1e3) for v in rates], 0, 0, 0)
+        milli = self._milli(now)
+        return None if milli is None else mavlink.MAVLink_scaled_imu_message(now.boot_ms, *milli, 0, 0, 0)
 
     def _raw_imu(self, now: SimulatedState) -> Any:
-        force, rates = self._imu_values(now)
-        mg = [round(v / 9.80665 * 1e3) for v in force]
-        return mavlink.MAVLink_raw_imu_message(round(now.middle * 1e6), *mg, *[round(v * 1e3) for v in rates], 0, 0, 0)
+        milli = self._milli(now)
+        return None if milli is None else mavlink.MAVLink_raw_imu_message(round(now.middle * 1e6), *milli, 0, 0, 0)
 
     def _highres_imu(self, now: SimulatedState) -> Any:
-        force, rates = self._imu_values(now)
+        values = self._imu_values(now)
+        if values is None:
+            return None
         return mavlink.MAVLink_highres_imu_message(
-            round(now.middle * 1e6), *force, *rates, 0, 0, 0, 950, 0, 500, 20, 63
+            round(now.middle * 1e6), *values[0], *values[1], 0, 0, 0, 950, 0, 500, 20, 63
         )
 
     def _attitude(self, now: SimulatedState) -> Any:
         yaw, pitch, roll = Rotation.from_matrix(now.ned_from_frd).as_euler("ZYX")
-        rates = _FLIP @ now.vehicle.angular_velocity_body
-        return mavlink.MAVLink_attitude_message(now.boot_ms, roll, pitch, yaw, *rates)
+        return mavlink.MAVLink_attitude_message(now.boot_ms, roll, pitch, yaw, *self._rates(now))
 
     def _quaternion(self, now: SimulatedState) -> Any:
-        rates = _FLIP @ now.vehicle.angular_velocity_body
         return mavlink.MAVLink_attitude_quaternion_message(
-            now.boot_ms, *quaternion_from_matrix(now.ned_from_frd), *rates
+            now.boot_ms, *quaternion_from_matrix(now.ned_from_frd), *self._rates(now)
         )
 
     def _local(self, now: SimulatedState) -> Any:
-        return mavlink.MAVLink_local_position_ned_message(
-            now.boot_ms, *(_SWAP @ now.metres), *(_SWAP @ now.vehicle.velocity)
-        )
+        return mavlink.MAVLink_local_position_ned_message(now.boot_ms, *(_SWAP @ now.metres), *(_SWAP @ now.velocity))
 
     def _position(self, now: SimulatedState) -> Any:
         lat, lon, msl = now.degrees
-        north, east, down = (round(100 * v) for v in _SWAP @ now.vehicle.velocity)
-        heading = round(math.degrees(now.vehicle.heading) % 360 * 100)
+        north, east, down = (round(100 * v) for v in _SWAP @ now.velocity)
+        ahead = now.world_from_body[:, 0]
+        heading = round(math.degrees(math.atan2(ahead[0], ahead[1])) % 360 * 100)
         return mavlink.MAVLink_global_position_int_message(
             now.boot_ms, round(lat * 1e7), round(lon * 1e7), round(msl * 1e3), round(now.metres[2] * 1e3), north, east,
             down, heading,

@@ -12,13 +12,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from alight.arrays import F64
 from alight.geometry import Pose
 from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
-from alight_sim.autopilot.estimate import EstimateError
+from alight_sim.autopilot.estimate import Estimate, EstimateError
 from alight_sim.autopilot.flight_logic import FlightLogic
 from alight_sim.autopilot.reports import Reports, SimulatedState
 from alight_sim.point_mass import PointMass, Wanted
 
 _START_UP = 3.0  # s from a start until it may be armed
-_ENDURANCE = 1200.0  # s of flight with a full battery
+_NO_FIX = 0.5  # s without a position, after which the receiver reports no fix
 _ACCEPTED, _FOR_NOW, _DENIED, _UNSUPPORTED, _FAILED = 0, 1, 2, 3, 4
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_YAW = 7, 56, 1024
 _RELATIVE_FRAMES, _BODY_FRD = (3, 6), 12
@@ -35,15 +35,13 @@ class TrueVehicle(Protocol):
     @property
     def wind_world(self) -> F64: ...
     @property
-    def heading(self) -> float: ...
-    @property
     def stands(self) -> bool: ...
     @property
     def world_from_body(self) -> Pose: ...
     @property
-    def angular_velocity_body(self) -> F64: ...
+    def imu(self) -> tuple[F64, F64] | None: ...
     @property
-    def specific_force_body(self) -> F64: ...
+    def battery(self) -> float: ...
     def step(self, dt: float, wanted: Wanted | None) -> None: ...
 
 
@@ -92,7 +90,7 @@ class SimulatedAutopilot:
         dialect: Dialect | None = None,
         vehicle: TrueVehicle | None = None,
         home: SimulatedHome | None = None,
-        estimate: EstimateError | None = None,
+        estimate: Estimate | None = None,
         drift: float = 0.0,
         system: int = 1,
         kind: int = 2,
@@ -100,17 +98,16 @@ class SimulatedAutopilot:
         self.dialect = dialect or SpokenArduPilot()
         self.vehicle: TrueVehicle = vehicle or PointMass()
         self.home = home or SimulatedHome()
-        self.estimate = estimate or EstimateError()
+        self.estimate: Estimate = estimate or EstimateError()
         self.healthy = self.checks = True  # checks: before arming, switched on
         self._drift, self._system, self._kind = drift, system, kind
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._mavlink.robust_parsing = True
         self._out: list[bytes] = []
-        self._flown = 0.0
         self._start()
 
     def _start(self) -> None:
-        self._boot = self._middle = 0.0  # s, of its own clock
+        self._boot = self._middle = self._refuses_until = 0.0  # s, of its own clock
         self.logic = FlightLogic(self.dialect, interlock=False if self._kind == _HELICOPTER else None)
         self.reports = Reports(self.dialect, self._send, self._kind)
         self._mavlink.seq = 0
@@ -123,7 +120,12 @@ class SimulatedAutopilot:
     @property
     def ready(self) -> bool:
         """True if it may be armed."""
-        return self.healthy and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
+        return self.located and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
+
+    @property
+    def located(self) -> bool:
+        """True while it has an absolute position, for some time after the last one of its receiver as well."""
+        return self.healthy and self.estimate.blind < self.dialect.dead_reckoning
 
     @property
     def estimated(self) -> F64:
@@ -141,6 +143,10 @@ class SimulatedAutopilot:
         self.logic.doing = Doing.TAKE_OFF
         self.logic.enter(doing, self._boot)
 
+    def refuse_modes(self, seconds: float) -> None:
+        """Refuse all commands that change the mode for some time."""
+        self._refuses_until = self._boot + seconds
+
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
         """Change the mode as a pilot does."""
         self.logic.enter(doing, self._boot)
@@ -157,7 +163,6 @@ class SimulatedAutopilot:
         self.estimate.step(dt)
         wanted = self.logic.step(self._boot, self.estimated, self.vehicle.stands)
         self.vehicle.step(dt, None if wanted is None else self._in_truth(wanted))
-        self._flown += dt if self.logic.armed else 0.0
         self.reports.step(self._boot, self._snapshot())
 
     def _in_truth(self, wanted: Wanted) -> Wanted:
@@ -166,10 +171,12 @@ class SimulatedAutopilot:
         return replace(wanted, position=position)
 
     def _snapshot(self) -> SimulatedState:
-        here = self.home.degrees(self.estimated)
+        estimated, estimate = self.estimated, self.estimate
         return SimulatedState(
-            self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot, self._middle,
-            max(0.0, 1 - self._flown / _ENDURANCE), self.checks,
+            self.logic, self.vehicle, self.home.degrees(estimated), estimated,
+            self.vehicle.velocity + estimate.velocity_error, estimate.attitude(self.vehicle.world_from_body.rotation),
+            self.home, self.ready, self.healthy and estimate.blind < _NO_FIX, estimate.accuracy,
+            self._boot, self._middle, self.checks,
         )  # fmt: skip
 
     def _send(self, message: Any) -> None:
@@ -212,7 +219,7 @@ class SimulatedAutopilot:
             angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
             if np.abs(angles).max() > 0.05 * max(m.distance, 1.0):
                 return  # angles and position contradict each other
-            target = self.estimated + self.vehicle.world_from_body.rotation @ line
+            target = self.estimated + self.estimate.attitude(self.vehicle.world_from_body.rotation) @ line
         else:
             target = np.array([m.y, m.x, -m.z])
         self.logic.aim_landing(target, self._boot)
@@ -226,7 +233,7 @@ class SimulatedAutopilot:
         if command == 511:
             return _ACCEPTED if self.reports.ask(round(p[0]), p[1]) else _DENIED
         if command == 176:
-            doing = self.dialect.doing(p)
+            doing = self.dialect.doing(p) if self._boot >= self._refuses_until else None
             return _ACCEPTED if doing is not None and self.logic.enter(doing, self._boot) else _FAILED
         if command == 400:
             refused = p[0] > 0.5 and not self.ready

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from alight.arrays import F32, F64, U8
 from alight.records import Frame, InputError, Rig
-from alight_sim.cameras import Eye, Poses, Shutter
-from alight_sim.exposure import ControlStep, Imaging, Sensor, controlled, gains
+from alight_sim.exposure import ControlStep, Sensor, controlled, gains
 from alight_sim.faults import Exposures, Faults, exposures
 from alight_sim.flight import FAULTS, FLAWS, GAIN, IMAGE, START_NS
-from alight_sim.world import World
+from alight_sim.movers import Moving
+from alight_sim.world import Poses, World
 
 Seeds = Callable[..., np.random.SeedSequence]
 
@@ -40,26 +40,21 @@ class SteeredCameras:
 
     world: World
     true_rig: Rig
-    imaging: Imaging
     faults: Faults
     rate_hz: float
     seeds: Seeds
+    bodies: Sequence[Moving] = ()
     commanded: list[CameraFault] = field(default_factory=list)
     next: int = 0  # number of the next exposure
 
     def __post_init__(self) -> None:
         cams = self.true_rig.cameras
-        self._eyes = [Eye(c.camera, self.imaging.samples) for c in cams]
+        self.imaging = self.world.imaging
         self._glass = [Sensor.of(c.camera, self.imaging, self.seeds(FLAWS, k)) for k, c in enumerate(cams)]
         self._last: list[U8 | None] = [None] * len(cams)
         self._controlled: list[tuple[ControlStep, float] | None] = [None] * len(cams)
         self._plan: Exposures | None = None
         self._gains: list[F64] = []
-
-    @property
-    def shutter(self) -> Shutter:
-        """Exposure times of the rows."""
-        return Shutter(self.imaging.exposure_time, self.imaging.line_time, self.imaging.moments)
 
     def done_at(self) -> float:
         """Second of the flight at which the last row of the next exposure has been read."""
@@ -71,7 +66,7 @@ class SteeredCameras:
         k, plan = self.next, self._planned(self.next)
         self.next += 1
         seconds = self._seconds(k)
-        images = tuple(self._image(k, cam, seconds, body, bool(plan.seen[k, cam])) for cam in range(len(self._eyes)))
+        images = tuple(self._image(k, cam, seconds, body, bool(plan.seen[k, cam])) for cam in range(len(self._last)))
         late = max((f.amount for f in self.commanded if f.what == "late" and f.holds(seconds)), default=0.0)
         if all(image is None for image in images):
             return None
@@ -91,18 +86,23 @@ class SteeredCameras:
         return self._last[cam]
 
     def _light(self, cam: int, seconds: float, body: Poses) -> F32:
-        """(H, W, 3) linear light of one camera; dark where the lens lies in the ground."""
-        body_from_cam = self.true_rig.cameras[cam].body_from_cam
+        """(H, W, 3) linear light of one camera.
+
+        Raises:
+            InputError: the world gives an array of another shape.
+        """
+        lens, body_from_cam = self.true_rig.cameras[cam].camera, self.true_rig.cameras[cam].body_from_cam
 
         def poses(times: F64) -> tuple[F64, F64]:
             turns, places = body(times)
             return turns @ body_from_cam.rotation, places + turns @ body_from_cam.translation
 
-        try:
-            return self._eyes[cam].radiance(self.world, poses, seconds, self.shutter)
-        except InputError:
-            lens = self.true_rig.cameras[cam].camera
-            return np.zeros((lens.height, lens.width, 3), np.float32)
+        light = np.ascontiguousarray(self.world.radiance(lens, poses, seconds, self.bodies), np.float32)
+        if light.shape != (lens.height, lens.width, 3):
+            raise InputError(
+                f"world {self.world.name}: radiance gives an array {light.shape}, not {(lens.height, lens.width, 3)}"
+            )
+        return light
 
     def _gain(self, k: int, cam: int, seconds: float, light: F32) -> F64:
         """(3,) gains, with exposure control by the light of the previous exposure."""

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from alight.arrays import F64, I64
-from alight.geometry import LocalFrame, Pose
+from alight.geometry import LocalFrame, Pose, so3_exp
 from alight.records import Event, InputError, Rig
 from alight.settings import ImuNoise
 from alight_sim.course import LEAD, ground_at
@@ -19,13 +19,14 @@ from alight_sim.faults import Faults
 from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, START_NS, WIND, flight_notes
 from alight_sim.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.scene import Scene
+from alight_sim.scene_world import build
 from alight_sim.sensors import BiasWalk, ImuErrors, ImuStream, Jump, NavErrors, NavStream, Outage, TrueMotion
 from alight_sim.steered.bodies import Body
 from alight_sim.steered.cameras import CameraFault, SteeredCameras
 from alight_sim.steered.ground import GroundBelow
 from alight_sim.steered.sensing import SteeredSensors
 from alight_sim.steered.track import TrueTrack
-from alight_sim.world import World, build
+from alight_sim.world import World
 
 NIMBLE = FlightLimits(lag=0.08)
 IMU_RATE_HZ = 100.0  # of a flight without an IMU of its own; the vehicle moves in steps of the IMU
@@ -55,13 +56,25 @@ class TrueContact:
     struck: float | None = None  # metres above its feet: top of the thing that it struck in flight; None: a touchdown
 
 
+@dataclass(frozen=True, eq=False)
+class NavigationError:
+    """Errors of the navigation solution at one instant."""
+
+    position: F64  # (3,) metres, world
+    attitude: F64  # (3, 3) rotation in the body, to the right of the true one
+    heading: F64  # (3, 3) rotation in the world, to the left of the true one
+    velocity: F64  # (3,) m/s, world
+    sigma: F64  # (3,) metres, claimed for the position
+    blind: float  # s since the last row with a position
+
+
 class SteeredFlight:
     """A source of events that follows set-points. The same seed and calls give the same bits.
 
     Args:
         scene: a built-in scene's name, a scene file, a scene, or a world.
         seed: of all random draws.
-        size: of the pictures, pixels; the scene's rig is scaled to it.
+        size: of the pictures, pixels; the world's rig is scaled to it.
         stereo: all cameras of the rig, or the first alone.
         rate_hz: exposures a second.
         start: east and north, and metres above the ground there.
@@ -70,10 +83,9 @@ class SteeredFlight:
         wind: (3,) m/s, east, north, up: velocity of the air.
         gusts: m/s^2, standard deviation of their acceleration.
         battery: charge and consumption; None: `TrueBattery()`.
-        faults, nav, imu: instead of the scene's, whose IMU is read `IMU_RATE_HZ` times a second.
+        faults, nav, imu: instead of the world's, whose IMU is read `IMU_RATE_HZ` times a second.
         standing: metres from the plane of the feet to the body's origin.
         radius: metres about its middle within which it strikes things higher than its feet; 0: it strikes none.
-        steered_by: set-points of position are in the frame of the navigation solution, as for an autopilot, or true.
 
     Raises:
         InputError: no such scene, or `size` is not of the shape of the rig's pictures.
@@ -103,20 +115,17 @@ class SteeredFlight:
         imu: ImuErrors | None = None,
         standing: float = 0.35,
         radius: float = 0.0,
-        steered_by: Literal["navigation", "truth"] = "navigation",
     ) -> None:
-        made = scene if isinstance(scene, World) else build(scene, seed)
-        self.world = replace(made, bodies=[])  # its tiles are shared, bodies on command are not
-        self.scene, self.seed, self.rate_hz, self.standing = made.scene or Scene(), seed, rate_hz, standing
-        self.warnings = list(made.warnings)
-        self._faults = faults or self.scene.faults
-        self.true_rig = sized_rig(self.scene.rig.rig, size, stereo)
+        self.world: World = build(scene, seed) if isinstance(scene, str | Path | Scene) else scene
+        self.bodies: list[Body] = []  # that have come on command
+        self.seed, self.rate_hz, self.standing = seed, rate_hz, standing
+        self.warnings = list(self.world.warnings)
+        self._faults = faults or self.world.faults
+        self.true_rig = sized_rig(self.world.rig, size, stereo)
         self.rig = self._faults.claimed(self.true_rig)
-        self._cameras = SteeredCameras(
-            self.world, self.true_rig, self.scene.imaging, self._faults, rate_hz, self._seeds
-        )
-        self._imu_errors = imu or self.scene.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
-        self._nav = NavStream(nav or self.scene.sensors.nav, self._seeds(NAV))
+        self._cameras = SteeredCameras(self.world, self.true_rig, self._faults, rate_hz, self._seeds, self.bodies)
+        self._imu_errors = imu or self.world.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
+        self._nav = NavStream(nav or self.world.sensors.nav, self._seeds(NAV))
         self._track = TrueTrack()
         self._sensors = SteeredSensors(
             ImuStream(self._imu_errors, self._seeds(IMU_NOISE)),
@@ -125,17 +134,16 @@ class SteeredFlight:
             self._cameras,
             self._track,
         )
-        self._steers_by_nav = steered_by == "navigation"
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
         self.contacts: list[TrueContact] = []
-        self._below, self._radius, self._strikes = GroundBelow(self.world, radius), radius, False
+        self._below, self._radius, self._strikes = GroundBelow(self.world, self.bodies, radius), radius, False
         self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
         self._pushes: list[tuple[float, float, F64]] = []
         self._leant = np.zeros(3)  # m/s^2, learned part of the gusts
         self._steps, self._asked_ns = 0, 0
         self._start_vehicle(np.array(start, float), heading, limits or NIMBLE, gusts)
-        self._believed = np.zeros(3)  # metres: error of the position that the autopilot steers by
+        self._settled = np.zeros(3)  # metres: error of the navigation solution, smoothed
 
     def _start_vehicle(self, start: F64, heading: float, limits: FlightLimits, gusts: float) -> None:
         ground = ground_at(self.world, start)
@@ -232,6 +240,15 @@ class SteeredFlight:
         return self._vehicle.stands
 
     @property
+    def navigation(self) -> NavigationError:
+        """Errors of the navigation solution now; that of the position is smoothed, as an autopilot's estimate is."""
+        seconds = self._steps / self._imu_errors.rate_hz - LEAD
+        return NavigationError(
+            self._settled, so3_exp(self._nav.attitude_error), self._nav.heading_error(seconds),
+            self._nav.velocity_error, self._nav.sigma_position, max(seconds - self._nav.located_at, 0.0),
+        )  # fmt: skip
+
+    @property
     def contact(self) -> TrueContact | None:
         """The last contact; None: there has been none."""
         return self.contacts[-1] if self.contacts else None
@@ -244,7 +261,7 @@ class SteeredFlight:
     # -- time
 
     def step(self, dt: float, wanted: Wanted | None) -> list[Event]:
-        """Fly for `dt` seconds as wanted (None: motors off) and return the events that arrived, in that order."""
+        """Fly for `dt` seconds to a true set-point (None: motors off); return the events that arrived, in order."""
         self._asked_ns += round(dt * 1e9)
         while (self._steps + 1) / self._imu_errors.rate_hz <= self._asked_ns * 1e-9 + 1e-9:
             self._advance(wanted)
@@ -261,7 +278,8 @@ class SteeredFlight:
         up = float(vehicle.position[2])
         flown = wanted if self.battery > 0 else None
         vehicle.push_world = self._blown(start, h)
-        vehicle.step(h, None if flown is None else self._as_believed(flown, h))
+        vehicle.step(h, flown)
+        self._settled += max(1.0 - math.exp(-h / _SETTLE), 1.0 / self._steps) * (self._nav.offset - self._settled)
         stood, self._stood = self._stood, vehicle.stands  # of the last step: a body that drives in below it counts, too
         if self._stood and not stood:
             self.contacts.append(
@@ -282,13 +300,6 @@ class SteeredFlight:
             t_ns, pose = START_NS + round(seconds * 1e9), self._vehicle.world_from_body
             self.contacts.append(TrueContact(t_ns, pose, self.true_velocity, self.standing, -gap))
         self._strikes = gap < 0.0
-
-    def _as_believed(self, wanted: Wanted, h: float) -> Wanted:
-        """The set-point in true coordinates: it steers by its estimate, so the vehicle is off by the error."""
-        if not self._steers_by_nav:
-            return wanted
-        self._believed += (1.0 - math.exp(-h / _SETTLE)) * (self._nav.offset - self._believed)
-        return wanted if wanted.position is None else replace(wanted, position=wanted.position - self._believed)
 
     def _blown(self, now: float, h: float) -> F64:
         """(3,) m/s^2: wind and gusts on command, less the part that the autopilot has learned."""
@@ -320,7 +331,7 @@ class SteeredFlight:
     ) -> Body:
         goal = (float(east), float(north))
         body = Body(car, start or goal, goal, self.seconds, speed, heading, self.world.height_at)
-        self.world.bodies.append(body)
+        self.bodies.append(body)
         return body
 
     def gust(self, acceleration: Sequence[float], seconds: float) -> None:

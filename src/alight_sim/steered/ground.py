@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from alight.arrays import F64
+from alight_sim.movers import Moving, boxes_at
 from alight_sim.world import World
 
 _WINDOW = 4.0  # metres about the place for which heights are held
@@ -26,12 +28,14 @@ class GroundBelow:
     """Heights of successive places near each other. The surface is bilinear between cell centres.
 
     Args:
-        world: the ground and the things on it.
+        world: the ground, and what moves on it.
+        bodies: that have come on command until now.
         radius: metres about a place within which `highest` looks.
     """
 
-    def __init__(self, world: World, radius: float = 0.0) -> None:
-        self._world, self._radius = world, radius
+    def __init__(self, world: World, bodies: Sequence[Moving] = (), radius: float = 0.0) -> None:
+        self._world, self._bodies, self._radius = world, bodies, radius
+        self._cell, self._movers = world.cell, world.movers
         self._box = (0.0, 0.0, 0.0, 0.0)
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
@@ -42,18 +46,18 @@ class GroundBelow:
     def height(self, east: float, north: float) -> float:
         """Height of the surface, metres above the origin."""
         self._hold(east, north)
-        x = (east - self._place[0]) / self._world.cell
-        y = (north - self._place[1]) / self._world.cell
+        x = (east - self._place[0]) / self._cell
+        y = (north - self._place[1]) / self._cell
         i, j = int(x), int(y)
         u, v = x - i, y - j
         low, high = self._rows[j], self._rows[j + 1]
         ground = (1 - v) * ((1 - u) * low[i] + u * low[i + 1]) + v * ((1 - u) * high[i] + u * high[i + 1])
-        return max(ground, self._bodies(east, north)) if self._world.movers else ground
+        return max(ground, self._top(east, north))
 
     def highest(self, east: float, north: float) -> float:
         """Height of the highest thing within the radius about a place, metres above the origin."""
         self._hold(east, north)
-        cell, radius, (west, south) = self._world.cell, self._radius, self._place
+        cell, radius, (west, south) = self._cell, self._radius, self._place
         col, row = int((east - radius - west) / cell), int((north - radius - south) / cell)
         size = int(2 * radius / cell) + 2
         part = self._heights[row : row + size, col : col + size]
@@ -61,13 +65,16 @@ class GroundBelow:
         y = south + cell * (row + np.arange(part.shape[0])) - north
         ground = float(np.max(part[x[None, :] ** 2 + y[:, None] ** 2 <= radius**2], initial=-math.inf))
         below = self.height(east, north)
-        return max(ground, below, self._bodies(east, north, radius) if self._world.movers else -math.inf)
+        return max(ground, below, self._top(east, north, radius))
 
-    def _bodies(self, east: float, north: float, within: float = 0.0) -> float:
-        movers, now = self._world.movers, (len(self._world.bodies), self.seconds)
+    def _top(self, east: float, north: float, within: float = 0.0) -> float:
+        """Height of the highest thing that moves, within `within` metres of a place; -inf: there is none."""
+        movers, now = (*self._movers, *self._bodies), (len(self._bodies), self.seconds)
+        if not movers:
+            return -math.inf
         if self._boxes_of != now:
             self._boxes_of = now
-            self._boxes = np.concatenate([m.boxes_at(np.array([self.seconds]))[0] for m in movers])
+            self._boxes = boxes_at(movers, np.array([self.seconds]))[0]
         boxes = self._boxes
         near = np.hypot(boxes[:, 0] - east, boxes[:, 1] - north) < _NEAR + within
         return tops(boxes[near], east, north, within) if near.any() else -math.inf
@@ -78,7 +85,7 @@ class GroundBelow:
             self._load(east, north)
 
     def _load(self, east: float, north: float) -> None:
-        spare = _WINDOW + self._radius + 2.0 * self._world.cell
+        spare = _WINDOW + self._radius + 2.0 * self._cell
         truth = self._world.truth((east - spare, north - spare, east + spare, north + spare))
         rows = truth.grid.rows
         self._heights = truth.height[::-1].astype(np.float64)

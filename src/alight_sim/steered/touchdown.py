@@ -17,7 +17,9 @@ def contact_seconds(contact: TrueContact) -> float:
 
 def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLander) -> Touchdown:
     """Judge a contact, with the bodies at their places just then; a strike in flight is unsafe."""
-    found = judge_touchdown(flight.world, lander, contact.pose, contact.velocity_world, contact_seconds(contact))
+    found = judge_touchdown(
+        flight.world, lander, contact.pose, contact.velocity_world, contact_seconds(contact), flight.bodies
+    )
     return found if contact.struck is None else replace(found, safe=False, reasons=(STRIKE,))
 
 

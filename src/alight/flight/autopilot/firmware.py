@@ -16,6 +16,7 @@ from alight.records import FlightMode, Telemetry
 ARDUPILOT, PX4 = 3, 12  # MAV_AUTOPILOT
 HOVERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, and 4, the helicopter
 _CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_AHEAD = 0.5  # s of flight until the autopilot has the next set-point, and a margin
 _BODY_FRD = 12  # MAV_FRAME
 _NAN = float("nan")
 # Copter's modes in order of their numbers
@@ -40,7 +41,7 @@ class Firmware(Protocol):
     name: str
     rates: Mapping[str, float]  # Hz of the messages to ask for
     repeats_setpoints: bool  # whether a set-point must be sent again and again
-    position_gain: float | None  # 1/s, speed per metre to a set-point; None: it takes speeds as commands
+    takes_speeds: bool  # as commands; else the distance to a set-point is its speed
     natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
     natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are a takeover
     high_site: float  # metres above its home, from which its LAND comes down fast
@@ -53,6 +54,9 @@ class Firmware(Protocol):
 
     def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
         """Parameters of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
+
+    def reach(self, speed: float, upright: bool) -> float:
+        """Distance in metres of a set-point at which it still flies at a speed (m/s), over the ground or upright."""
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make a LANDING_TARGET.
@@ -73,7 +77,7 @@ class ArduPilotFirmware:
     name = "ArduPilot"
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
     repeats_setpoints = False
-    position_gain: float | None = None
+    takes_speeds = True
     natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
     natural_on_ground = natural
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
@@ -109,6 +113,14 @@ class ArduPilotFirmware:
         """Parameters with the altitude above the home."""
         return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
 
+    def reach(self, speed: float, upright: bool) -> float:
+        """Its position controller (of all releases so far) brakes with half of the acceleration, with a margin here.
+
+        v = sqrt(a (d - a / 4)), and v = d (gain 1/s) near the target.
+        """
+        braking = 1.0 if upright else 2.5  # m/s^2: WPNAV_ACCEL_Z, WPNAV_ACCEL
+        return speed**2 / braking + braking / 4 + _AHEAD * speed
+
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make it with angles and position in body axes, not levelled: ArduPilot applies its own attitude."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
@@ -126,7 +138,7 @@ class Px4Firmware:
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
     repeats_setpoints = True
-    position_gain: float | None = 0.95  # MPC_XY_P; that of the height, MPC_Z_P, is 1.0
+    takes_speeds = False
     natural = frozenset({(FlightMode.TAKE_OFF, FlightMode.HOLD), (FlightMode.LAND, FlightMode.HOLD)})
     natural_on_ground = frozenset({(FlightMode.LAND, FlightMode.HOLD)})
     high_site = 4.0  # it slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
@@ -167,6 +179,10 @@ class Px4Firmware:
         home = telemetry.home or telemetry.place
         sea = _NAN if home is None else home.altitude_msl + height
         return (0.0, 0.0, 0.0, _NAN, _NAN, _NAN, sea)
+
+    def reach(self, speed: float, upright: bool) -> float:
+        """Its speed is the distance times MPC_XY_P; that of the height, MPC_Z_P, is 1.0."""
+        return speed / 0.95
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """None: LAND is AUTO.LAND, which uses no target."""

@@ -216,19 +216,14 @@ class RemoteVehicle:
         elif (target.place is None) is not (self._target.place is None):
             self._speeds.forget()  # ArduPilot changes its controller
         self._target, self._target_ns = target, self._now_ns
-        self._ahead = self._next_ahead(target)
-        self._send(self._ahead.message(self._now_ns, self.system, AUTOPILOT))
-        if self.firmware.position_gain is None and self._state.mode is FlightMode.GUIDED:
-            self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
-
-    def _next_ahead(self, target: Target) -> Target:
-        """The set-point of now; the last one again while the place is unknown, as the whole way is flown too fast."""
-        gain, here = self.firmware.position_gain, self.place_at(self._now_ns) or self._state.place
-        if gain is None or target.place is None:
-            return target
+        here = self.place_at(self._now_ns) or self._state.place
         if here is not None:
-            return target.ahead(here, gain)
-        return target if self._ahead is None or self._ahead.place is None else self._ahead
+            self._ahead = target.near(here, self.firmware.reach)
+        elif target.place is None or self._ahead is None or self._ahead.place is None:
+            self._ahead = target  # else the last one again while the place is unknown: the whole way is too far
+        self._send(self._ahead.message(self._now_ns, self.system, AUTOPILOT))
+        if self.firmware.takes_speeds and self._state.mode is FlightMode.GUIDED:
+            self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
 
     # time
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,8 @@ from alight.flight.autopilot.pymavlink_dialect import message
 from alight.records import Place
 
 _GLOBAL_MSL, _LOCAL_NED = 5, 1  # MAV_FRAME_GLOBAL_INT, MAV_FRAME_LOCAL_NED
+CLIMB = 3.0  # m/s upwards, which no set-point contains
+Reach = Callable[[float, bool], float]  # metres, of a speed in m/s, over the ground or upright
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION, _NO_YAW, _NO_YAW_RATE = 7, 56, 448, 1024, 2048
 
 
@@ -38,23 +41,27 @@ class Target:
     speed: float = math.inf
     sink: float = math.inf
 
-    def ahead(self, here: Place, gain: float) -> Target:
-        """The set-point of now on the way to the same place, for an autopilot whose speed grows with the distance.
+    def near(self, here: Place, reach: Reach) -> Target:
+        """The set-point of now on the way to the same place: short, but so far that the vehicle does not slow down.
+
+        An autopilot flies on to its last position after a takeover by the sticks, a lost link, or the end of this
+        program, so that one is near.
 
         Args:
             here: the vehicle.
-            gain: 1/s, speed per metre of distance.
+            reach: distance at which the autopilot still flies at a speed.
         """
         if self.place is None:
             return self
         away = metres_between(here, replace(self.place, altitude_msl=here.altitude_msl))
-        share = min(1.0, self.speed / gain / max(away, 1e-6))
-        lower = max(here.altitude_msl - self.sink / gain - self.place.altitude_msl, 0.0)  # than it may be for now
+        share = min(1.0, reach(self.speed, False) / max(away, 1e-6))
+        way = self.place.altitude_msl - here.altitude_msl
+        higher = min(max(way, -reach(self.sink, True)), reach(CLIMB, True)) - way  # than the place, for now
         return replace(self, place=Place(
             here.latitude + share * (self.place.latitude - here.latitude),
             here.longitude + share * (self.place.longitude - here.longitude),
-            self.place.altitude_msl + lower,
-            self.place.above_home + lower,
+            self.place.altitude_msl + higher,
+            self.place.above_home + higher,
         ))  # fmt: skip
 
     def message(self, t_ns: int, system: int, component: int) -> Any:

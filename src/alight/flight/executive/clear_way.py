@@ -11,7 +11,7 @@ from alight.arrays import F64
 from alight.flight.executive.look_leg import LookLeg
 from alight.landing.route import Obstructions, along_way, way_below
 from alight.records import Site
-from alight.records.executive import Seen
+from alight.records.executive import MapVerdict
 from alight.settings import StageSettings
 
 TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # of a look leg, tried in turn
@@ -34,7 +34,7 @@ class ClearWay:
         self._number = -1  # of the verdict
         self._obstructions: Obstructions | None = None  # on its map
 
-    def level(self, start: F64, to: F64, seen: Seen, at_a_place: bool = False) -> float:
+    def level(self, start: F64, to: F64, seen: MapVerdict, at_a_place: bool = False) -> float:
         """Metres up at which the way from above one point (3,) to above another is clear.
 
         `at_a_place`: it leads from one look at a place to the next, and only mapped obstacles count.
@@ -45,7 +45,7 @@ class ClearWay:
         untold = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
         return max(below.clear, seen.ground + k.search_height) if untold and not at_a_place else below.clear
 
-    def turned(self, leg: LookLeg, ground: float, seen: Seen) -> LookLeg | None:
+    def turned(self, leg: LookLeg, ground: float, seen: MapVerdict) -> LookLeg | None:
         """Turn a leg as little as possible, so that no obstacle stands beside it, at `ROOMY` times that if possible.
 
         None: something stands beside it, whichever way it is turned.
@@ -63,11 +63,11 @@ class ClearWay:
                 free = turned
         return free
 
-    def is_open(self, leg: LookLeg, ground: float, seen: Seen, times: float = 1.0) -> bool:
+    def is_open(self, leg: LookLeg, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
         """True if a leg is free from end to end, wherever the vehicle joins it; arguments as of `is_free`."""
         return self.is_free(2 * leg.place - leg.end, leg.end, ground, seen, times)
 
-    def is_free(self, start: F64, to: F64, ground: float, seen: Seen, times: float = 1.0) -> bool:
+    def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
         """True if a level way (3,) near a place may be flown: no obstacle beside it is tall, or reaches up to the way.
 
         "Tall" means a rise by more than `executive.rise`. "Beside" means within `route.clearance`, or twice the
@@ -88,12 +88,12 @@ class ClearWay:
         highest = float(np.max(top[near & np.isfinite(top)], initial=-math.inf))
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
 
-    def is_free_down(self, place: Site, seen: Seen) -> bool:
+    def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
         """True if nothing tall stands beside the way down on a place, as beside the lowest look at it."""
         above = np.array([place.east, place.north, place.up + self._keys.commit_height])
         return self.is_free(above, above, place.up, seen)
 
-    def _obstructions_of(self, seen: Seen) -> Obstructions:
+    def _obstructions_of(self, seen: MapVerdict) -> Obstructions:
         if self._obstructions is None or seen.number != self._number:
             self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation)
         return self._obstructions

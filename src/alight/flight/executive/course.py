@@ -8,7 +8,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.flight.executive.clear_way import ClearWay
-from alight.records.executive import FlightState, Seen
+from alight.records.executive import FlightState, MapVerdict
 from alight.settings import StageSettings
 
 DOWN_TO_A_LOOK = (FlightState.APPROACH, FlightState.DESCEND)
@@ -37,7 +37,7 @@ class Course:
         self._nearest = math.inf  # m, least distance from there
         self._nearer_at: float | None = None  # s, when it last came nearer; None: it was not ordered anywhere yet
 
-    def next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
+    def next_point(self, position: F64, to: F64, seen: MapVerdict | None, state: FlightState) -> F64:
         """Next point to fly to, (3,) metres.
 
         Args:
@@ -51,7 +51,7 @@ class Course:
             self._next, self._nearest = told, math.inf
         return told
 
-    def _next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
+    def _next_point(self, position: F64, to: F64, seen: MapVerdict | None, state: FlightState) -> F64:
         """(3,) metres; no obstacle stands beside a look leg or about its start, but one may at the end of a lane."""
         if state in DOWN_TO_A_LOOK:
             to = self._downwards(position, to)
@@ -72,7 +72,7 @@ class Course:
             self._nearest, self._nearer_at = left, t
         return t - self._nearer_at > self._keys.hold
 
-    def _upwards(self, position: F64, to: F64, seen: Seen | None, at_a_place: bool) -> F64:
+    def _upwards(self, position: F64, to: F64, seen: MapVerdict | None, at_a_place: bool) -> F64:
         """Next point, up first where a mapped obstacle is in the way: above the start of the climb, against any wind.
 
         `at_a_place`: it leads from one look at a place to the next.

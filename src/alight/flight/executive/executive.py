@@ -25,7 +25,7 @@ from alight.flight.executive.look_outcome import look_outcome
 from alight.flight.executive.look_planner import LookPlanner
 from alight.flight.executive.opinion import Opinion, Standing, opinion
 from alight.flight.executive.search import SearchLanes
-from alight.flight.executive.table import AT_A_PLACE, ENDS, TABLE
+from alight.flight.executive.table import AT_A_PLACE, CROSSING, ENDS, JUDGE_EVERY, TABLE
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.records import MotionState, Site, p_safe_text
 from alight.records.executive import (
@@ -33,8 +33,9 @@ from alight.records.executive import (
     FlightEvent,
     FlightState,
     LookRecord,
+    MapVerdict,
+    Need,
     Order,
-    Seen,
     Situation,
     Transition,
 )
@@ -48,14 +49,13 @@ class Executive:
     """One landing. Call `tick` several times a second.
 
     Args:
-        settings: of all stages; `executive`, `hazards.p_safe`, `sites.margin`, `route` and the lander are used.
+        settings: of all stages; `executive`, `sites.margin`, `route` and the lander are used.
     """
 
     def __init__(self, settings: StageSettings) -> None:
         self._limits, self._recovery = AttemptLimits(settings.executive), Recovery(settings.executive)
         self._held = S.SEARCH  # the state before HOLD
         self._keys, self._route, self._margin = settings.executive, settings.route, settings.sites.margin
-        self._limit = settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
         self._clear_way = ClearWay(settings)
         self._looks = LookPlanner(settings, self._clear_way)
@@ -81,14 +81,12 @@ class Executive:
         self._places = KnownPlaces(settings)
 
     @property
-    def about(self) -> F64 | None:
-        """(2,) metres, the place that a verdict is wanted on; None: the ground below."""
-        return None if self.target is None else np.array([self.target.east, self.target.north])
-
-    @property
-    def crosses(self) -> bool:
-        """True while a look leg is being flown: the look is judged at its end."""
-        return self.state is S.LOOK and self._across is not None
+    def need(self) -> Need | None:
+        """Verdicts that it needs now; None: none. While a look leg is flown they are few: a look counts at its end."""
+        crosses = self.state is S.LOOK and self._across is not None
+        seconds = CROSSING if crosses else JUDGE_EVERY.get(self.state)
+        about = None if self.target is None else np.array([self.target.east, self.target.north])
+        return None if seconds is None else Need(seconds, about)
 
     # -- the step
 
@@ -269,7 +267,7 @@ class Executive:
         least = self._keys.fallen if low else self._keys.hopeless
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
-        said = opinion(self.target, seen, self._limit, same, least, may, self._margin)
+        said = opinion(self.target, seen, same, least, may, self._margin)
         if low and self._descent.judged(seen.t, said, self._left):
             self._refusals = self._keys.sure
         elif said.standing is not Standing.NOT_SEEN:
@@ -385,7 +383,7 @@ class Executive:
             self._plan(leg)
         return leg is None
 
-    def _seen(self, now: Situation) -> Seen | None:
+    def _seen(self, now: Situation) -> MapVerdict | None:
         """The newest verdict, if it is on a map of this frame."""
         return None if now.seen is None or now.seen.frame_id != self._frame else now.seen
 

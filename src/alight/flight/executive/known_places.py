@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from alight.flight.executive.opinion import Standing, opinion
 from alight.records import Site, Terrain
-from alight.records.executive import Seen
+from alight.records.executive import MapVerdict
 from alight.settings import StageSettings
 
 PLAIN = (Terrain.BARE, Terrain.PAVED)
@@ -17,11 +17,11 @@ class KnownPlaces:
     """Listed places as they were seen last, without those that were refused.
 
     Args:
-        settings: of all stages; `executive` and `hazards.p_safe` are used.
+        settings: of all stages; `executive` is used.
     """
 
     def __init__(self, settings: StageSettings) -> None:
-        self._keys, self._limit = settings.executive, settings.hazards.p_safe
+        self._keys = settings.executive
         self._noted: list[Site] = []
         self._noted_by = 0  # verdict
         self._refused: list[tuple[float, float]] = []
@@ -37,7 +37,7 @@ class KnownPlaces:
         refused = f"; {self.refused} places were refused from near by" if self.refused else ""
         return f"{refused}; something stands beside what is left" if self.best() is not None else refused
 
-    def note(self, seen: Seen) -> None:
+    def note(self, seen: MapVerdict) -> None:
         """Remember the listed places of a new verdict, in place of earlier ones on the same ground."""
         if seen.number <= self._noted_by:
             return
@@ -88,6 +88,6 @@ class KnownPlaces:
         best = next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
         return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None
 
-    def _judged_in(self, place: Site, seen: Seen) -> bool:
+    def _judged_in(self, place: Site, seen: MapVerdict) -> bool:
         """True if a verdict has an opinion of its own on a place."""
-        return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
+        return opinion(place, seen, self._keys.same_place).standing is not Standing.NOT_SEEN

@@ -9,7 +9,7 @@ from alight.flight.executive.look_leg import LookLeg
 from alight.flight.executive.look_outcome import ABOUT
 from alight.landing.wind import downwind
 from alight.records import Site
-from alight.records.executive import Seen, Situation
+from alight.records.executive import MapVerdict, Situation
 from alight.settings import StageSettings
 
 SAME = 0.3  # m between two middles of a leg across one place
@@ -42,7 +42,7 @@ class LookPlanner:
         return min(height, max(least, height * k.lower))
 
     def across(
-        self, place: Site, height: float, now: Situation, seen: Seen | None, flown: LookLeg | None = None
+        self, place: Site, height: float, now: Situation, seen: MapVerdict | None, flown: LookLeg | None = None
     ) -> LookLeg | None:
         """The leg across a place, turned as little as possible, so that no obstacle is beside it; None: none is clear.
 
@@ -66,7 +66,7 @@ class LookPlanner:
         same = float(np.linalg.norm(flown.place - above)) < SAME
         return flown if same and self._clear_way.is_open(flown, place.up, seen) else None
 
-    def is_open(self, place: Site, now: Situation, seen: Seen | None) -> bool:
+    def is_open(self, place: Site, now: Situation, seen: MapVerdict | None) -> bool:
         """True if a place can be crossed at the height of its first look; arguments as of `across`."""
         if seen is None or now.position is None or not self._keys.look_again:
             return True

@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.landing.reasons import REASON_WORDS
 from alight.records import Hazard, Site
-from alight.records.executive import Seen
+from alight.records.executive import MapVerdict
 
 
 class Standing(Enum):
@@ -35,8 +35,7 @@ class Opinion:
 
 def opinion(
     place: Site,
-    seen: Seen,
-    limit: float,
+    seen: MapVerdict,
     same: float,
     least: float = 0.0,
     free: Callable[[Site], bool] = lambda listed: True,
@@ -50,7 +49,6 @@ def opinion(
     Args:
         place: in the frame of the verdict's map.
         seen: the verdict.
-        limit: least P(safe) of a site.
         same: metres within which a listed place is the same.
         least: P(safe) below which a place that is only in doubt counts as refused.
         free: True if a listed place may count as it.
@@ -60,8 +58,7 @@ def opinion(
     near = [s for s in listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
     if near:
         best = max(near, key=lambda s: s.p_safe)
-        standing = Standing.SITE if best.kind == "site" else Standing.CANDIDATE
-        return Opinion(standing, best, best.p_safe, best.doubt or "")
+        return Opinion(Standing(best.kind), best, best.p_safe, best.doubt or "")
     grid = seen.hazards.grid
     row, col = (int(np.rint(v)) for v in grid.index(np.array(place.east), np.array(place.north)))
     if not (0 <= row < grid.rows and 0 <= col < grid.cols):
@@ -77,11 +74,11 @@ def opinion(
     found = replace(place, p_safe=p)
     if p < least:
         return Opinion(Standing.REFUSED, found, p, "P(safe) is too low")
-    doubt = bool(reasons & Hazard.DOUBT) or p < limit
-    why = "doubt" if doubt else f"another is refused within {margin:.1f} m" if _is_tight(seen, row, col, margin) else ""
+    tight = f"another is refused within {margin:.1f} m" if _is_tight(seen, row, col, margin) else ""
+    why = "doubt" if reasons & Hazard.DOUBT else tight
     return Opinion(Standing.CANDIDATE if why else Standing.SITE, found, p, why)
 
 
-def _is_tight(seen: Seen, row: int, col: int, margin: float) -> bool:
+def _is_tight(seen: MapVerdict, row: int, col: int, margin: float) -> bool:
     """True if a touchdown is refused within the margin."""
     return not float(seen.hazards.clearance[row, col]) >= margin

@@ -12,6 +12,8 @@ FLYING = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND, S.COMMIT, S.ABORT, S.HOLD)
 ABOVE = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND)  # before the landing is begun
 AT_A_PLACE = (S.APPROACH, S.LOOK, S.DESCEND)
 ENDS = (S.LANDED, S.RETURN, S.HANDED_OVER)
+JUDGE_EVERY = {S.SEARCH: 2.0, S.APPROACH: 2.0, S.LOOK: 0.6, S.DESCEND: 1.5, S.COMMIT: 0.5}  # s between two verdicts
+CROSSING = 2.0  # s between two verdicts while a look leg is flown
 
 
 def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,94 +12,59 @@ from alight import compiled, terrain
 from alight.arrays import F64
 from alight.flight.live.nursery import Nursery
 from alight.flight.live.worker import LaneLost, Spec, Worker
-from alight.landing.reserve import Reserve
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
 from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate
-from alight.pipeline.mapping.recursive import RecursiveMapper
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation, Trajectory
-from alight.pipeline.timing import Clock, Timings
-from alight.records import Event, Frame, Rig
+from alight.pipeline.timing import Timings
+from alight.records import Frame, Rig
 from alight.settings import StageSettings
-
-Stages = Mapping[str, Sequence[float]]  # seconds of every step, by stage
-
 
 # -- in the processes
 
 
-class NavigationProcess:
+class NavigationProcess(FilterLane):
     """The navigation lane in its process: tracker and filter, one batch after the other."""
 
     def __init__(self, rig: Rig, settings: StageSettings, frame_id: int) -> None:
-        self._lane = FilterLane(rig, settings, history=False, frame_id=frame_id)
+        super().__init__(rig, settings, history=False, frame_id=frame_id)
 
     def take(self, batch: FrameBatch) -> Navigation | None:
         """Take one exposure with the rows before it; the result is returned without the pictures."""
-        self._lane.hear(batch)
-        tracked = self._lane.track(batch)
-        found = None if tracked is None else self._lane.update(tracked)
+        found = super().take(batch)
         return None if found is None else replace(found, frame=Frame(found.frame.t_ns, ()))
 
-    def finish(self) -> Trajectory:
-        """Return the last motion, and warnings."""
-        return self._lane.finish(lambda share: None)
 
-
-class MappingProcess:
+class MappingProcess(RecursiveMapper):
     """The mapping lane in its process: the recursive map.
 
     Args:
-        clock: seconds.
         folder: of the store for tiles that the vehicle has left behind.
     """
 
-    def __init__(self, rig: Rig, settings: StageSettings, clock: Clock, folder: Path) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings, folder: Path) -> None:
         compiled.load_cached(parallel=True)
-        self._timings = Timings(clock, history=False)
-        self._lane = RecursiveMapper(rig, settings, FileStore(folder), self._timings, history=False)
-
-    def feed(self, navigation: Navigation, effort: int) -> MapUpdate | None:
-        """Take an exposure with its motion into the map, with an effort: 0 all of it, higher numbers less."""
-        return self._lane.feed(navigation, effort)
-
-    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
-        """The map under the newest keyframe, and about a place, (2,) metres in the map's frame."""
-        return self._lane.snapshot(about)
-
-    def finish(self, trajectory: Trajectory) -> FinishedMap:
-        """The map of the whole flight."""
-        return self._lane.finish(trajectory, lambda share: None)
-
-    def timings(self) -> Stages:
-        """Seconds of the last steps, by stage."""
-        return self._timings.stages
+        super().__init__(rig, settings, FileStore(folder), Timings(), history=False)
 
 
-class JudgingProcess:
+class JudgingProcess(JudgingLane):
     """The judging lane in its process: land cover, hazards, sites."""
 
-    def __init__(
-        self, settings: StageSettings, clock: Clock, appearance: terrain.Model | None, memory: JudgingMemory
-    ) -> None:
+    def __init__(self, settings: StageSettings, appearance: terrain.Model | None, memory: JudgingMemory) -> None:
         compiled.load_cached(parallel=True)
-        self._timings = Timings(clock, history=False)
-        self._lane = JudgingLane(settings, appearance, self._timings, memory)
+        super().__init__(settings, appearance, Timings(), memory)
 
-    def judge(self, seen: MapSnapshot) -> tuple[Verdict, JudgingMemory]:
+    def judge_and_remember(self, seen: MapSnapshot) -> tuple[Verdict, JudgingMemory]:
         """Judge a map; return the verdict, and the lane's memory, for a new process if this one is lost."""
-        return self._lane.judge(seen), self._lane.memory
-
-    def notes(self, found: Verdict) -> dict[str, object]:
-        """As `JudgingLane.notes`."""
-        return self._lane.notes(found)
-
-    def timings(self) -> Stages:
-        """Seconds of the last steps, by stage."""
-        return self._timings.stages
+        return self.judge(seen), self.memory
 
 
 # -- in the flight
+
+
+def _no_progress(share: float) -> None:
+    """Report nothing: a call-back of the flight cannot be called from another process."""
 
 
 @dataclass
@@ -173,10 +138,6 @@ class RemoteNavigation:
             self.next_frame = max(self.next_frame, found.motion.frame_id + 1)
         return replace(found, frame=batch.frame)
 
-    def feed(self, event: Event) -> Navigation | None:
-        """Not used in flight, where exposures come in batches."""
-        raise NotImplementedError("a flight feeds batches")
-
     def finish(self, progress: Callable[[float], None]) -> Trajectory:
         """Return the last motion, and warnings.
 
@@ -184,7 +145,7 @@ class RemoteNavigation:
             LaneLost: the process is gone.
         """
         assert self.post is not None
-        found: Trajectory = self.post.call("finish")
+        found: Trajectory = self.post.call("finish", _no_progress)
         return found
 
 
@@ -221,7 +182,7 @@ class RemoteMapping:
         Raises:
             LaneLost: the map is gone.
         """
-        found: FinishedMap = self.post.call("finish", trajectory)
+        found: FinishedMap = self.post.call("finish", trajectory, _no_progress)
         return found
 
 
@@ -232,16 +193,6 @@ class RemoteJudging:
         self.post: Post | None = None
         self.memory = JudgingMemory()
 
-    @property
-    def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
-        return self.memory.reserve
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sites that were kept or lost where the motion began anew, in words."""
-        return self.memory.warnings
-
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map, and keep the lane's memory for a new process.
 
@@ -249,7 +200,7 @@ class RemoteJudging:
             LaneLost: this map is not judged.
         """
         assert self.post is not None
-        found, self.memory = self.post.call("judge", seen)
+        found, self.memory = self.post.call("judge_and_remember", seen)
         verdict: Verdict = found
         return verdict
 

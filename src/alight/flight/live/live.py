@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 from alight import terrain
 from alight.arrays import F64
 from alight.flight.live import lanes as processes
-from alight.flight.live.effort import EffortControl
 from alight.flight.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
 from alight.flight.live.interface import IN_FLIGHT, SILENT, Capacity, Diary, Listener, NoDiary
 from alight.flight.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
@@ -30,10 +29,12 @@ from alight.flight.live.nursery import Nursery
 from alight.flight.live.schedule_log import ScheduleLog
 from alight.flight.live.stream_clock import Clocks
 from alight.flight.live.worker import LaneLost, Spec
-from alight.pipeline import Decision, Lanes, Pipeline
+from alight.pipeline import Decision, FlightPolicy
+from alight.pipeline.decision import conclude
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
+from alight.pipeline.timing import Timings
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
 from alight.settings import ImuNoise, Settings
 
@@ -67,6 +68,7 @@ class Live:
         clocks: find late events and clocks that jump, by the arrival of the events; None: stamps are right.
         nursery: process that forks the lanes; None: one of its own, which ends with the flight.
         makers: of lanes that replace the usual ones, by the lane's name.
+        policy: of the mapping and judging lanes; None: one by `sites.every`.
 
     Raises:
         SettingsError: the settings are for recordings only.
@@ -86,6 +88,7 @@ class Live:
         clocks: Callable[[Callable[[str], None]], Clocks] | None = None,
         nursery: Nursery | None = None,
         makers: Mapping[str, Callable[..., Any]] | None = None,
+        policy: FlightPolicy | None = None,
     ) -> None:
         if settings.motion.method == "bundle":
             raise SettingsError("motion.method: a flight needs the filter; bundle is for recordings")
@@ -98,11 +101,8 @@ class Live:
         self._batches = Mailbox[FrameBatch](capacity.tracking, self._later_batch if drop else None)
         self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
         self._maps = Mailbox[_Shown](1, (lambda old, new: new) if drop else None)
-        self._judge_waits, self._every = threading.Event(), settings.sites.every
-        self._asked = threading.Event()  # a verdict is requested now
-        self._about: F64 | None = None  # and the place that it is about
+        self.policy, self._judge_waits = policy or FlightPolicy(settings.sites.every), threading.Event()
         self._newest: Motion | None = None
-        self._pace = EffortControl()
         self._failed: list[BaseException] = []
         self._cores = max(1, (os.cpu_count() or 1) - SPARE)
         self._own_nursery = None if nursery is not None else Nursery(self._cores)
@@ -116,13 +116,13 @@ class Live:
         self, rig: Rig, settings: Settings, folder: Path, appearance: terrain.Model | None, imu: ImuNoise | None,
         makers: Mapping[str, Callable[..., Any]],
     ) -> None:  # fmt: skip
-        stages, clock, nursery = settings.stages(imu), time.perf_counter, self._nursery
+        self._settings, nursery = (stages := settings.stages(imu)), self._nursery
         assert nursery is not None
-        navigation, judging = RemoteNavigation(), RemoteJudging()
+        navigation, judging = self._navigation, self._judging = RemoteNavigation(), RemoteJudging()
         usual: dict[str, tuple[Any, Callable[[], tuple[Any, ...]]]] = {
             NAVIGATION: (processes.NavigationProcess, lambda: (rig, stages, navigation.next_frame)),
-            MAPPING: (processes.MappingProcess, lambda: (rig, stages, clock, folder)),
-            JUDGING: (processes.JudgingProcess, lambda: (stages, clock, appearance, judging.memory)),
+            MAPPING: (processes.MappingProcess, lambda: (rig, stages, folder)),
+            JUDGING: (processes.JudgingProcess, lambda: (stages, appearance, judging.memory)),
         }
 
         def post(name: str) -> Post:
@@ -132,9 +132,7 @@ class Live:
 
         self.posts = {name: post(name) for name in LANES}
         navigation.post, judging.post = self.posts[NAVIGATION], self.posts[JUDGING]
-        self._navigation, mapping = navigation, RemoteMapping(self.posts[MAPPING])
-        self.pipeline = Pipeline(rig, "flight", settings, lanes=Lanes(self._navigation, mapping, judging))
-        self._mapping = mapping
+        self._mapping = RemoteMapping(self.posts[MAPPING])
 
     def _start_threads(self) -> list[Thread]:
         """A thread for each lane; at its end the mailbox that it feeds is closed."""
@@ -158,7 +156,8 @@ class Live:
     @property
     def health(self) -> FlightHealth:
         """State, rates and counts of the lanes at this moment."""
-        return self.watch.health(self._pace.effort, self._newest.frame_id if self._newest is not None else None)
+        effort = self.policy.effort_control.effort
+        return self.watch.health(effort, self._newest.frame_id if self._newest is not None else None)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -192,15 +191,6 @@ class Live:
         if batch is not None:
             self._batches.put(batch)
 
-    def judge_now(self, about: F64 | None = None) -> None:
-        """Judge the map after the next exposure, regardless of `sites.every`, or as soon as the lane is free.
-
-        Args:
-            about: (2,) metres in the map's frame, a place that the map must show as well.
-        """
-        self._about = about
-        self._asked.set()
-
     def finish(self) -> Decision:
         """Wait until all is done, and judge the map as it is then; the lanes end.
 
@@ -215,7 +205,7 @@ class Live:
             self._raise()
             for p in self.posts.values():
                 p.patience = AT_END
-            return self._said(self.pipeline.finish())
+            return self._said(conclude(self._navigation, self._mapping, self._judging, self._settings, Timings()))
         except LaneLost as e:
             raise AlightError(f"a lane was lost when the flight was over: {e}; the recording can be replayed") from e
         finally:
@@ -270,9 +260,10 @@ class Live:
     def _stepped(self, seconds: float) -> None:
         """Adapt the effort of the next step of the map to the time of this one."""
         self.watch.took(STEP, seconds)
-        if self._pace.took(seconds):
-            self.watch.counts[f"mapping: effort {self._pace.effort}, times chosen"] += 1
-            self._diary.note(MAPPING, f"effort {self._pace.effort} after a step of {seconds:.2f} s")
+        control = self.policy.effort_control
+        if control.took(seconds):
+            self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
+            self._diary.note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
 
     def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
         if old.frame is not None:
@@ -328,14 +319,14 @@ class Live:
                     self._listener.motion(found.motion)
 
     def _map(self) -> None:
-        anew, since = False, 0
+        anew = False
         while True:
             navigation = self._exposures.get()
             t_ns = navigation.frame.t_ns
             try:
                 with self.watch.work(MAPPING):
                     begin = time.perf_counter()
-                    effort = self._pace.effort
+                    effort = self.policy.effort(navigation)
                     update = self._mapping.feed(navigation, effort)
                     if update is not None:
                         self._stepped(time.perf_counter() - begin)
@@ -347,24 +338,20 @@ class Live:
                 continue
             if anew:
                 self._used.anew(MAPPING, t_ns)
-                anew = False
             self._used.mapped(t_ns, effort)
-            since += 0 if update is None else update.steps
-            due = self._asked.is_set() or (self._every and since >= self._every)
-            if due and (self._judge_waits.is_set() or not self._capacity.drop):
-                self._asked.clear()
-                self._hand_to_judge(navigation)
-                since = 0
+            due = self.policy.due_verdict(navigation, update, self._judge_waits.is_set() or not self._capacity.drop)
+            anew = due is not None and not self._hand_to_judge(navigation, due.about)
 
-    def _hand_to_judge(self, navigation: Navigation) -> None:
-        about = self._about
+    def _hand_to_judge(self, navigation: Navigation, about: F64 | None) -> bool:
+        """Pass the map on to be judged; False: the mapping lane was lost."""
         try:
             seen = self._mapping.snapshot(about)
         except LaneLost:
-            return
+            return False
         if seen is not None:
             self._judge_waits.clear()
             self._maps.put(_Shown(navigation.frame.t_ns, seen, about))
+        return True
 
     def _judge(self) -> None:
         while True:
@@ -372,7 +359,7 @@ class Live:
             shown = self._maps.get()
             try:
                 with self.watch.work(JUDGING, "verdict"):
-                    verdict = self.pipeline.judge(shown.seen)
+                    verdict = self._judging.judge(shown.seen)
             except LaneLost:
                 if self.posts[JUDGING].given_up:
                     raise Closed from None

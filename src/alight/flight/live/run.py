@@ -14,7 +14,7 @@ from alight.flight.live.live import NAVIGATION, Live
 from alight.flight.live.stream_clock import Clocks
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder, make_room
-from alight.pipeline import Verdict
+from alight.pipeline import FlightPolicy, Verdict
 from alight.records import AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
 from alight.runs import appearance_of, result_of
@@ -74,6 +74,7 @@ class LiveRun:
 
     Args:
         source, out, settings, record, real_time, overwrite, listener, inputs: as of `fly_live`.
+        policy: as of `Live`.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
@@ -82,6 +83,7 @@ class LiveRun:
     def __init__(
         self, source: Source, out: Path, settings: Settings, record: bool = True, real_time: bool = False,
         overwrite: bool = False, listener: Listener = SILENT, inputs: Sequence[Path] = (),
+        policy: FlightPolicy | None = None,
     ) -> None:  # fmt: skip
         prepare_folder(out, overwrite, inputs)
         self._source, self._settings = source, (settings := for_flight(settings))
@@ -92,7 +94,7 @@ class LiveRun:
         told = _Told(listener, self.recorder)
         self.live = Live(
             source.rig, settings, told.listener, folder=out, appearance=appearance_of(settings), imu=source.imu_noise,
-            diary=self.recorder, clocks=Clocks if real_time else None,
+            diary=self.recorder, clocks=Clocks if real_time else None, policy=policy,
         )  # fmt: skip
 
     def finish(self) -> RunResult:
@@ -154,5 +156,5 @@ class _Told:
 
     def _verdict(self, verdict: Verdict, t_ns: int) -> None:
         if self._recorder is not None:
-            self._recorder.sites(t_ns, verdict.sites)
+            self._recorder.sites(t_ns, verdict.in_world().sites)
         self._to.verdict(verdict, t_ns)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight import compiled
-from alight.arrays import F64
 from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live import FlightHealth, Listener
@@ -23,6 +22,7 @@ from alight.flight.session.loop import STEP, TAKEN, FlightLoop
 from alight.flight.session.order_taker import OrderTaker, SpokenVehicle
 from alight.flight.session.pilot import LandingPilot, PilotView
 from alight.outputs import prepare_folder
+from alight.pipeline import FlightPolicy
 from alight.records import Event, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runs import flown_home, with_home
@@ -199,12 +199,13 @@ class _Cabin:
         self._machine, self._tell, self._say = machine, tell, say
         self._vehicle: RemoteVehicle = feed.autopilot.vehicle
         self._hand: OrderTaker = SpokenVehicle(self._said_order) if plan.dry_run else self._vehicle
-        sites = plan.settings.sites.model_copy(update={"every": 0})  # judged on request of the executive
-        settings = plan.settings.model_copy(update={"sites": sites})
-        self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
+        settings, policy = plan.settings, FlightPolicy(every=0)  # judged as the executive needs it
+        self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, policy, self)
         self._loop = FlightLoop(feed, self._vehicle, self._hand, self._pilot, self._status)
         listener = Listener(self._pilot.moved, self._pilot.judged)
-        self._run = LiveRun(opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener)
+        self._run = LiveRun(
+            opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener, policy=policy
+        )
         self._arrivals, self._failed = Arrivals(), list[BaseException]()
         self._told = self._recorded = -math.inf
         self._checks: list[CheckResult] = []
@@ -269,9 +270,6 @@ class _Cabin:
 
     def _said_order(self, words: str) -> None:
         self._say(f"order, not sent: {words}")
-
-    def _judge(self, about: F64 | None) -> None:
-        self._run.live.judge_now(about)
 
     def _hear(self) -> Telemetry:
         """Pass new notices to the pilot and record the telemetry; return it."""

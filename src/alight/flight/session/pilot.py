@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,11 +17,11 @@ from alight.flight.session.near import own_way
 from alight.flight.session.order_taker import OrderTaker
 from alight.flight.session.orders import OrderSender
 from alight.flight.session.pictures import PictureWatch
-from alight.flight.session.verdicts import as_seen, judged_every, look_picture
+from alight.flight.session.verdicts import for_executive, look_picture
 from alight.geometry import LocalFrame
-from alight.pipeline import Verdict
+from alight.pipeline import FlightPolicy, Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
-from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
+from alight.records.executive import FlightDiary, FlightState, LookRecord, MapVerdict, Situation, Transition
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
@@ -67,15 +65,15 @@ class LandingPilot:
         local: the world.
         vehicle: the autopilot's reports.
         hand: takes the orders: the vehicle itself, or a `SpokenVehicle`.
-        judge: requests a verdict on the ground below, and about a place, (2,) metres in the map's frame, if given.
+        policy: of the lanes; it is given the verdicts that are needed, at every decision.
         log: takes orders, entries of the diary and notes.
     """
 
     def __init__(
         self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, hand: OrderTaker,
-        judge: Callable[[F64 | None], None], log: LandingLog,
+        policy: FlightPolicy, log: LandingLog,
     ) -> None:  # fmt: skip
-        self._vehicle, self._local, self._judge, self._log = vehicle, local, judge, log
+        self._vehicle, self._local, self._policy, self._log = vehicle, local, policy, log
         self._begin_ns: int | None = None
         stages = settings.stages()
         self.executive, k = Executive(stages), stages.executive
@@ -86,10 +84,10 @@ class LandingPilot:
         self.pictures, self._battery = PictureWatch(), BatteryWatch()
         self.motion: Motion | None = None
         self._known: Motion | None = None  # that the newest situation's position is of; None: it has none
-        self._seen: Seen | None = None
+        self._seen: MapVerdict | None = None
         self._seen_ns = self._acted_ns = 0  # newest exposure of the newest verdict, and of the one acted upon
         self._guided_ns = 0  # newest motion that a set-point was made of
-        self._number, self._asked = 0, -math.inf
+        self._number = 0
         self._waiting = False  # a verdict, for a decision
         self._tick_ns: int | None = None
         self._starts = vehicle.starts
@@ -132,15 +130,15 @@ class LandingPilot:
         """Take a verdict.
 
         Args:
-            verdict: in the world.
+            verdict: in the frame of its map.
             t_ns: the newest exposure that its map holds.
         """
         if self._begin_ns is None:
             return
         self._number += 1
-        self.take_seen(as_seen(verdict, self._number, (t_ns - self._begin_ns) * 1e-9), t_ns)
+        self.take_seen(for_executive(verdict, self._number, (t_ns - self._begin_ns) * 1e-9), t_ns)
 
-    def take_seen(self, seen: Seen, t_ns: int) -> None:
+    def take_seen(self, seen: MapVerdict, t_ns: int) -> None:
         """Take a verdict in the frame of its map; numbers rise. The next tick decides by it, whenever it comes."""
         self._seen, self._seen_ns, self._waiting = seen, t_ns, True
 
@@ -184,9 +182,6 @@ class LandingPilot:
         known = state in (MotionState.GOOD, MotionState.DEGRADED)
         wind = heard.wind_world
         self._flying |= self._sender.hand.in_control
-        if strayed := self._sender.strayed(now_ns):
-            self._log.note("autopilot", strayed)
-            self._sender.hand.release()
         rebooted = self._vehicle.starts != self._starts
         position = self._position(m, now_ns) if m is not None and known else None
         self._known = m if position is not None else None
@@ -225,11 +220,8 @@ class LandingPilot:
         self._had_position = known
 
     def _decide(self, now: Situation, now_ns: int) -> None:
-        every = judged_every(self.executive)
-        if every is not None and now.t - self._asked >= every:
-            self._asked = now.t
-            self._judge(self.executive.about)
         order = self.executive.tick(now)
+        self._policy.need = self.executive.need
         self._order = self._sender.obey(order, self.state, self._known, now_ns)
         self._motor_stop.tick(self._vehicle.telemetry, now_ns)
         if not self.over:

@@ -1,28 +1,15 @@
-"""Verdicts for the executive: when it needs one, and in the frame of its map."""
+"""Verdicts for the executive, in the frame of their map."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from alight.flight.executive import Executive
 from alight.geometry import Grid
 from alight.pipeline import Verdict
-from alight.pipeline.map_frame import MapFrame
-from alight.records.executive import FlightState, LookPicture, LookRecord, Seen
-
-JUDGE_EVERY = {  # s between two judgements
-    FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
-    FlightState.COMMIT: 0.5,
-}  # fmt: skip
-CROSSING = 2.0  # s between two judgements while a look leg is flown
+from alight.records.executive import LookPicture, LookRecord, MapVerdict
 
 
-def judged_every(executive: Executive) -> float | None:
-    """Seconds between two judgements that the executive can use; None: it needs none."""
-    return CROSSING if executive.crosses else JUDGE_EVERY.get(executive.state)
-
-
-def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
+def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
     """The ground about the place of a look, `reach` metres each way, on `size` pixels a side."""
     cell, (east, north, _) = 2 * reach / size, look.place
     edge = reach - cell / 2  # the middle of the first pixel
@@ -31,17 +18,16 @@ def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 2
     return LookPicture(look, photo, seen.hazards.grid.nearest_on(shown, seen.hazards.p_safe), reach)
 
 
-def as_seen(verdict: Verdict, number: int, t: float) -> Seen:
-    """Return a verdict in the frame of its map, for the executive.
+def for_executive(verdict: Verdict, number: int, t: float) -> MapVerdict:
+    """The part of a verdict that the executive decides by, in the frame of its map.
 
     Args:
-        verdict: in the world.
+        verdict: in the frame of its map.
         number: of the verdict, rising.
         t: s, of the newest exposure that its map holds.
     """
-    frame = verdict.frame
-    back = MapFrame(frame.frame_id, -frame.offset_world, frame.covariance)
-    elevation = back.elevation(verdict.elevation)
-    heights = elevation.height[elevation.trusted]
+    heights = verdict.elevation.height[verdict.elevation.trusted]
     ground = float(np.median(heights)) if heights.size else 0.0
-    return Seen(number, t, frame.frame_id, back.sites(verdict.sites), back.on_grid(verdict.danger), elevation, ground)
+    return MapVerdict(
+        number, t, verdict.frame.frame_id, verdict.sites, verdict.hazards, verdict.elevation, ground
+    )  # fmt: skip

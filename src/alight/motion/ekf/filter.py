@@ -27,7 +27,7 @@ from alight.motion.dynamics import (
 )
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, CourseAttitude, PositionedExposure
-from alight.motion.ekf.keyframe_posterior import KeyframeWindow
+from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import Gate
 from alight.motion.ekf.memory import FilterMemory, Snapshot
 from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
@@ -59,7 +59,6 @@ from alight.records import (
     Motion,
     MotionState,
     NavSample,
-    Prediction,
     RefinedMotions,
     Rig,
     Tracks,
@@ -171,29 +170,17 @@ class MotionFilter:
             m.last_positioned = now
         return found
 
-    def keyframes(self) -> KeyframeWindow | None:
-        """Return the keyframe window by value, from which the joint posterior follows; None before any exposure."""
+    def clone_window(self) -> CloneWindow | None:
+        """Return the clones by value, from which the joint posterior follows; None before any exposure."""
         m = self._memory
         if m.state is None or m.last_exposure_ns == NEVER_NS:
             return None
         return m.visual.window(m.state, m.last_exposure_ns, m.map_number)
 
-    def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
-        """Predict the camera poses at an exposure, relative to that at `before_ns`; None before any GPS/INS row."""
-        predictor = self.predictor()
-        return None if predictor is None else predictor.cameras(stamp_ns, before_ns, self._imu)
-
     def predictor(self) -> MotionPredictor | None:
         """Return the predictor of later exposures; None before the first GPS/INS row."""
-        return None if self._memory.state is None else self.predictor_of(self._memory.state)
-
-    def predictor_of(self, state: FilterState) -> MotionPredictor:
-        """Return the predictor for a state of this filter."""
-        return MotionPredictor.of(state, self._cams, self._memory.inertial, self._settings)
-
-    def smoothed(self) -> list[Motion]:
-        """The motions of `refined`, without their joint covariance."""
-        return list(self.refined().motions)
+        m = self._memory
+        return None if m.state is None else MotionPredictor.of(m.state, self._cams, m.inertial, self._settings)
 
     def refined(self) -> RefinedMotions:
         """All exposures so far, refined together, with their joint covariance (docs/method/smoother.md, M18-M22b).

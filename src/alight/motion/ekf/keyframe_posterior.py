@@ -1,4 +1,4 @@
-"""Joint posterior of the keyframe window: the clones, refined with all observations not used by the state yet (M23)."""
+"""Joint posterior of the clones, refined with all observations not used by the state yet (M23)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RefinedPoses:
 
 
 @dataclass(frozen=True, eq=False)
-class KeyframeWindow:
+class CloneWindow:
     """The clones after one exposure and the observations not used by the state yet, by value.
 
     Few exposures become keyframes of a map, and the posterior costs as much as the update of the state. So the filter
@@ -62,7 +62,7 @@ class KeyframeWindow:
         cams: Sequence[Pose],
         settings: FilterSettings,
         map_number: int = 0,
-    ) -> KeyframeWindow:
+    ) -> CloneWindow:
         """Copy the window of a state."""
         rows = state.clone_rows
         return cls(

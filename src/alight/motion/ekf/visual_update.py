@@ -11,7 +11,7 @@ from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera, Pose
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
-from alight.motion.ekf.keyframe_posterior import KeyframeWindow
+from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
 from alight.motion.ekf.state import POS, FilterState
 from alight.motion.elimination import largest_sigma, marginalise_points, unit_noise_rows
@@ -44,7 +44,7 @@ class VisualUpdate:
         """Return an independent copy."""
         return copy(self)  # attributes are replaced, never changed in place
 
-    def window(self, state: FilterState, exposure_ns: int, map_number: int) -> KeyframeWindow:
+    def window(self, state: FilterState, exposure_ns: int, map_number: int) -> CloneWindow:
         """Return the clones with the unused observations, from which their posterior follows (M23).
 
         Without clones, as after a reset, the window has the present pose alone, as that of the exposure.
@@ -52,7 +52,7 @@ class VisualUpdate:
         if not len(state.clones):
             state = state.copy()
             state.add_clone(exposure_ns)
-        return KeyframeWindow.of(state, self._unused, self._cams, self._settings, map_number)
+        return CloneWindow.of(state, self._unused, self._cams, self._settings, map_number)
 
     def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:
         """Take one exposure: use ended tracks, clone the pose, update landmarks, initialise new ones."""
@@ -81,8 +81,8 @@ class VisualUpdate:
             self.reset(state)
 
     def _clone_to_drop(self, state: FilterState) -> list[int]:
-        """Return the index of the last clone if it is no keyframe, else of the oldest if there are too many."""
-        p, baseline = state.clones.poses.p, self._settings.keyframe_baseline
+        """Return the index of the last clone if the one before is near, else of the oldest if there are too many."""
+        p, baseline = state.clones.poses.p, self._settings.clone_baseline
         if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < baseline * self._median_distance(state):
             return [len(p) - 1]
         return [0] if len(p) >= self._settings.clones else []

@@ -28,8 +28,8 @@ class SavedJobs:
         self._doing, self._saved = doing, saved
         self.done: list[str] = []  # names of the tasks that were not saved before
 
-    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
-        """As `Jobs`."""
+    def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
+        """As `Jobs`, always in the order of the tasks."""
         drawn = deque[tuple[Task, bool]]()  # and whether it is saved
 
         def open_tasks() -> Iterator[Task]:

@@ -35,9 +35,9 @@ def mapping_lane(
         prior: heights from elsewhere, with which the search at the end begins.
     """
     if not at_end and (settings.parallax.method == "ring" or not history):  # without an end there is no batch
-        from alight.pipeline.mapping.recursive import RecursiveMapper
+        from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 
         return RecursiveMapper(rig, settings, far, timings, history)
-    from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
+    from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
 
     return (PhotoMapper if at_end else BatchMapper)(rig, settings, far, timings, jobs, prior)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,9 +19,10 @@ from alight.parallax.datum import with_datum
 from alight.parallax.pose_error import Matched
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
+from alight.pipeline.mapping.cell_size import cell_size, level_for
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
-from alight.pipeline.mapping.view_geometry import bounds, ground_in, level_for, looking_down
+from alight.pipeline.mapping.view_geometry import bounds, ground_in, looking_down
 from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
 from alight.settings import ParallaxSettings
 from alight.spread import nmad
@@ -28,8 +30,6 @@ from alight.spread import nmad
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 BLOCK = 2  # tiles across that are matched together: with more, the share of the margin is smaller
 SHARE = 0.5  # of the shorter side of the pictures: most that such a block covers
-# cells over those of 1.8 pixels, and their least size over the cell that the lander is judged on
-QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
 ENOUGH = 40  # points or cells, least to estimate a height from
 BLANK = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
@@ -95,6 +95,8 @@ def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
 class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
 
+    by_quality: ClassVar[bool] = True
+
     jobs: Jobs = field(default_factory=InTurn)
     prior: PriorHeights | None = None  # heights from elsewhere, with which the search begins
     _matched: list[Matched] = field(default_factory=list)  # each tile with its views
@@ -113,12 +115,6 @@ class BatchMap(GroundMap):
         for n, (level, asking, beside) in enumerate(levels):
             done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
         return done
-
-    def sampling_of(self, view: View, ground: float) -> float:
-        """Ground sampling of a pixel, metres; more where the lander needs no finer cells, or less quality is set."""
-        pixels, least = QUALITY[self.settings.parallax.quality]
-        finest = least * self.settings.lander.judging_cell / self.settings.mapping.cell_over_pixel
-        return max(pixels * ground_sampling(view, ground), finest)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """As for any map; the ground in each view is then that of the new points."""
@@ -139,8 +135,8 @@ class BatchMap(GroundMap):
         assert self.elevation is not None
         level, of = 0, []
         for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
-            if self.settings.parallax.cell is None:
-                level = level_for(self.sampling_of(v, ground), self.elevation.cell, level, self.settings.mapping)
+            size = cell_size(v, ground, self.settings, self.by_quality)
+            level = level_for(size, self.elevation.cell, level, self.settings.mapping.level_slack)
             of.append(level)
         for k in sorted(set(of), reverse=True):
             asking = [v for v, its in zip(views, of, strict=True) if its == k]

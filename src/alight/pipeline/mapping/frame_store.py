@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from alight.pipeline.map_frame import MapFrame
 from alight.records import Frame, Motion, Rig, View
 
@@ -25,44 +23,32 @@ class Keyframe:
 
 
 class FrameStore:
-    """Frames that are far enough apart to be worth matching.
+    """Frames that are kept, oldest first."""
 
-    Args:
-        turn: rad of the optical axis that make a keyframe without a step.
-    """
-
-    def __init__(self, turn: float) -> None:
-        self._turn = turn
+    def __init__(self) -> None:
         self.keyframes: list[Keyframe] = []
         self.bytes = 0
         self.taken = 0  # frames that were ever kept
-        self._last: Motion | None = None
+        self.last: Motion | None = None  # of the newest frame kept; None: there is none
 
     def __len__(self) -> int:
         return len(self.keyframes)
 
     def keep(self, frame: Frame, motion: Motion | None = None) -> None:
-        """Keep a frame, however near it is to the last one."""
+        """Keep a frame."""
         self.keyframes.append(Keyframe(frame, motion))
         self.bytes += self.keyframes[-1].bytes
         self.taken += 1
-        self._last = motion or self._last
-
-    def offer(self, frame: Frame, motion: Motion, step: float) -> bool:
-        """Keep the frame if it moved `step` metres or turned since the last one kept."""
-        if self._last is not None and not _moved(self._last, motion, step, self._turn):
-            return False
-        self.keep(frame, motion)
-        return True
+        self.last = motion or self.last
 
     def drop_oldest(self, count: int) -> None:
         """Forget the first `count` frames."""
         self._set(self.keyframes[count:])
 
     def clear(self) -> None:
-        """Forget all frames: the next one is kept, wherever it is."""
+        """Forget all frames."""
         self._set([])
-        self._last = None
+        self.last = None
 
     def thin(self) -> None:
         """Forget every second frame, the newest not."""
@@ -71,12 +57,6 @@ class FrameStore:
     def _set(self, keyframes: list[Keyframe]) -> None:
         self.keyframes = keyframes
         self.bytes = sum(k.bytes for k in keyframes)
-
-
-def _moved(last: Motion, motion: Motion, step: float, turn: float) -> bool:
-    a, b = last.world_from_cams[0], motion.world_from_cams[0]
-    axis = float(np.clip(a.rotation[:, 2] @ b.rotation[:, 2], -1, 1))
-    return bool(np.linalg.norm(a.translation - b.translation) >= step or np.arccos(axis) >= turn)
 
 
 def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:

@@ -1,9 +1,10 @@
-"""Common part of both ways of mapping: search of the ground, choice of the cell size, refusal of heights."""
+"""Common part of both ways of mapping: search of the ground, and refusal of heights."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -12,8 +13,8 @@ from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
 from alight.parallax.sparse_points import NO_POINTS, find_points, height_range, supported
-from alight.parallax.views import ground_sampling
-from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
+from alight.pipeline.mapping.cell_size import first_cell
+from alight.pipeline.mapping.view_geometry import looking_down
 from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
@@ -46,6 +47,8 @@ class Surroundings:
 @dataclass(eq=False)
 class GroundMap:
     """The map so far, and the points from which its ground was found."""
+
+    by_quality: ClassVar[bool]  # as for `cell_size`
 
     settings: StageSettings
     far: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
@@ -88,14 +91,9 @@ class GroundMap:
         self._points = below[:: -(-len(below) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
-            sampling = float(np.median([self.sampling_of(v, self.ground) for v in down]))
-            cell = self.settings.parallax.cell or nice_cell(sampling, self.settings.mapping.cell_over_pixel)
+            cell = first_cell(down, self.ground, self.settings, self.by_quality)
             self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
-
-    def sampling_of(self, view: View, ground: float) -> float:
-        """Ground sampling distance of a view at a ground height, metres, for the cell size."""
-        return ground_sampling(view, ground)
 
     def _range(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False

@@ -14,6 +14,7 @@ from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.records import NOTHING_MISSING, ElevationMap, MissingVeto, View
 
+NO_HEIGHT = "no height could be measured: no place was seen by two views"
 Progress = Callable[[float], None]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,11 +12,11 @@ from alight.arrays import F64, U16, Mask
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax.recursive import RecursiveParallax
-from alight.parallax.views import ground_sampling
+from alight.pipeline.mapping.cell_size import cell_size, level_for
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
 from alight.pipeline.mapping.size import BYTES_A_CELL, BYTES_A_STEP, refuse_too_large
-from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
+from alight.pipeline.mapping.view_geometry import bounds, looking_down
 from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 
@@ -25,6 +26,8 @@ COARSE = 4  # cells: every n-th of them is used for the ground height
 @dataclass(eq=False)
 class RecursiveMap(GroundMap):
     """Recursive parallax over a window of keyframes."""
+
+    by_quality: ClassVar[bool] = False
 
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
     out_of_range: bool = False  # many of the newest heights are at an end of the searched range, or none is given out
@@ -81,10 +84,8 @@ class RecursiveMap(GroundMap):
         newest = down[0]
         here = self.ground if self.ground_here is None else self.ground_here
         self.ground_here = min(here, float(newest.centre[2]) - self.settings.mapping.least_height)
-        if self.settings.parallax.cell is None:
-            self.level = level_for(
-                ground_sampling(newest, self.ground_here), self.elevation.cell, self.level, self.settings.mapping
-            )
+        size = cell_size(newest, self.ground_here, self.settings, self.by_quality)
+        self.level = level_for(size, self.elevation.cell, self.level, self.settings.mapping.level_slack)
         cell = self.elevation.cell_at(self.level)
         if self._ring is None:
             self._ring = RecursiveParallax(self.settings.parallax, cell, self.ground_here)

@@ -1,8 +1,7 @@
-"""Geometry of views and ground: views that look down, their footprints, and the cell size of the map."""
+"""Geometry of views and ground: views that look down, their footprints, and the ground in them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -12,25 +11,9 @@ from alight.arrays import F64
 from alight.geometry import Camera
 from alight.parallax.views import radius2_limit
 from alight.records import View
-from alight.settings.tuning import MappingTuning
 
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
 ENOUGH = 40  # points in a picture that show its ground
-NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
-
-
-def nice_cell(sampling: float, ratio: float) -> float:
-    """The round cell size nearest to `ratio` ground sampling distances, metres."""
-    target = ratio * sampling
-    decade = 10.0 ** np.floor(np.log10(target))
-    sizes = np.concatenate([NICE * decade, [10.0 * decade]])
-    return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / target)))], 6))
-
-
-def level_for(sampling: float, cell: float, now: int, tuning: MappingTuning) -> int:
-    """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while that suits."""
-    exact = math.log2(tuning.cell_over_pixel * sampling / cell)
-    return now if abs(exact - now) <= 0.5 + tuning.level_slack else round(exact)
 
 
 def looking_down(views: Sequence[View]) -> list[View]:

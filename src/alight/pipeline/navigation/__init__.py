@@ -7,13 +7,13 @@ adjustment of photos, whose motions all come at the end.
 from __future__ import annotations
 
 from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch, Handover, TrackedFrame
-from alight.pipeline.navigation.lane import Navigation, NavigationLane, TimedPoses, Trajectory
+from alight.pipeline.navigation.lane import MotionSource, Navigation, NavigationLane, TimedPoses, Trajectory
 from alight.records import Rig, SettingsError
 from alight.settings import StageSettings
 
 __all__ = [
-    "FilterLane", "FrameBatch", "Handover", "Navigation", "NavigationLane", "TimedPoses", "TrackedFrame",
-    "Trajectory", "navigation_lane",
+    "FilterLane", "FrameBatch", "Handover", "MotionSource", "Navigation", "NavigationLane", "TimedPoses",
+    "TrackedFrame", "Trajectory", "navigation_lane",
 ]  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 Two halves may run at the same time and give the same bits for any schedule: while the filter takes one exposure, the
 next one is tracked. So every exposure is predicted from the filter's state after the last exposure but one, even if the
 last one is done; the IMU propagates that state. There is no thread here: `feed` calls the halves one after the other,
-and `alight.flight.live` calls them on two threads.
+and a caller with two threads calls them itself.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.smoother.recorded_flight import LEAST_EXPOSURES
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
-from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
-from alight.settings import FilterSettings, StageSettings
+from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.settings import StageSettings
 from alight.tracks import Tracker
 
 _STAMPS = 256  # of exposures that are remembered, to find repeated ones
@@ -138,69 +138,6 @@ class TrackingHalf:
         return TrackedFrame(batch.frame, self._tracker.feed(batch.frame, expected))
 
 
-class FilterHalf:
-    """The filter, its output, and the number of exposures at which it was lost."""
-
-    def __init__(self, rig: Rig, settings: FilterSettings, handover: Handover, history: bool, frame_id: int) -> None:
-        self._settings = settings if history else settings.model_copy(update={"smooth": False})
-        self._filter = RollbackFilter(rig, self._settings, frame_id)
-        self._handover, self._begun = handover, False
-        self.attitude = False  # one was measured
-        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
-        self._given = self._lost = 0  # exposures
-        self.next_frame = frame_id
-
-    def hear(self, batch: FrameBatch) -> None:
-        """Take the rows of a batch."""
-        for row in batch.rows:
-            if isinstance(row, NavSample):
-                self._filter.feed_nav(row)
-                self.attitude = self.attitude or row.world_from_body is not None
-            else:
-                self._filter.feed_imu(row)
-        if batch.frame is not None and not self._begun:
-            self._begun = True
-            self._handover.put(self._filter.predictor())
-
-    def update(self, tracked: TrackedFrame) -> Navigation | None:
-        """Take the features of an exposure: its motion, and the keyframes."""
-        motion = self._filter.feed_tracks(tracked.tracks)
-        self._handover.put(self._filter.predictor())
-        if motion is None:
-            return None
-        self._motions.append(motion)
-        self.next_frame = max(self.next_frame, motion.frame_id + 1)
-        self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
-        return Navigation(tracked.frame, motion, self._filter.keyframes(), self.attitude)
-
-    def refined(self) -> RefinedMotions:
-        """The motions refined together; empty where that is switched off or not possible."""
-        return self._filter.refined()
-
-    def online(self) -> list[Motion]:
-        """The motions as they were given out, in order of time; each frame in the world by its newest offset."""
-        newest = {m.frame_id: MapFrame.of(m) for m in self._motions}
-        return sorted((newest[m.frame_id].motion(m) for m in self._motions), key=lambda m: m.t_ns)
-
-    def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
-        """Warnings on the motion, in sentences."""
-        out = []
-        if self._filter.too_late:
-            out.append(_left_out(self._filter.too_late, "came late"))
-        if self._lost:
-            out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
-        if (state := self._filter.state) is not None and state.refused:
-            out.append(f"motion: {state.refused} measurements led to no update (a singular matrix) and are left out")
-        if anew := max((m.frame_id for m in motions), default=0):
-            out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
-        if self._settings.smooth and motions and not smoothed:
-            cause = "they are too few" if len(motions) < LEAST_EXPOSURES else "their equations have no solution"
-            out.append(
-                f"motion: the exposures could not be refined together ({cause}); the poses are those of the flight"
-            )
-        return out
-
-
 def _left_out(count: int, what: str) -> str:
     return f"motion: {count} exposures or GPS/INS rows {what} and are left out"
 
@@ -225,61 +162,83 @@ class FilterLane:
         frame_id: int = 0,
         photos: bool = False,
     ) -> None:
-        self._rig = rig
-        between = handover or HandoverInTurn()
-        self._batcher = EventBatcher()
-        self._tracking = TrackingHalf(rig, settings, between)
-        noise = settings.motion.filter
+        noise = settings.motion.filter if history else settings.motion.filter.model_copy(update={"smooth": False})
         if noise.mounting_sigma is None and not photos:
             noise = noise.model_copy(update={"mounting_sigma": 0.0})
-        self._filtering = FilterHalf(rig, noise, between, history, frame_id)
+        self._rig, self._settings, self._handover = rig, noise, handover or HandoverInTurn()
+        self.batcher, self.tracking = EventBatcher(), TrackingHalf(rig, settings, self._handover)
+        self._filter = RollbackFilter(rig, noise, frame_id)
+        self._begun = self._attitude = False  # the first exposure has come; an attitude was measured
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
+        self._given = self._lost = 0  # exposures
+        self.next_frame = frame_id  # the first frame number that no motion has had
 
     def feed(self, event: Event) -> Navigation | None:
-        """Take one event; an exposure gives its motion and the keyframes."""
-        batch = self.batch(event)
-        if batch is None:
-            return None
-        self.hear(batch)
-        tracked = self.track(batch)
+        """Take one event; an exposure gives its motion and the clones."""
+        batch = self.batcher.take(event)
+        return None if batch is None else self.take(batch)
+
+    def take(self, batch: FrameBatch) -> Navigation | None:
+        """Take an exposure with the rows before it: on two threads, `tracking` on one and the rest on the other."""
+        self.take_rows(batch)
+        tracked = self.tracking.track(batch)
         return None if tracked is None else self.update(tracked)
 
-    # the steps of `feed`, for two threads: `track` on one of them, `hear` and `update` on the other
-
-    def batch(self, event: Event) -> FrameBatch | None:
-        """Gather events; an exposure makes a batch."""
-        return self._batcher.take(event)
-
-    def hear(self, batch: FrameBatch) -> None:
+    def take_rows(self, batch: FrameBatch) -> None:
         """Give the filter the rows of a batch, before or while its exposure is tracked."""
-        self._filtering.hear(batch)
-
-    def track(self, batch: FrameBatch) -> TrackedFrame | None:
-        """Follow the features into the exposure of a batch."""
-        return self._tracking.track(batch)
+        for row in batch.rows:
+            if isinstance(row, NavSample):
+                self._filter.feed_nav(row)
+                self._attitude = self._attitude or row.world_from_body is not None
+            else:
+                self._filter.feed_imu(row)
+        if batch.frame is not None and not self._begun:
+            self._begun = True
+            self._handover.put(self._filter.predictor())
 
     def update(self, tracked: TrackedFrame) -> Navigation | None:
-        """Give the filter the features of an exposure."""
-        return self._filtering.update(tracked)
-
-    @property
-    def next_frame(self) -> int:
-        """The first frame number that no motion has had."""
-        return self._filtering.next_frame
-
-    def waiting(self) -> tuple[Row, ...]:
-        """Take the rows that wait for an exposure."""
-        return self._batcher.rest().rows
+        """Give the filter the features of an exposure; return its motion, and the clones."""
+        motion = self._filter.feed_tracks(tracked.tracks)
+        self._handover.put(self._filter.predictor())
+        if motion is None:
+            return None
+        self._motions.append(motion)
+        self.next_frame = max(self.next_frame, motion.frame_id + 1)
+        self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
+        return Navigation(tracked.frame, motion, self._filter.clone_window(), self._attitude)
 
     def finish(self, progress: Progress) -> Trajectory:
         """The smoothed motions; a warning where the filter was lost."""
-        self.hear(self._batcher.rest())
-        refined = self._filtering.refined()
+        self.take_rows(self.batcher.rest())
+        refined = self._filter.refined()
         smoothed = bool(refined.motions)
-        motions = refined.motions or tuple(self._filtering.online())
+        motions = refined.motions or tuple(self._online())
         joint = refined.joint or rigid_posterior(sparse(motions))
-        repeated = self._batcher.repeated
+        repeated = self.batcher.repeated
         warnings = [_left_out(repeated, "have the stamp of an earlier one")] if repeated else []
-        warnings += self._filtering.warnings(motions, smoothed)
+        warnings += self.warnings(motions, smoothed)
         note = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
-        attitude = self._filtering.attitude
-        return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint, attitude=attitude)
+        return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint, attitude=self._attitude)
+
+    def _online(self) -> list[Motion]:
+        """The motions as they were given out, in order of time; each frame in the world by its newest offset."""
+        newest = {m.frame_id: MapFrame.of(m) for m in self._motions}
+        return sorted((newest[m.frame_id].motion(m) for m in self._motions), key=lambda m: m.t_ns)
+
+    def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
+        """Warnings on the motion, in sentences."""
+        out = []
+        if self._filter.too_late:
+            out.append(_left_out(self._filter.too_late, "came late"))
+        if self._lost:
+            out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
+        if (state := self._filter.state) is not None and state.refused:
+            out.append(f"motion: {state.refused} measurements led to no update (a singular matrix) and are left out")
+        if anew := max((m.frame_id for m in motions), default=0):
+            out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
+        if self._settings.smooth and motions and not smoothed:
+            cause = "they are too few" if len(motions) < LEAST_EXPOSURES else "their equations have no solution"
+            out.append(
+                f"motion: the exposures could not be refined together ({cause}); the poses are those of the flight"
+            )
+        return out

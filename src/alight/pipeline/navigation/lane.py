@@ -84,11 +84,15 @@ def sparse(motions: Sequence[Motion]) -> tuple[Motion, ...]:
     return tuple(motions[:: max(1, len(motions) // _MOST_JOINT)])
 
 
-class NavigationLane(Protocol):
+class MotionSource(Protocol):
+    """What gives the motions of a whole run, at its end."""
+
+    def finish(self, progress: Progress) -> Trajectory:
+        """All motions, refined together where that is possible."""
+
+
+class NavigationLane(MotionSource, Protocol):
     """One way to find the motion. Feed it events in the order of arrival, `finish` at the end."""
 
     def feed(self, event: Event) -> Navigation | None:
         """Take one event; an exposure that can be used gives a `Navigation`."""
-
-    def finish(self, progress: Progress) -> Trajectory:
-        """All motions, refined together where that is possible."""

@@ -13,11 +13,11 @@ class FilterTuning(FrozenModel):
     """The structure-from-motion filter and the smoother of recorded flights."""
 
     points: int = Field(40, ge=4, description="Landmarks held in the state")
-    clones: int = Field(8, ge=3, description="Keyframe poses held in the state")
+    clones: int = Field(8, ge=3, description="Clones held in the state: poses of exposures that are far enough apart")
     pixel_sigma: Positive = Field(0.35, description="1-sigma of a track on ground of the reference texture, px")
     pixel_repeat: Positive = Field(
         40.0,
-        description="Observations counted as one when the keyframe covariance is inflated: tracking errors are "
+        description="Observations counted as one when the covariance of the clones is inflated: tracking errors are "
         "correlated in time and between neighbouring features",
     )
     smoother_repeat: Positive = Field(
@@ -25,7 +25,7 @@ class FilterTuning(FrozenModel):
     )
     unlikely: Positive = Field(
         6.0,
-        description="Squared error of the keyframe poses over its covariance, per degree of freedom, from which their "
+        description="Squared error of the clones over their covariance, per degree of freedom, from which their "
         "refinement is refused",
     )
     texture_reference: Positive = Field(
@@ -37,7 +37,7 @@ class FilterTuning(FrozenModel):
     vague_share: Positive = Field(
         0.2, description="Relative 1-sigma of its depth above which a feature is not used as a measurement"
     )
-    keyframe_baseline: Positive = Field(0.02, description="Baseline over depth between keyframe poses")
+    clone_baseline: Positive = Field(0.02, description="Baseline over depth between clones")
     nav_position_tau: Positive = Field(60.0, description="Correlation time of the GPS/INS position error, s")
     nav_attitude_tau: Positive = Field(120.0, description="Correlation time of the GPS/INS attitude error, s")
     nav_velocity_tau: Positive = Field(20.0, description="Correlation time of the GPS/INS velocity error, s")

@@ -130,7 +130,7 @@ class RecursiveTuning(FrozenModel):
     first_baseline: Positive = Field(0.12, description="Baseline over height from which a new cell is swept")
     first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
     first_exposures: int = Field(4, ge=3, description="Exposures that a sweep uses")
-    span: Positive = Field(0.8, description="Baseline over height from which a keyframe is dropped")
+    span: Positive = Field(0.8, description="Baseline over height from which the window drops a keyframe")
     steps: int = Field(1, ge=1, description="Gauss-Newton steps with each keyframe")
     unknown_ratio: Positive = Field(0.6, description="Ratio of best to second-best cost of a cell that was not swept")
     worse: Positive = Field(1.5, description="Ratio of new to old sigma from which a step leaves the map as it is")
@@ -197,7 +197,7 @@ class ParallaxTuning(FrozenModel):
     """Planar parallax on the world grid."""
 
     views: int = Field(16, ge=2, le=32, description="Most views that a cell uses (batch)")
-    ring: int = Field(7, ge=3, le=16, description="Keyframes held (recursive)")
+    ring: int = Field(7, ge=3, le=16, description="Keyframes of the window (recursive)")
     keyframe_baseline: Positive = Field(0.02, description="Baseline between keyframes over the height above ground")
     points: PointsTuning = PointsTuning()
     sweep: SweepTuning = SweepTuning()

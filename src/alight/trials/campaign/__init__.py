@@ -1,5 +1,6 @@
 """Campaigns: closed-loop landings over worlds, winds and faults, drawn from a seed, one line of a file each."""
 
+from alight.trials.campaign.factories import FORM, is_factory
 from alight.trials.campaign.folder import CampaignFolder
 from alight.trials.campaign.run import (
     Campaign,
@@ -14,6 +15,7 @@ from alight.trials.campaign.run import (
 from alight.trials.report.page import comparison
 
 __all__ = [
+    "FORM",
     "Campaign",
     "CampaignFolder",
     "Ended",
@@ -21,6 +23,7 @@ __all__ = [
     "comparison",
     "continued",
     "fly_campaign",
+    "is_factory",
     "numbers_in",
     "outcome_lines",
     "wanted_landings",

@@ -11,6 +11,8 @@ import numpy as np
 from alight.flight.executive import ENDS
 from alight.records.campaign import FaultRecord
 from alight.records.executive import FlightState
+from alight.trials.campaign.link_faults import LINK_FAULTS
+from alight.trials.landing import Trial
 from alight_sim.steered import SteeredFlight
 
 Range = tuple[float, float]
@@ -111,13 +113,9 @@ class Happenings:
         self.distance = 0.0  # metres
         self.nearest: float | None = None  # metres, least height of the feet above all within the radius
 
-    def __call__(self, t: float, state: FlightState) -> None:
-        """Trigger the faults that are due; update `distance` and `nearest` with the flight since the last call.
-
-        Args:
-            t: s of the flight.
-            state: of the executive.
-        """
+    def __call__(self, trial: Trial) -> None:
+        """Trigger the faults that are due; update `distance` and `nearest` with the flight since the last call."""
+        t, state = trial.t, trial.state
         at = self._vehicle.true_pose.translation
         self.distance += float(np.linalg.norm(at - self._at))
         self._at = at.copy()
@@ -127,10 +125,15 @@ class Happenings:
         self._entered.setdefault(state.value, t)
         for k, fault in enumerate(self._planned):
             since = 0.0 if fault.state is None else self._entered.get(fault.state)
-            late = FAULTS[fault.what].is_body and _time_left(self._vehicle) <= 0.0
-            if k not in self._happened and since is not None and t >= since + fault.after and not late:
-                self._happened[k] = t
+            if k in self._happened or since is None or t < since + fault.after:
+                continue
+            if fault.what in LINK_FAULTS:
+                LINK_FAULTS[fault.what].act(trial, fault.numbers)
+            elif FAULTS[fault.what].is_body and _time_left(self._vehicle) <= 0.0:
+                continue
+            else:
                 FAULTS[fault.what].act(self._vehicle, fault.numbers)
+            self._happened[k] = t
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:

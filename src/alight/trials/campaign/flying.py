@@ -17,14 +17,16 @@ from alight.records.campaign import Conditions, LandingRecord, LightRecord, Look
 from alight.records.executive import FlightState
 from alight.runs import appearance_of
 from alight.settings import Settings
+from alight.trials.campaign.error_line import error_line
+from alight.trials.campaign.factories import is_factory, made_world
 from alight.trials.campaign.faults import Happenings
 from alight.trials.campaign.outcome import judge_landing, met
 from alight.trials.campaign.picture import ground_picture
 from alight.trials.campaign.plan import campaign_world
 from alight.trials.landing import Landing, fly_landing
-from alight_sim.campaign import CampaignWorld
 from alight_sim.oracle import OracleLander
 from alight_sim.scene import Scene
+from alight_sim.scene_world import SceneWorld
 from alight_sim.steered import SteeredFlight
 from alight_sim.world import World
 
@@ -68,13 +70,7 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
 
 def failed(conditions: Conditions, error: BaseException) -> Flown:
     """Return the record of a landing that raised, or whose process died: outcome `failed`, with the error in a line."""
-    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=_in_a_line(error)))
-
-
-def _in_a_line(error: BaseException) -> str:
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
-    return " ".join(f"{type(error).__name__}: {error}".split()) + where
+    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=error_line(error)))
 
 
 def _raised(vehicle: SteeredFlight, conditions: Conditions, settings: Settings, error: Exception) -> Flown:
@@ -93,7 +89,7 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
     Raises:
         InputError: the scene cannot be flown over at this size, or the lander is too small for its cells.
     """
-    vehicle = _vehicle(c, campaign_world(c.scene), settings)
+    vehicle = _vehicle(c, settings)
     least = LEAST_CELLS * vehicle.world.cell
     if settings.lander.radius < least:
         raise InputError(
@@ -103,17 +99,22 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
     return vehicle
 
 
-def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredFlight:
-    world = lit_world(kind.build(c.world_seed), c.light)
-    drift = {"position": c.gps_sigma, "position_tau": c.gps_tau}
-    nav = None if world.scene is None else world.scene.sensors.nav.model_copy(update=drift)
+def _vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
+    world = _world(c)
+    nav = world.sensors.nav.model_copy(update={"position": c.gps_sigma, "position_tau": c.gps_tau})
     return SteeredFlight(
-        world, c.flight_seed, start=kind.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
+        world, c.flight_seed, start=world.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
         radius=OracleLander.of(settings.lander.model_dump()).reach,
     )  # fmt: skip
 
 
-def lit_world(world: World, drawn: LightRecord | None) -> World:
+def _world(c: Conditions) -> World:
+    if is_factory(c.scene):
+        return made_world(c.scene, c.world_seed)
+    return lit_world(campaign_world(c.scene).build(c.world_seed), c.light)
+
+
+def lit_world(world: SceneWorld, drawn: LightRecord | None) -> SceneWorld:
     """The world under the sun and the sky that were drawn; its haze and its wind stay, and cameras adapt."""
     if drawn is None:
         return world
@@ -128,14 +129,14 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     vehicle, appearance = checked_vehicle(conditions, settings), appearance_of(settings)
     happenings = Happenings(vehicle, conditions.faults)
     try:
-        landing = fly(vehicle, settings, appearance, happenings)
+        landing = fly(vehicle, settings, appearance, happenings, conditions.firmware)
     except Exception as e:
         log.info("landing %d: %s", conditions.landing, traceback.format_exc())
         return _raised(vehicle, conditions.model_copy(update={"faults": happenings.faults}), settings, e)
-    judged = judge_landing(vehicle, landing, settings, campaign_world(conditions.scene).start[:2])
+    judged = judge_landing(vehicle, landing, settings)
     picture = None
     if judged.outcome == "landed unsafely" and (at := judged.touchdown or judged.strike):
-        picture = ground_picture(vehicle.world, at, settings.lander.radius)
+        picture = ground_picture(vehicle.world, at, settings.lander.radius, vehicle.bodies)
     found = [x for x in landing.diary.transitions if x.after is FlightState.APPROACH]
     record = LandingRecord(
         conditions=conditions.model_copy(update={"faults": happenings.faults}),

@@ -7,21 +7,23 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from alight.program import DIGITS
 from alight.records import InputError
-from alight.runner.program import DIGITS
 from alight.settings import Settings
+from alight.trials.campaign.factories import is_factory, source_of
 from alight_sim.campaign import campaign_worlds
 from alight_sim.scene import built_in, read_scene
 
 
 def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
-    """Digests of scene files with their rasters, and of the model of appearance, by name.
+    """Digests of scene files with their rasters, of factories' modules, and of the model of appearance, by name.
 
     Raises:
         InputError: one cannot be read.
     """
-    files = [Path(s) for s in scenes if s not in campaign_worlds() and s not in built_in()]
-    named = [path for scene in files for path in (scene, *_paths(read_scene(scene).model_dump()))]
+    named = [source_of(s) for s in scenes if is_factory(s)]
+    files = [Path(s) for s in scenes if s not in {*campaign_worlds(), *built_in()} and not is_factory(s)]
+    named += [path for scene in files for path in (scene, *_paths(read_scene(scene).model_dump()))]
     model = settings.terrain.model
     if model is not None and model != "default" and settings.terrain.enabled:
         named.append(Path(model))

@@ -23,6 +23,7 @@ from alight.trials.landing import Landing
 from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
 from alight_sim.steered import SteeredFlight, TrueContact
 from alight_sim.steered.touchdown import contact_seconds, severity
+from alight_sim.world import World
 
 STEPS = (0.5, 0.25)  # m between the places that the oracle tries; the finer ones only where none is found
 
@@ -37,16 +38,13 @@ class JudgedLanding(NamedTuple):
     safe_share: float | None = None
 
 
-def judge_landing(
-    vehicle: SteeredFlight, landing: Landing, settings: Settings, start: tuple[float, float]
-) -> JudgedLanding:
+def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
     """Judge a landing that has ended.
 
     Args:
         vehicle: in its state after the landing.
         landing: its end and its diary.
         settings: of the landing.
-        start: east, north, metres: the middle of the square that is searched.
     """
     if vehicle.contacts:
         return _touched(vehicle, landing, settings)
@@ -58,7 +56,7 @@ def judge_landing(
         return JudgedLanding("rightly refused", f"the wind is {vehicle.wind_speed:.1f} m/s")
     if event is FlightEvent.BATTERY and vehicle.battery < keys.least_battery:
         return JudgedLanding("rightly refused", f"the battery is at {100 * vehicle.battery:.0f} %")
-    share = safe_share(vehicle, settings, start)
+    share = safe_share(vehicle.world, settings)
     said = last.event.value if last else "the time is over"
     if share == 0.0:
         return JudgedLanding("rightly refused", f"{said}; there is no safe place", safe_share=share)
@@ -105,7 +103,7 @@ def _touched(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> Ju
 
 def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:
     lander, t = OracleLander.of(settings.lander.model_dump()), contact_seconds(contact)
-    d = judge_touchdown(vehicle.world, lander, contact.pose, contact.velocity_world, t)
+    d = judge_touchdown(vehicle.world, lander, contact.pose, contact.velocity_world, t, vehicle.bodies)
     return TouchdownLine(
         t=t, east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt, roughness=d.roughness,
         sink=d.sink, drift=d.drift,
@@ -117,15 +115,15 @@ def _strike(contact: TrueContact, above: float) -> StrikeLine:
     return StrikeLine(t=contact_seconds(contact), east=east, north=north, above=above)
 
 
-def safe_share(vehicle: SteeredFlight, settings: Settings, start: tuple[float, float]) -> float:
+def safe_share(world: World, settings: Settings) -> float:
     """Share of the searched square whose centres are safe with the margin, by the oracle."""
-    margin, (east, north) = settings.sites.margin, start
+    margin, (east, north, _) = settings.sites.margin, world.start
     half = 0.5 * settings.executive.search_side
     lander, share = OracleLander.of(settings.lander.model_dump()), 0.0
     for step in STEPS:
         rim = math.ceil(margin / step) * step  # the true ground beyond the square exists as well
         out = half + rim
-        places = safe_places(vehicle.world, (east - out, north - out, east + out, north + out), lander, step=step)
+        places = safe_places(world, (east - out, north - out, east + out, north + out), lander, step=step)
         k, whole = round(rim / step), places.with_margin(margin)
         share = float(np.mean(whole[k : whole.shape[0] - k, k : whole.shape[1] - k]))
         if share > 0.0 or not places.safe.any():  # a margin of half a metre holds a centre of the coarse grid

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -9,6 +11,7 @@ from alight.records import Terrain
 from alight.records.campaign import StrikeLine, TouchdownLine
 from alight.report.canvas import webp
 from alight.report.paint import TERRAIN_COLOURS, hillshade, rgb
+from alight_sim.movers import Moving
 from alight_sim.oracle import TrueSurface
 from alight_sim.world import World
 
@@ -17,16 +20,19 @@ PIXELS = 480
 RING = ((20, 20, 20), 5), ((255, 255, 255), 2)  # colour and width, one over the other
 
 
-def ground_picture(world: World, contact: TouchdownLine | StrikeLine, radius: float) -> bytes:
+def ground_picture(
+    world: World, contact: TouchdownLine | StrikeLine, radius: float, bodies: Sequence[Moving] = ()
+) -> bytes:
     """WebP, north up: classes by colour, shaded relief, the footprint as a ring.
 
     Args:
-        world: with its bodies.
+        world: the ground, and what moves on it.
         contact: its place and time.
         radius: metres, of the footprint.
+        bodies: that have come on command.
     """
     half, e, n = AROUND * radius, contact.east, contact.north
-    surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), contact.t)
+    surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), contact.t, bodies)
     height, label = surface.height[::-1].astype(np.float32), surface.label[::-1]
     colours = np.zeros((*label.shape, 3), np.float32)
     for terrain, text in TERRAIN_COLOURS.items():

@@ -11,12 +11,15 @@ import numpy as np
 from alight.records import InputError
 from alight.records.campaign import Conditions, FaultRecord, LightRecord
 from alight.records.executive import FlightState
+from alight.records.telemetry import FirmwareName
+from alight.trials.campaign.factories import is_factory
 from alight.trials.campaign.faults import FAULTS
+from alight.trials.campaign.link_faults import drawn_link_fault
 from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.scene import built_in, read_scene
 
 MOST_WIND = 6.0  # m/s
-LIGHT = 1  # of the spawn key: random numbers of its own
+LIGHT, LINK = 1, 2  # of the spawn key: random numbers of their own
 SUN = (12.0, 75.0)  # degrees above the horizon
 OVERCAST, CLOUDY = 0.25, 0.25  # shares of the landings
 FAULTY = 1.0 / 3.0  # share of the landings
@@ -31,7 +34,7 @@ def campaign_world(scene: str) -> CampaignWorld:
 
 
 def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
-    """The scenes of a campaign, each once; `all` stands for all kinds of worlds.
+    """The scenes of a campaign, each once; `all` stands for all kinds of worlds of the simulator.
 
     Raises:
         InputError: no scene is named, no such scene, or its file cannot be used.
@@ -41,7 +44,7 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
     known = campaign_worlds()
     scenes = tuple(dict.fromkeys(s for name in names for s in (known if name == "all" else (name,))))
     for scene in scenes:
-        if scene in known or scene in built_in():
+        if scene in known or scene in built_in() or is_factory(scene):
             continue
         if not Path(scene).suffix:
             have = ", ".join(sorted({*known, *built_in()}))
@@ -50,24 +53,32 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
     return scenes
 
 
-def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
+def conditions_of(
+    scenes: Sequence[str], seed: int, landing: int, link_faults: float = 0.0, firmware: FirmwareName = "ardupilot"
+) -> Conditions:
     """Draw the conditions of a landing: scenes take turns, all else is random.
 
     Args:
-        scenes: names or files.
+        scenes: names, files, or factories of worlds, which have a light of their own.
         seed: of the campaign.
         landing: its number, from 0.
+        link_faults: share of the landings with a fault of the link or the autopilot; the rest of what is drawn does
+            not depend on it.
+        firmware: of the simulated autopilot.
     """
+    stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, LINK)))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing,)))
     world_seed, flight_seed = (int(s) for s in rng.integers(0, 2**31, 2))
     heading, blows, wind = rng.uniform(0, 2 * math.pi), rng.uniform(0, 2 * math.pi), rng.uniform(0, MOST_WIND)
-    gps = rng.uniform(0.3, 2.0)
+    gps, scene = rng.uniform(0.3, 2.0), scenes[landing % len(scenes)]
+    light = np.random.SeedSequence(seed, spawn_key=(landing, LIGHT))
     return Conditions(
-        landing=landing, seed=seed, scene=scenes[landing % len(scenes)], world_seed=world_seed,
+        landing=landing, seed=seed, scene=scene, world_seed=world_seed,
         flight_seed=flight_seed, heading=heading, wind=(wind * math.cos(blows), wind * math.sin(blows)),
         gusts=0.1 + 0.05 * wind, gps_sigma=(gps, gps, 1.5 * gps), gps_tau=rng.uniform(30.0, 120.0),
-        light=drawn_light(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, LIGHT)))),
-        faults=(_fault(rng),) if rng.random() < FAULTY else (),
+        light=None if is_factory(scene) else drawn_light(np.random.default_rng(light)),
+        faults=((_fault(rng),) if rng.random() < FAULTY else ()) + drawn_link_fault(stream, link_faults),
+        firmware=firmware,
     )  # fmt: skip
 
 

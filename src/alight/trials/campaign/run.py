@@ -13,10 +13,11 @@ from typing import NamedTuple
 from alight import __version__
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
+from alight.program import sources_digest
 from alight.records import AlightError, InputError
-from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, LandingRecord
+from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, Conditions, LandingRecord
+from alight.records.telemetry import FirmwareName
 from alight.report.canvas import embedded
-from alight.runner.program import sources_digest
 from alight.runs import appearance_of
 from alight.settings import Settings, settings_of_run
 from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
@@ -51,9 +52,14 @@ class Campaign:
     landings: int
     seed: int
     settings: Settings
+    link_faults: float = 0.0  # share of the landings with a fault of the link or the autopilot
+    firmware: FirmwareName = "ardupilot"
 
     @classmethod
-    def of(cls, scenes: Sequence[str], landings: int, seed: int, settings: Settings) -> Campaign:
+    def of(
+        cls, scenes: Sequence[str], landings: int, seed: int, settings: Settings, link_faults: float = 0.0,
+        firmware: FirmwareName = "ardupilot",
+    ) -> Campaign:  # fmt: skip
         """A campaign over scenes by name, files, or `all`.
 
         Raises:
@@ -63,7 +69,11 @@ class Campaign:
             raise InputError(f"a campaign of {landings} landings; give 1 to {MOST_LANDINGS}")
         if not 0 <= seed <= LARGEST_SEED:
             raise InputError(f"a campaign of seed {seed}; give 0 to {LARGEST_SEED}")
-        return cls(scenes_of(scenes), landings, seed, settings)
+        return cls(scenes_of(scenes), landings, seed, settings, link_faults, firmware)
+
+    def conditions(self, landing: int) -> Conditions:
+        """Draw the conditions of a landing."""
+        return conditions_of(self.scenes, self.seed, landing, self.link_faults, self.firmware)
 
     @property
     def head(self) -> CampaignHead:
@@ -71,7 +81,8 @@ class Campaign:
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
             alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings,
-            sources=sources_digest(), files=file_digests(self.scenes, self.settings),
+            link_faults=self.link_faults, firmware=self.firmware, sources=sources_digest(),
+            files=file_digests(self.scenes, self.settings),
         )  # fmt: skip
 
     def check(self) -> None:
@@ -84,7 +95,7 @@ class Campaign:
         appearance_of(self.settings)
         for k, scene in enumerate(self.scenes):
             if k == 0 or scene not in known:
-                checked_vehicle(conditions_of(self.scenes, self.seed, k), self.settings)
+                checked_vehicle(self.conditions(k), self.settings)
 
 
 def wanted_landings(out: Path, asked: int | None) -> int:
@@ -120,7 +131,9 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
         settings = settings_of_run(head.settings)
     except ValueError as e:
         raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
-    return Campaign.of(head.scenes, wanted_landings(out, landings), head.seed, settings)
+    return Campaign.of(
+        head.scenes, wanted_landings(out, landings), head.seed, settings, head.link_faults, head.firmware
+    )
 
 
 def fly_campaign(
@@ -173,7 +186,7 @@ def _go_on(
     open_ = [k for k in range(campaign.landings) if k not in done]
     job = partial(fly_conditions, settings=campaign.settings, fly=fly)
     begun, before = time.monotonic(), campaign.landings - len(open_)
-    drawn = [conditions_of(campaign.scenes, campaign.seed, k) for k in open_]
+    drawn = [campaign.conditions(k) for k in open_]
     try:
         for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
             folder.append(record, picture)
@@ -240,7 +253,7 @@ def again(campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_lan
         other = there.differing(campaign.head)
         old = folder.read().get(landing) if other is None else None
         why = f"holds a campaign with {other}" if other is not None else f"holds no line of landing {landing}"
-    record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
+    record = fly_conditions(campaign.conditions(landing), campaign.settings, fly).record
     if old is None:
         return Again(record, [], f"{out}: {why}")
     one, two = record.repeatable(), old.repeatable()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from alight.records.campaign import OUTCOMES, PLACES, LandingRecord, LookLine
+from alight.records.campaign import OUTCOMES, LandingRecord, LookLine
 
 CONFIDENCE = 0.95
 SUN_EDGES = (0.0, 25.0, 40.0, 55.0, 90.0)  # degrees above the horizon
@@ -67,7 +67,7 @@ class CampaignNumbers:
 
     landings: int
     outcomes: dict[str, int]
-    right: float | None  # share that landed safely or was rightly refused
+    right: float | None  # share that landed safely, was rightly refused, or handed over to who took control
     touchdowns: int
     unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast, or struck something
     struck: int  # landings that struck an obstacle beside them in flight
@@ -110,7 +110,7 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
     known = n - outcomes["failed"]  # the end of the others is unknown
     cpu = [r.cpu_s for r in records if r.outcome != "failed"]
     return CampaignNumbers(
-        landings=n, outcomes=outcomes, right=sum(outcomes[p] for p in PLACES) / n if n else None,
+        landings=n, outcomes=outcomes, right=sum(r.is_right for r in records) / n if n else None,
         touchdowns=len(down), unsafe_ground=ground,
         struck=sum(r.strike is not None for r in down),
         nearest=min((r.nearest for r in records if r.nearest is not None), default=None),

@@ -11,8 +11,16 @@ from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, views_of
-from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, VehiclePosition, vehicle_at_end
-from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
+from alight.pipeline.mapping.keyframe import is_keyframe
+from alight.pipeline.mapping.lane import (
+    NO_HEIGHT,
+    FinishedMap,
+    MapSnapshot,
+    MapUpdate,
+    Progress,
+    VehiclePosition,
+    vehicle_at_end,
+)
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
@@ -33,9 +41,9 @@ class RecursiveMapper:
     def __init__(
         self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings, history: bool
     ) -> None:
-        self._rig, self._settings, self._tuning, self._timings = rig, settings.parallax, settings.mapping, timings
+        self._rig, self._settings, self._tuning, self._timings = rig, settings, settings.mapping, timings
         self._map = RecursiveMap(settings, far)
-        self.store, self._first_step = FrameStore(settings.mapping.turn), settings.mapping.first_step
+        self.store, self._first_step = FrameStore(), settings.mapping.first_step
         self._most = settings.mapping.kept_to_look if history else settings.mapping.kept_by_ring
         self._newest: Navigation | None = None  # keyframe
         self._frame: MapFrame | None = None  # of the map, by the newest exposure
@@ -50,14 +58,13 @@ class RecursiveMapper:
             return None
         if not self._follows(MapFrame.of(motion), motion.t_ns):
             return None
-        ground = self._map.ground_below
-        step = self._first_step if ground is None else keyframe_step(motion, ground, self._settings)
-        if not self.store.offer(navigation.frame, motion, step):
+        if not is_keyframe(motion, self.store.last, self._map.ground_below, self._first_step, self._settings):
             return None
+        self.store.keep(navigation.frame, motion)
         self._newest = navigation
         steps = self._grow(navigation, effort)
         self.store.drop_oldest(max(0, len(self.store) - self._most))
-        while self.store.bytes > self._settings.store_mb * 1_000_000:
+        while self.store.bytes > self._settings.parallax.store_mb * 1_000_000:
             self.store.drop_oldest(1)
         return MapUpdate(self._step, steps) if steps else None
 

@@ -10,8 +10,8 @@ from alight.geometry import Grid
 from alight.jobs import Jobs
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
-from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
-from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
+from alight.pipeline.mapping.keyframe import is_keyframe
+from alight.pipeline.mapping.lane import NO_HEIGHT, FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Timings
@@ -33,24 +33,21 @@ class BatchMapper:
         jobs: Jobs,
         prior: PriorHeights | None = None,
     ) -> None:
-        self._rig, self._settings, self._tuning, self._timings = rig, settings.parallax, settings.mapping, timings
+        self._rig, self._settings, self._timings = rig, settings, timings
         self._map = BatchMap(settings, far, jobs=jobs, prior=prior)
-        self.store = FrameStore(settings.mapping.turn)
+        self.store = FrameStore()
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Keep the exposure if it is a keyframe; the map comes at the end, with all effort."""
         motion = navigation.motion
         if motion is None or motion.state is MotionState.LOST:
             return None
-        ground = self._map.ground
-        step = self._tuning.first_step if ground is None else keyframe_step(motion, ground, self._settings)
-        if (
-            self.store.offer(navigation.frame, motion, step)
-            and ground is None
-            and self.store.taken % self._tuning.find_every == 0
-        ):
-            self._map.find_ground(views_of(self.store.keyframes, self._rig))
-        if self.store.bytes > self._settings.store_mb * 1_000_000:
+        ground, tuning = self._map.ground, self._settings.mapping
+        if is_keyframe(motion, self.store.last, ground, tuning.first_step, self._settings):
+            self.store.keep(navigation.frame, motion)
+            if ground is None and self.store.taken % tuning.find_every == 0:
+                self._map.find_ground(views_of(self.store.keyframes, self._rig))
+        if self.store.bytes > self._settings.parallax.store_mb * 1_000_000:
             self._make_room()
         return None
 

@@ -1,0 +1,114 @@
+"""Work on a Dask cluster: its tasks go to workers with the same program, and the results are the same."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from alight.jobs import InProcesses, InTurn, Jobs, KeptHere, Sent, Task, do_alone, resolved, results
+from alight.program import sources_digest
+from alight.records import InputError, MissingExtraError
+
+OTHERS = "a worker has another Alight than this program; install the same everywhere, and start the workers again"
+WAIT = "20s"  # for the scheduler to answer, and for its first worker
+AHEAD = 2  # tasks a thread of the cluster that are sent before their turn
+MOST_SENT = 2_000_000_000  # bytes of arguments that the cluster must hold
+
+
+@contextmanager
+def open_jobs(scheduler: str | None, processes: int = 1) -> Iterator[Jobs]:
+    """Open the workers that a user chose: a cluster, or without a scheduler this process or several.
+
+    Args:
+        scheduler: address such as tcp://host:8786; None: there is none.
+        processes: of this machine; 1: this one.
+
+    Raises:
+        MissingExtraError: Dask is not installed.
+        InputError: no scheduler answers there, it has no worker, or a worker has another state of Alight.
+    """
+    if scheduler is None:
+        yield InProcesses(processes) if processes > 1 else InTurn()
+        return
+    try:
+        import distributed
+    except ImportError as e:
+        raise MissingExtraError("distributed (Dask)", "cluster") from e
+    try:
+        client = distributed.Client(scheduler, timeout=WAIT, set_as_default=False)
+    except (OSError, ValueError) as e:
+        raise InputError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there; start one with 'dask scheduler'"
+        ) from e
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError as e:
+            raise InputError(f"--scheduler {scheduler}: has no worker; start one with 'dask worker {scheduler}'") from e
+        try:
+            client.run(do_alike, sources_digest(), bool)
+        except (AttributeError, ImportError) as e:  # it does not even have the function
+            raise InputError(f"--scheduler {scheduler}: {OTHERS}") from e
+        yield ClusterJobs(client)
+
+
+class ClusterJobs:
+    """Tasks done by the workers of a Dask cluster.
+
+    Args:
+        client: of `distributed`. Not its `get_executor`: a future of that never ends when its result is lost with a
+            worker before it has come here.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._sent = dict[str, tuple[Any, int]]()  # future and bytes of an argument, last used last
+
+    def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
+        """As `Jobs`. Tasks in any order are all sent at once, for workers that come later; else a few at a time."""
+        from distributed import CancelledError, KilledWorker
+
+        most = self._ahead if not any_order else lambda: sys.maxsize
+        yield from results(tasks, self._submit, most, any_order, (KilledWorker, CancelledError))
+
+    def _ahead(self) -> int:
+        return AHEAD * max(sum(int(n) for n in self._client.nthreads().values()), 1)
+
+    def _submit(self, task: Task) -> Any:
+        def of_client(kept: KeptHere) -> KeptHere:  # a worker has those of others as well
+            return replace(kept, name=f"{self._client.id} {kept.name}")
+
+        arguments = resolved(task.arguments, self._send, of_client)
+        return self._client.submit(do_alike, sources_digest(), task.do, *arguments, pure=False, retries=task.tries)
+
+    def _send(self, sent: Sent) -> Any:
+        """Future of an argument on the cluster; one that was lost with its worker is sent again."""
+        there = self._sent.pop(sent.name, None)
+        if there is None or there[0].status != "finished":
+            value = np.asarray(sent.value) if hasattr(sent.value, "__array__") else sent.value
+            there = self._client.scatter(value, hash=False), getattr(value, "nbytes", 0)
+        self._sent[sent.name] = there
+        while sum(size for _, size in self._sent.values()) > MOST_SENT and len(self._sent) > 1:
+            del self._sent[next(iter(self._sent))]
+        return there[0]
+
+
+def do_alike(digest: str, do: Callable[..., Any], *arguments: Any) -> Any:
+    """Do a task on a worker.
+
+    Args:
+        digest: `sources_digest()` of the sender.
+        do: function of the task, and its arguments.
+
+    Raises:
+        InputError: the worker has another Alight, so its results would differ.
+    """
+    if digest != sources_digest():
+        raise InputError(f"{platform.node()}: {OTHERS}")
+    return do_alone(do, *arguments)
