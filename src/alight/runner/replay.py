@@ -9,7 +9,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from alight.cluster import open_jobs
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, is_finished, prepare_folder
@@ -189,6 +188,7 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     with closing(FileStore(out)) as far:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
+        from alight.cluster import open_jobs
         from alight.photos.work import SavedJobs, WorkFolder, work_key
 
         with open_jobs(how.scheduler) as jobs:
