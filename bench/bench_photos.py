@@ -27,10 +27,10 @@ from tables import DATA, Row, show
 
 from alight.arrays import F64
 from alight.evaluation.photos import against_photos, plane_of
-from alight.geometry import Grid
-from alight.outputs import Run, read_run, world_up
+from alight.geometry import Grid, world_up
+from alight.outputs.reading import Run, read_run
 from alight.records import Flag
-from alight.sources import read_tum
+from alight.sources.tum import read_tum
 from alight.spread import nmad
 
 BOUNDS = {"mirafiori": (90.0, 2500.0), "garfield": (180.0, 2000.0), "caliterra": (300.0, 2000.0)}  # s, MB

@@ -14,12 +14,12 @@ import numpy as np
 from label_file import HAZARDS, KINDS, OPEN, ROUGH, UNSURE, Label, Labels
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.geometry import Camera, Grid, Pose
-from alight.outputs import Run, world_up
+from alight.geometry import Camera, Grid, Pose, world_up
+from alight.outputs.reading import Run
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.raster import masked_gaussian, nearest_known
 from alight.records import Flag
-from alight.sources import read_tum
+from alight.sources.tum import read_tum
 
 NEAR = 2.0  # metres, 1-sigma of the narrowest mean that fills gaps between known heights
 HIDDEN_BY = 0.3  # metres above the line of sight by which known ground hides a cell

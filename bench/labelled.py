@@ -22,7 +22,7 @@ from label_file import HAZARDS, OPEN, ROUGH, Labels, read_labels
 from label_projection import LabelledMap, labelled_map
 
 from alight.arrays import F32, Mask
-from alight.outputs import Run, read_run
+from alight.outputs.reading import Run, read_run
 from alight.raster import disc_any
 
 CLAIM, HALF = 0.95, 0.5  # P(safe): called safe; more likely safe than not

@@ -1,6 +1,6 @@
 """Count the lines of ours that `alight run FLIGHT` and `alight fly` load, child processes included.
 
-python bench/loaded_lines.py                 # a simulated flight of two seconds, and a dry run of alight fly
+python bench/loaded_lines.py                 # a simulated flight of two seconds, and a minute of alight fly
 python bench/loaded_lines.py run FLIGHT      # alight run over this flight alone
 python bench/loaded_lines.py fly             # alight fly alone, with alight rehearse as its vehicle: three minutes
 """
@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 MOST = {"run": 26_000, "fly": 34_000}  # lines
-SECONDS = 45.0  # of the dry run, from the first order on
+SECONDS = 60.0  # of the flight
 WATCH = """
 import os, sys
 class _Watch:
@@ -53,7 +53,7 @@ def run(folder: Path, flight: str = "") -> None:
 
 
 def fly(folder: Path) -> None:
-    """Show the orders of a landing over simulated ground for a while; the vehicle is a process of its own."""
+    """Fly over simulated ground for a while; the vehicle is a process of its own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -61,13 +61,13 @@ def fly(folder: Path) -> None:
     assert vehicle.stdout is not None
     print(vehicle.stdout.readline().strip())
     flight = alight(
-        "fly", "--link", f"udp:127.0.0.1:{port}", "--camera", folder / "pictures", "--out", folder / "out", "--dry-run",
+        "fly", "--link", f"udp:127.0.0.1:{port}", "--camera", folder / "pictures", "--out", folder / "out",
         env=watched(folder),
     )  # fmt: skip
     assert flight.stdout is not None
     for line in flight.stdout:
         print(line, end="")
-        if line.startswith("order"):
+        if line.startswith("state"):
             break
     time.sleep(SECONDS)
     flight.send_signal(signal.SIGINT)

@@ -174,12 +174,12 @@ def test_missing_pycolmap_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> No
 def test_real_photos_of_one_strip(shared_data: Path) -> None:
     """Five photos at half size get the poses that structure from motion of all 32 photos gives."""
     pytest.importorskip("pycolmap")
-    sources = pytest.importorskip("alight.sources")
     from alight.geometry import LocalFrame
+    from alight.runner.opening import open_source
     from alight.settings import Settings
 
     folder = shared_data / "mirafiori"
-    source = sources.open_source(folder / "images", Settings.model_validate({"sources": {"skip": 3}}))
+    source = open_source(folder / "images", Settings.model_validate({"sources": {"skip": 3}}))
     nav, frames = [], []
     for event in source.events():
         if isinstance(event, Frame):

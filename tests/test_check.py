@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 import alight
 from alight.arrays import F64, U8
-from alight.checks import CheckResult, Judged
 from alight.checks.checking import check_evidence
 from alight.checks.evidence import ImuTable, NavTable, RigEvidence, gather_evidence
+from alight.checks.result import CheckResult, Judged
 from alight.cli import call
 from alight.geometry import Camera, Pose, so3_exp
 from alight.records import Event, Frame, InputError, NavSample, Rig, RigCamera

@@ -23,7 +23,8 @@ from alight import __version__, cli
 from alight.outputs import write_run
 from alight.records import InputError, Sites
 from alight.runner import replay
-from alight.settings import Settings, settings_page
+from alight.settings import Settings
+from alight.settings.page import settings_page
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]
 
@@ -297,10 +298,11 @@ SLOW = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background start with it ignored
 from alight import cli
+from alight.outputs import write_run
 from alight.runner import replay
 from some_run import some_run
 def find(source, out, *_):
-    replay.write_run(some_run(), out)
+    write_run(some_run(), out)
     (out / "run.json").unlink()
     print("working", flush=True)
     time.sleep(60)

@@ -10,9 +10,11 @@ from ground_views import UP, Scene, box
 from numpy.testing import assert_array_equal
 
 from alight.geometry import Grid
-from alight.parallax import Images, batch, ground_sampling, match_tile
+from alight.parallax import batch
 from alight.parallax import plane_sweep as sweeps
+from alight.parallax.batch import Images, match_tile
 from alight.parallax.plane_sweep import Spans, narrowed, upright
+from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.batch_map import MARGIN, BatchMap
 from alight.pipeline.mapping.cell_size import cell_size
 from alight.records import is_trusted

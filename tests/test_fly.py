@@ -54,7 +54,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
     assert not r.of(NoticeKind.TAKEOVER)
     assert len(r.entries) == len(r.pilot.diary.transitions) + len(r.pilot.diary.looks)  # type: ignore[union-attr]
     assert len(r.pilot.diary.pictures) == len(r.pilot.diary.looks)  # type: ignore[union-attr]
-    late = list(r.pilot.way_point_times)  # type: ignore[union-attr]
+    late = list(r.pilot.delays.of_verdicts)  # type: ignore[union-attr]
     assert late
     assert max(late) <= VERDICT + r.dt + 1e-6  # every verdict is used in the tick after its arrival
     t = r.t

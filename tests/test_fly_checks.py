@@ -11,7 +11,7 @@ import pytest
 from pilot_rig import PilotRig, seldom
 from test_executive import Ground
 
-from alight.checks import CheckResult, Judged
+from alight.checks.result import CheckResult, Judged
 from alight.flight.session import FlightRequest, fly_vehicle
 from alight.flight.session import preflight as p
 from alight.flight.session.arrivals import Arrivals

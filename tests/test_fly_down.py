@@ -34,13 +34,13 @@ def high_rig(dialect: str, up: float, error: float = 0.0) -> PilotRig:
 
 def go_astray(r: PilotRig, state: MotionState, frame_id: int, off: tuple[float, float, float]) -> None:
     """From now on, add an offset in metres to the motions."""
-    moved = pilot_of(r).moved
+    moved = pilot_of(r).inputs.add_motion
 
     def astray(m: Motion) -> None:
         pose = Pose(np.eye(3), m.world_from_body.translation + off)
         moved(Motion(m.t_ns, pose, (), np.eye(6), state=state, frame_id=frame_id))
 
-    pilot_of(r).moved = astray
+    pilot_of(r).inputs.add_motion = astray
 
 
 def sent_since(r: PilotRig, t: float, kind: str) -> list[Any]:
@@ -84,7 +84,7 @@ def test_an_order_to_land_without_a_place_is_carried_out_from_any_mode(dialect: 
 
     def obey() -> None:
         each()
-        r.orders.append(sender.obey(Order("land", None, 2.0, 0.5, True), S.COMMIT, pilot_of(r).motion, r.now_ns))
+        r.orders.append(sender.obey(Order("land", None, 2.0, 0.5, True), S.COMMIT, pilot_of(r).inputs.motion, r.now_ns))
 
     r.each_step = obey
     assert r.run(30.0, lambda: r.vehicle.telemetry.is_down)

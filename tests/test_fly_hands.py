@@ -381,7 +381,7 @@ def test_a_far_target_is_not_flown_to(to: list[float], what: str) -> None:
 
     def obey() -> None:
         each()
-        sender.obey(Order(what, np.array(to)), S.APPROACH, pilot_of(r).motion, r.now_ns)
+        sender.obey(Order(what, np.array(to)), S.APPROACH, pilot_of(r).inputs.motion, r.now_ns)
 
     r.each_step = obey
     r.run(4.0)
@@ -394,9 +394,9 @@ def test_a_far_target_is_not_flown_to(to: list[float], what: str) -> None:
 def test_a_motion_that_is_no_number_moves_nothing() -> None:
     r = rig()
     assert r.fly(S.APPROACH)
-    moved = pilot_of(r).moved
+    moved = pilot_of(r).inputs.add_motion
     lost = Pose(np.eye(3), np.full(3, np.nan))
-    pilot_of(r).moved = lambda m: moved(Motion(m.t_ns, lost, (), np.eye(6)))
+    pilot_of(r).inputs.add_motion = lambda m: moved(Motion(m.t_ns, lost, (), np.eye(6)))
     r.run(0.5)
     t = r.t
     r.run(6.0)

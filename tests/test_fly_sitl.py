@@ -58,12 +58,12 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
         for row in ours.samples():
             if isinstance(row, NavSample) and row.position_world is not None:
                 frame = Frame(now, (image,))
-                pilot.saw(frame, now)
+                pilot.inputs.add_frame(frame, now)
                 motion = Motion(row.t_ns, Pose(np.eye(3), row.position_world), (), np.eye(6))
-                pilot.moved(motion)
+                pilot.inputs.add_motion(motion)
                 if policy.due_verdict(Navigation(frame, motion), None):
                     number += 1
-                    pilot.take_seen(ground.seen(number, (now - begin) * 1e-9, row.position_world), now)
+                    pilot.inputs.add_map_verdict(ground.seen(number, (now - begin) * 1e-9, row.position_world), now)
         for notice in ours.notices():
             notices.append(notice)
             pilot.noticed(notice)

@@ -17,7 +17,7 @@ from alight.flight.autopilot import Setpoint
 from alight.geometry import Pose, so3_exp
 from alight.records import FlightMode
 from alight.settings import Settings
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 from alight.trials import rehearse
 from alight.trials.rehearse import VehicleFollower
 from alight_sim import rehearsal, steered

@@ -11,7 +11,8 @@ from PIL import Image
 from some_run import some_run
 
 import alight_sim
-from alight.outputs import Run, read_run, write_run
+from alight.outputs import write_run
+from alight.outputs.reading import Run, read_run
 from alight.runner.replay import Find, find
 from alight.settings import Settings
 

@@ -14,12 +14,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, ground_projection, plane_on, so3_exp
-from alight.parallax import RecursiveParallax
 from alight.parallax.pose_refinement import kernels
 from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, between, corrected_pose, regress_on
 from alight.parallax.pose_refinement.solve import thinning
-from alight.pipeline.navigation import GivenLane
+from alight.parallax.recursive import RecursiveParallax
+from alight.pipeline.navigation.given import GivenLane
 from alight.records import Datum, ElevationMap, Frame, Heights, KeyframePosterior, Motion, Rig, RigCamera, View
 from alight.settings import MotionSettings, ParallaxSettings
 from alight.spread import nmad

@@ -12,7 +12,7 @@ from some_run import candidate, elevation, hazards, site
 from alight.elevation import FIELDS, on_cells_up_to
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
-from alight.parallax import orthophoto
+from alight.parallax.orthophoto import orthophoto
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition

@@ -17,7 +17,7 @@ from label_projection import PhotoCells, filled, hidden, labelled_map, photo_cam
 from labelled import compare, table
 
 from alight.geometry import Camera, Grid, LocalFrame, Pose
-from alight.outputs import Run
+from alight.outputs.reading import Run
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 
 ROOT = Path(__file__).parents[1]

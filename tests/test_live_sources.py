@@ -286,7 +286,9 @@ def test_names_of_cameras_may_hold_commas(
     name: str, cameras: list[str], log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = list[str]()
-    monkeypatch.setattr("alight.sources.live.Cameras", lambda names, rig, settings: given.extend(names) or mock.Mock())
+    monkeypatch.setattr(
+        "alight.sources.capture.Cameras", lambda names, rig, settings: given.extend(names) or mock.Mock()
+    )
     open_live(name, Settings(), rig=log)
     assert given == cameras
 

@@ -12,8 +12,7 @@ from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose, skew, so3_exp
 from alight.motion.ekf.keyframe_posterior import relative_inflation, rigid_posterior
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
-from alight.parallax import with_datum
-from alight.parallax.datum import shared_error, steepness
+from alight.parallax.datum import shared_error, steepness, with_datum
 from alight.parallax.pose_error import Matched, PosedCamera, sensitivity
 from alight.parallax.pose_refinement.gaussian import corrected_pose
 from alight.records import ElevationMap, Flag, KeyframePosterior, Motion

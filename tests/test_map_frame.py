@@ -17,8 +17,9 @@ from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
 from alight.pipeline import Decision, Lanes, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping import RecursiveMapper
-from alight.pipeline.navigation import GivenLane, Navigation, NavigationLane, Trajectory
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.navigation import Navigation, NavigationLane, Trajectory
+from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.navigation.lane import Progress
 from alight.pipeline.timing import Timings
 from alight.records import Datum, ElevationMap, Event, Frame, Motion, Rig, Sites

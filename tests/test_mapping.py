@@ -13,16 +13,18 @@ from test_pipeline import batch_mapper, flight, mapped, settings_of
 
 from alight.geometry import Grid, Pose
 from alight.landing.reserve import Reserve
-from alight.parallax import height_range
+from alight.parallax.sparse_points import height_range
 from alight.parallax.views import prepare_view
 from alight.pipeline import Decision
 from alight.pipeline.judging import JudgingLane
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping import RecursiveMapper, ground_map
+from alight.pipeline.mapping import ground_map
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, in_world
 from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.pipeline.navigation import GivenLane, Trajectory
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.navigation import Trajectory
+from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, Rig, View
 from alight.settings import Settings

@@ -19,10 +19,13 @@ import rasterio
 from some_run import CELL, GRID, LOCAL, ROWS, candidate, elevation, hazards, site, some_run
 
 from alight import outputs
-from alight.outputs import FILES, WorkFolder, prepare_folder, read_run, world_up, write_run
+from alight.geometry import world_up
+from alight.outputs import FILES, prepare_folder, write_run
 from alight.outputs import atomic_write as whole
 from alight.outputs.plan import plan_items
+from alight.outputs.reading import read_run
 from alight.outputs.verdict import write_judgement
+from alight.photos.work.work_folder import WorkFolder
 from alight.records import (
     Datum,
     Flag,

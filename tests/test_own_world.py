@@ -40,8 +40,8 @@ def gives_up(vehicle: SteeredFlight, *_: object) -> Landing:
 
 def test_a_landing_is_flown_in_a_world_that_is_not_the_simulators(tmp_path: Path) -> None:
     """The whole way: searched, found between the boxes, landed on, and judged by the world's own truth."""
-    small = ["--no-look-again", "--set", "executive.search_side=30", "--seed", "1"]
-    assert call(["campaign", "--world", PLANE, "--landings", "1", *small, "--out", str(tmp_path / "out")]) == 0
+    quick = ["--no-look-again", "--set", "executive.search_side=30", "--set", "parallax.cell=0.1", "--seed", "1"]
+    assert call(["campaign", "--world", PLANE, "--landings", "1", *quick, "--out", str(tmp_path / "out")]) == 0
     line = json.loads((tmp_path / "out" / "landings.jsonl").read_text())
     assert (line["conditions"]["scene"], line["conditions"]["light"]) == (PLANE, None)
     assert (line["outcome"], line["error"]) == ("landed safely", None)
@@ -66,7 +66,7 @@ def test_a_campaign_goes_on_in_worker_processes_and_repeats(tmp_path: Path) -> N
 
 
 def test_a_car_on_command_is_in_its_pictures_in_the_way_and_in_the_truth() -> None:
-    flight = SteeredFlight(PlaneWorld(1), 1, start=(0.0, 0.0, 5.0), size=(64, 48), radius=0.5, steered_by="truth")
+    flight = SteeredFlight(PlaneWorld(1), 1, start=(0.0, 0.0, 5.0), size=(64, 48), radius=0.5, gusts=0.0)
     before, gap, pose = _picture(flight), flight.gap, flight.true_pose
     assert judge_touchdown(flight.world, OracleLander(radius=0.8), pose, seconds=flight.seconds).safe
     flight.park(0.0, 0.0)

@@ -14,13 +14,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from parts import nothing_known, with_parts
 
 from alight.geometry import Camera, Grid, Pose, so3_exp
-from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
-from alight.parallax.batch import picture_at
+from alight.parallax.batch import Images, match_tile
 from alight.parallax.gauss_newton import Fit, Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
-from alight.parallax.sparse_points import _Features, _pair, triangulate_pair
+from alight.parallax.recursive import RecursiveParallax
+from alight.parallax.sparse_points import _Features, _pair, find_points, height_range, triangulate_pair
 from alight.parallax.uncertainty import pooled
-from alight.parallax.views import choose_views, may_see, prepare_view
+from alight.parallax.views import choose_views, ground_sampling, may_see, picture_at, prepare_view
 from alight.records import REFUSED, Flag, Heights, View, is_trusted
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PointsTuning

@@ -14,11 +14,14 @@ from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
 from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
-from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper, recursive_map
+from alight.pipeline.mapping import FinishedMap, recursive_map
+from alight.pipeline.mapping.batch_mapper import BatchMapper
 from alight.pipeline.mapping.cell_size import nice_cell
 from alight.pipeline.mapping.frame_store import FrameStore
 from alight.pipeline.mapping.ground_map import lone
-from alight.pipeline.navigation import FilterLane, GivenLane, Navigation, Trajectory
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.navigation import FilterLane, Navigation, Trajectory
+from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.remembered import CELL
 from alight.pipeline.timing import Timings
 from alight.records import (

@@ -11,8 +11,9 @@ import yaml
 from pydantic import ValidationError
 
 import alight
-from alight.settings import ImuNoise, Settings, load_settings, settings_of_keys, settings_of_run, settings_page
+from alight.settings import ImuNoise, Settings, load_settings, settings_of_keys, settings_of_run
 from alight.settings.keys import all_keys, user_keys
+from alight.settings.page import settings_page
 
 # keys of users before the tuning had a group of its own
 MOVED = {

@@ -9,7 +9,7 @@ import pytest
 
 from alight.geometry import LocalFrame
 from alight.records import InputError
-from alight.sources import read_tum
+from alight.sources.tum import read_tum
 
 LOCAL = LocalFrame(0.0, 0.0, 0.0)
 

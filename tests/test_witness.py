@@ -15,9 +15,10 @@ from parts import nothing_known, with_parts
 
 from alight.elevation import FIELDS
 from alight.geometry import Grid, Pose
-from alight.parallax import Images, RecursiveParallax, match_tile
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax import temporal_consistency as witness
+from alight.parallax.batch import Images, match_tile
+from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.mapping.recursive_map import box_in
 from alight.records import ElevationMap, Flag, Heights, View
 from alight.settings import ParallaxSettings

@@ -27,7 +27,7 @@ from label_projection import LabelledMap, labelled_map
 from numpy.typing import NDArray
 
 from alight.arrays import U8
-from alight.outputs import Run, read_run
+from alight.outputs.reading import Run, read_run
 from alight.photos.reading.photo_finding import find_photos
 from alight.records import Frame
 from alight.runner.opening import open_source

@@ -40,11 +40,8 @@ EVERY = 5  # cells: errors of neighbours are correlated
 @contextmanager
 def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
     """Record the evidence and the heights of every grid that the trust stage judges in this context."""
-    import alight.parallax.batch as batch
-    import alight.parallax.recursive as ring
-
     kept: list[tuple[dict[str, F32], Heights]] = []
-    evidence, judged = trust.match_evidence, batch.judged
+    evidence, judged = trust.match_evidence, trust.judged
     last: list[dict[str, F32]] = []
 
     def spy(*args: object) -> dict[str, F32]:
@@ -56,9 +53,9 @@ def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
         kept.append((last[-1], replace(out, height=out.height.copy())))  # a ring's is overwritten by its next step
         return out
 
-    trust.match_evidence, batch.judged, ring.judged = spy, listen, listen  # type: ignore[assignment, attr-defined]
+    trust.match_evidence, trust.judged = spy, listen  # type: ignore[assignment]
     yield kept
-    trust.match_evidence, batch.judged, ring.judged = evidence, judged, judged  # type: ignore[attr-defined]
+    trust.match_evidence, trust.judged = evidence, judged
 
 
 def rows_of(

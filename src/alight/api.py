@@ -15,7 +15,7 @@ from alight.settings import Lander, Settings, load_settings, settings_of_keys
 from alight.settings.base import FrozenModel
 
 if TYPE_CHECKING:
-    from alight.checks import CheckResult
+    from alight.checks.result import CheckResult
     from alight.evaluation import Evaluation
     from alight.sources import Source
     from alight.training.confusion import Confusion
@@ -217,7 +217,7 @@ def check(
         InputError: the input cannot be used, is a folder of photos, or has no exposure there.
         SettingsError: a setting cannot be used.
     """
-    from alight.checks import check_source
+    from alight.checks.checking import check_source
     from alight.runner.opening import open_source
 
     with single_threaded_algebra():

@@ -139,10 +139,10 @@ class PilotRig(Rig):
         if not self.freeze:
             self._image = self._image + np.uint8(1)
         frame = Frame(self.now_ns, (self._image,))
-        self.pilot.saw(frame, self.now_ns)
+        self.pilot.inputs.add_frame(frame, self.now_ns)
         pose = Pose(np.eye(3), self.truth())
         motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
-        self._later.append((self.t + LATE, lambda: self.pilot.moved(motion)))  # type: ignore[union-attr]
+        self._later.append((self.t + LATE, lambda: self.pilot.inputs.add_motion(motion)))  # type: ignore[union-attr]
         if self.policy.due_verdict(Navigation(frame, motion), None, self.judges):
             self._judge()
 
@@ -150,4 +150,4 @@ class PilotRig(Rig):
         at, t, t_ns = self.truth(), self.t - self._begun, self.now_ns
         self._number += 1
         number = self._number
-        self._later.append((self.t + VERDICT, lambda: self.pilot.take_seen(self.see(number, t, at), t_ns)))  # type: ignore[union-attr]
+        self._later.append((self.t + VERDICT, lambda: self.pilot.inputs.add_map_verdict(self.see(number, t, at), t_ns)))  # type: ignore[union-attr]

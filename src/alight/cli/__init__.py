@@ -6,22 +6,8 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 try:
-    from alight.cli import campaign, check, fly, hazards, live, runs, simulate, terrain
     from alight.cli.app import call, main, progress_bar, read_settings
 except KeyboardInterrupt:  # Ctrl-C in the first second or two
     raise SystemExit(130) from None
 
-__all__ = [
-    "call",
-    "campaign",
-    "check",
-    "fly",
-    "hazards",
-    "live",
-    "main",
-    "progress_bar",
-    "read_settings",
-    "runs",
-    "simulate",
-    "terrain",
-]
+__all__ = ["call", "main", "progress_bar", "read_settings"]

@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, TextIO
@@ -20,15 +21,20 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from alight import __version__, memory
 from alight.documents import DocumentError, read_text
-from alight.records import AlightError, OutputError, SettingsError, Site, Sites, p_safe_text
+from alight.records import AlightError, InputError, OutputError, SettingsError, Site, Sites, p_safe_text
 from alight.settings import Settings, load_settings
 
 SPEED_OVER = 300.0  # s of progress from which the time left is estimated: a tile may take a minute
-MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
+MENDABLE, WRONG, INTERRUPTED, TERMINATED = 2, 3, 130, 143  # exit codes; 3: a check is bad, or landings failed
 # typer's errors descend from its own copy of click or, in older versions, from click; this leaf class exists in both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
+FILES = {  # of each command, in the order of --help
+    "campaign": "campaign", "check": "check", "run": "runs", "evaluate": "runs", "demo": "runs", "settings": "runs",
+    "warmup": "runs", "live": "live", "fly": "fly", "rehearse": "rehearse", "hazards": "hazards",
+    "simulate": "simulate", "terrain": "terrain",
+}  # fmt: skip
 _ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
 _unsaid: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
 _signals: list[int] = []  # received requests to end
@@ -123,6 +129,29 @@ def _fails(text: str) -> bool:
     except ValueError:
         return True
     return False
+
+
+def refuse_unused(source: str, follow: bool, rig: Path | None, speed: float = 1.0) -> None:
+    """Refuse options that have no effect on this source.
+
+    Args:
+        source: a recording, a folder, or cameras.
+        follow: the folder is being filled.
+        rig: folder with the calibration of cameras.
+        speed: of a recording.
+
+    Raises:
+        InputError: the message names the option.
+    """
+    from alight.sources.live import is_cameras
+
+    cameras = is_cameras(source)
+    if cameras and follow:
+        raise InputError("--follow: is for a folder that is being filled, and cameras are none; leave it out")
+    if speed != 1.0 and (cameras or follow):
+        raise InputError("--speed: is of a flight log or a recording; cameras and folders that fill have their own")
+    if rig is not None and not cameras:
+        raise InputError(f"--rig: is for cameras; {source} brings its own calibration; leave it out")
 
 
 @contextmanager
@@ -232,9 +261,17 @@ def _usage(error: Any) -> str:
     return f"{error.format_message().rstrip('.')}; see '{where} --help'"
 
 
+def load_commands(words: Sequence[str] = ()) -> None:
+    """Import the file of the command that is named first; the files of all commands where none is."""
+    named = next((w for w in words if not w.startswith("-")), "")
+    for file in dict.fromkeys([FILES[named]] if named in FILES else FILES.values()):
+        import_module(f"alight.cli.{file}")
+
+
 def _exit_code(arguments: Sequence[str] | None) -> int:
     """Exit code of a command that ended without an error; typer turns Ctrl-C into a code of its own or into Abort."""
     try:
+        load_commands(sys.argv[1:] if arguments is None else arguments)
         return int(app(arguments, prog_name="alight", standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from alight.cli.app import (
+    WRONG,
     OutOption,
     SetOption,
     SettingsOption,
@@ -23,8 +24,6 @@ from alight.records.telemetry import FirmwareName
 
 if TYPE_CHECKING:
     from alight.trials.campaign import Campaign, Ended
-
-WRONG = 3  # exit code: landings failed, or one that was flown again differs from its line, or has none
 
 
 @app.command()

@@ -9,10 +9,18 @@ from typing import Annotated
 
 import typer
 
-from alight.cli.app import SetOption, SettingsOption, VerboseOption, app, complain, progress_bar, read_settings, say
+from alight.cli.app import (
+    WRONG,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    complain,
+    progress_bar,
+    read_settings,
+    say,
+)
 from alight.records import PhotoRow
-
-WRONG = 3  # exit code: a check is bad
 
 
 @app.command()
@@ -32,7 +40,8 @@ def check(
     Of photos: the facts in their tags, one line a photo.
     """
     chosen = read_settings(settings, assign)
-    from alight.checks import Judged, check_source
+    from alight.checks.checking import check_source
+    from alight.checks.result import Judged
     from alight.runner.opening import open_source
 
     recording = open_source(source, chosen)

@@ -9,6 +9,7 @@ import typer
 from rich.live import Live as Display
 from rich.text import Text
 
+from alight.cli.answers import leave_result
 from alight.cli.app import (
     ForceOption,
     GeoidOption,
@@ -23,33 +24,9 @@ from alight.cli.app import (
     app,
     complain,
     read_settings,
+    refuse_unused,
     stderr,
 )
-from alight.cli.runs import leave_result
-from alight.records import InputError
-
-
-def refuse_unused(source: str, follow: bool, rig: Path | None, speed: float = 1.0) -> None:
-    """Refuse options that have no effect on this source.
-
-    Args:
-        source: a recording, a folder, or cameras.
-        follow: the folder is being filled.
-        rig: folder with the calibration of cameras.
-        speed: of a recording.
-
-    Raises:
-        InputError: the message names the option.
-    """
-    from alight.sources.capture import PREFIXES
-
-    cameras = source.startswith(PREFIXES)
-    if cameras and follow:
-        raise InputError("--follow: is for a folder that is being filled, and cameras are none; leave it out")
-    if speed != 1.0 and (cameras or follow):
-        raise InputError("--speed: is of a flight log or a recording; cameras and folders that fill have their own")
-    if rig is not None and not cameras:
-        raise InputError(f"--rig: is for cameras; {source} brings its own calibration; leave it out")
 
 
 @app.command()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from alight.cli.answers import leave_result, tell_result
 from alight.cli.app import (
     ForceOption,
     GeoidOption,
@@ -19,44 +18,12 @@ from alight.cli.app import (
     SettingsOption,
     VerboseOption,
     app,
-    complain,
     progress_bar,
     read_settings,
     say,
-    tell_answer,
 )
-from alight.records import RunResult
-from alight.settings import settings_page
 
 Quality = Literal["fast", "normal", "fine"]
-
-
-def _place(result: RunResult, position: Sequence[float]) -> str:
-    """Position in degrees, or in metres from the origin where the place on Earth is unknown."""
-    if not result.georeferenced:
-        return f"east {position[0]:.2f} m north {position[1]:.2f} m"
-    latitude, longitude, _ = result.local.to_geodetic(position)
-    return f"{float(latitude):.7f} {float(longitude):.7f}"
-
-
-def tell_result(result: RunResult) -> None:
-    """Print the answer on stdout, the warnings on stderr."""
-    from alight.report import warnings
-
-    for w in warnings(result):
-        complain(f"warning: {w}", "yellow")
-    tell_answer(result.sites, partial(_place, result))
-    if "prior_dem" in result.notes:
-        say(f"PRIOR DEM  {result.notes['prior_dem']}")
-
-
-def leave_result(result: RunResult, out: Path, force: bool) -> None:
-    """Print the answer first, in case the folder cannot be written; then write it and print its report's path."""
-    from alight.runner import replay
-
-    tell_result(result)
-    replay.write_run(result, out, force)
-    say(f"report: {out / 'report.html'}")
 
 
 @app.command()
@@ -128,13 +95,13 @@ def demo(
 ) -> None:
     """Land a simulated vehicle: search, look, look again from lower down, touch down."""
     chosen = read_settings(settings, assign)
-    from alight.runner import replay
+    from alight.outputs import write_run
     from alight.trials import demo as show
 
     with progress_bar() as tell:
         landing = show.fly_demo(out, seed, chosen, force, tell)
     tell_result(landing.result)
-    replay.write_run(landing.result, out, force)
+    write_run(landing.result, out, force)
     for line in landing.lines:
         say(line)
     say(f"report: {out / 'report.html'}")
@@ -149,7 +116,12 @@ def show_settings(
 ) -> None:
     """Print every setting with its value, as YAML that --settings takes back."""
     chosen = read_settings(settings, assign)
-    say((settings_page() if markdown else chosen.to_yaml(tuning=everything)).rstrip("\n"))
+    if markdown:
+        from alight.settings.page import settings_page
+
+        say(settings_page().rstrip("\n"))
+    else:
+        say(chosen.to_yaml(tuning=everything).rstrip("\n"))
 
 
 @app.command()

@@ -1,7 +1,7 @@
 """The elevation map: heights of many grids and cell sizes fused into one, in tiles that roll with the vehicle."""
 
-from alight.elevation.levels import on_cells_up_to
+from alight.elevation.levels import doublings_up_to, on_cells_up_to
 from alight.elevation.map import TiledElevation
 from alight.elevation.tiles import FIELDS, Name, NullStore, TileStore
 
-__all__ = ["FIELDS", "Name", "NullStore", "TileStore", "TiledElevation", "on_cells_up_to"]
+__all__ = ["FIELDS", "Name", "NullStore", "TileStore", "TiledElevation", "doublings_up_to", "on_cells_up_to"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -46,12 +47,20 @@ def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
     return near
 
 
+def doublings_up_to(cell: float, most: float) -> int:
+    """Number of times that a cell size can be doubled and is not above `most`, metres both; rounding does not count."""
+    number = 0
+    while math.ldexp(cell, number + 1) <= most * (1 + 1e-6):
+        number += 1
+    return number
+
+
 def on_cells_up_to(elevation: ElevationMap, cell: float) -> ElevationMap:
     """Resample a map to the largest cells that are not above `cell` metres, by doubling its own cells.
 
     The last row and column may reach beyond the map. The finest picture stays as it is.
     """
-    while 2 * elevation.grid.cell <= cell * (1 + 1e-6):
+    for _ in range(doublings_up_to(elevation.grid.cell, cell)):
         rows, cols = elevation.grid.shape
         odd = ((0, rows % 2), (0, cols % 2))
         padded = nothing((rows + rows % 2, cols + cols % 2))

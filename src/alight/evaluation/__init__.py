@@ -7,7 +7,7 @@ from pathlib import Path
 from alight.evaluation.flight import against_flight
 from alight.evaluation.photos import against_photos
 from alight.evaluation.report import Evaluation
-from alight.outputs import read_run
+from alight.outputs.reading import read_run
 from alight.records import InputError
 
 __all__ = ["Evaluation", "evaluate"]

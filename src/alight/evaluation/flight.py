@@ -13,13 +13,13 @@ from scipy.ndimage import distance_transform_edt
 from alight.arrays import F64
 from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, so3_log
-from alight.outputs import Run, read_bands
+from alight.outputs.reading import Run, read_bands
 from alight.raster import clearance_of, gradient
 from alight.records import Flag, Hazard, InputError, Terrain, is_site
 from alight.runner.opening import open_source
 from alight.settings import Lander, Settings
-from alight.sources import read_tum
 from alight.sources.source import Trajectory
+from alight.sources.tum import read_tum
 from alight.spread import nmad
 from alight_sim import TrueFootprint
 from alight_sim.truth import safe_mask

@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 from alight.arrays import F64
 from alight.documents import read_bytes
 from alight.evaluation.report import Evaluation, rms
-from alight.geometry import Grid, LocalFrame
+from alight.geometry import Grid, LocalFrame, world_up
 from alight.learned import arrays_of
-from alight.outputs import Run, world_up
+from alight.outputs.reading import Run
 from alight.raster import ellipse
 from alight.records import Flag, InputError
-from alight.sources import read_tum
+from alight.sources.tum import read_tum
 from alight.spread import nmad
 
 LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: limits of the reference points that are used

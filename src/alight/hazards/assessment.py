@@ -8,7 +8,7 @@ import numpy as np
 
 from alight.arrays import F32, U16, Mask
 from alight.hazards.beside import ROUNDING, beside_of
-from alight.hazards.contact import Footprint, footprint_of, gear_contact, step_of
+from alight.hazards.contact import Footprint, footprint_of, step_of
 from alight.hazards.evidence import FootprintShape
 from alight.hazards.factors import Evidence, evidence_of, factors_of
 from alight.hazards.footprint import is_coarse
@@ -101,6 +101,8 @@ def _find(
     edge, unknown, slope, rise = edge | about.edge, unknown | about.unknown, fp.slope, None
     blocked = np.zeros_like(edge) if about.rotor is None else about.rotor < 0
     if lander.has_gear:
+        from alight.hazards.gear import gear_contact
+
         slope, rise = gear_contact(height, fp, edge | unknown, lander, cell, spare)
         unknown |= np.isnan(slope) & ~edge
         blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)

@@ -13,7 +13,7 @@ from alight.geometry import Grid
 from alight.landing.next_view import Observer, next_view
 from alight.landing.reasons import why_no_site
 from alight.raster import clearance_of, disc_mean, disc_window
-from alight.records import Doubt, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap
+from alight.records import Doubt, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap, keeps_margin
 from alight.settings import Lander, SitesSettings
 
 Term = tuple[float, F32]  # of Q: weight, and (R, C) values
@@ -41,7 +41,7 @@ class _Choice:
     def score(self, allowed: Mask, clearance: F32) -> F64:
         """Score of every cell (G11): quality, room, doubt, nearness; -inf where a touchdown is not allowed."""
         hazards, settings = self.hazards, self.settings
-        allowed = allowed & (clearance >= settings.margin) & np.isfinite(hazards.quality)
+        allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
         doubt = 1 - np.nan_to_num(hazards.p_safe).astype(np.float64)
         score = hazards.quality + settings.room_weight * room - settings.doubt_weight * doubt

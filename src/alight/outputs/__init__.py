@@ -1,25 +1,17 @@
 """Files of a run: writing and reading them."""
 
-from alight.geometry import world_up
 from alight.outputs.file_store import FileStore
 from alight.outputs.folder import FILES, is_finished, prepare_folder, timing_summary, write_run
 from alight.outputs.rasters import ellipsoidal_height
-from alight.outputs.reading import Run, read_bands, read_run
-from alight.outputs.work_folder import WorkFolder
 from alight.records import RunResult
 
 __all__ = [
     "FILES",
     "FileStore",
-    "Run",
     "RunResult",
-    "WorkFolder",
     "ellipsoidal_height",
     "is_finished",
     "prepare_folder",
-    "read_bands",
-    "read_run",
     "timing_summary",
-    "world_up",
     "write_run",
 ]

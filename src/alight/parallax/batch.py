@@ -13,19 +13,18 @@ from dataclasses import replace
 from threading import Lock
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, U8, U16
-from alight.geometry import Camera, Grid
+from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
-from alight.parallax.views import Prepared, choose_views, coarser, maps, prepare_view, rgb_of, stack, toned
+from alight.parallax.views import Prepared, choose_views, coarser, maps, picture_at, prepare_view, rgb_of, stack, toned
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
-from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
+from alight.settings.tuning.parallax import ConsistencyTuning
 
 MOST_BYTES = 400_000_000  # of prepared views that are kept
 LEAST_KEPT = 16  # of them, however large
@@ -124,7 +123,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     rgb = colour(views, fine, grid, fit.height, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
     sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
-    heights = judged(fine, grid, fit, ratio, (low, high), sampling, rgb, settings.uncertainty)
+    heights = trust.judged(fine, grid, fit, ratio, (low, high), sampling, rgb, settings.uncertainty)
     flags = heights.flags | _moves(images, chosen, fit, grid, settings.consistency)
     return Match(replace(heights, flags=flags), views)
 
@@ -139,21 +138,6 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid, t
     samples = stack([images.get(int(i)) for i in asked.ravel()], grid, fit.height)
     pairs = np.arange(asked.size).reshape(-1, 2)
     return witness.moving(samples, pairs, fit, grid, tuning.least_views_batch, tuning)
-
-
-def judged(
-    fine: list[Prepared],
-    grid: Grid,
-    fit: refine.Fit,
-    ratio: F32,
-    searched: tuple[float, float],
-    sampling: F32,
-    rgb: U8,
-    tuning: UncertaintyTuning,
-) -> Heights:
-    """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
-    sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
-    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)
 
 
 def colour(
@@ -179,10 +163,3 @@ def colour(
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
-
-
-def picture_at(picture: U8, camera: Camera, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
-    """The picture (H, W, 3) of a view's camera at maps of its prepared image, (R, C, 3)."""
-    scale = np.float32(camera.fu / prepared.camera.fu)
-    offset = np.float32(0.5) * scale - np.float32(0.5)
-    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

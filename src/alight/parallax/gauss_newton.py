@@ -156,8 +156,8 @@ def gauss_newton(
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
     `visible` (N, R / 2, C / 2) leaves views out where the map stands in their way, unless it leaves one only: then the
-    map is wrong. The statistics of the fit are those at the start of the last iteration. With `buffers`, the fit is
-    valid until they are used again.
+    map is wrong. The plane prior writes last in each iteration. The statistics of the fit are those at the start
+    of the last iteration. With `buffers`, the fit is valid until they are used again.
     """
     held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, U16
+from alight.arrays import F32, U8, U16
 from alight.geometry import Grid
 from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.gauss_newton import Fit
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
 from alight.raster import nearest_known, upsample, whole_blocks
-from alight.records import Flag
+from alight.records import Flag, Heights
 from alight.settings.tuning.parallax import UncertaintyTuning
 
 LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
@@ -51,6 +51,7 @@ def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
     per_px = np.ascontiguousarray(per_px[::2, ::2])
     hidden2 = _hidden(mid, uneven, s2, per_px, tuning) + np.float32((tuning.floor_cells * cell) ** 2)
+    # (14) of 2 x 2 cells, for the evidence only: heights get it from `kernels.height_sigma`
     sigma2 = np.float32(tuning.fit) * fitted + hidden2 / (per_px * per_px)
     near = np.ones((2 * tuning.step_cells + 1,) * 2, np.uint8)
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
@@ -159,6 +160,7 @@ def sigma_and_flags(
     near |= _bit(outlier_probability(terms, tuning) > tuning.max_outlier, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
+    # (14) of each cell; `pooled` has it of 2 x 2 cells
     kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, tuning.fit, sigma)
     kernels.flag(
         near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,
@@ -169,3 +171,18 @@ def sigma_and_flags(
 
 def _bit(where: NDArray[np.bool_], flag: Flag) -> U16:
     return where.astype(np.uint16) * np.uint16(flag)
+
+
+def judged(
+    fine: list[Prepared],
+    grid: Grid,
+    fit: Fit,
+    ratio: F32,
+    searched: tuple[float, float],
+    sampling: F32,
+    rgb: U8,
+    tuning: UncertaintyTuning,
+) -> Heights:
+    """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
+    sigma, flags, residual = sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
+    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)

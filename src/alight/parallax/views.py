@@ -287,3 +287,10 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
         apart = np.linalg.norm(centres - centres[k], axis=1)
         distance = np.where(seen[k] > 0, np.minimum(distance, apart[:, None]), distance)
     return sorted(chosen)
+
+
+def picture_at(picture: U8, camera: Camera, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
+    """The picture (H, W, 3) of a view's camera at maps of its prepared image, (R, C, 3)."""
+    scale = np.float32(camera.fu / prepared.camera.fu)
+    offset = np.float32(0.5) * scale - np.float32(0.5)
+    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

@@ -15,9 +15,8 @@ from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax import uncertainty_kernels as kernels
-from alight.parallax.batch import judged, picture_at
 from alight.parallax.blocks import Box
-from alight.parallax.views import Buffers, Kept, maps, rgb_of
+from alight.parallax.views import Buffers, Kept, maps, picture_at, rgb_of
 from alight.raster import close_mask, weighted_gaussian
 from alight.records import ElevationMap, Flag, Heights, is_trusted
 from alight.settings import ParallaxSettings
@@ -174,7 +173,7 @@ class Refiner:
         if (off := wrong[where]).any():
             known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
         sampling = window.part_of(window.seen.sampling, where)
-        found = judged(
+        found = trust.judged(
             [window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty
         )
         samples = self.buffers.get("samples", (len(fine), *grid.shape))  # left there by the fit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from alight.landing import route as route_planner
+from alight.landing.route import plan_route
 from alight.pipeline.judging import Verdict, reserve_notes
 from alight.pipeline.lanes import Judge
 from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot
@@ -80,5 +80,5 @@ def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | 
     if not sites.sites:
         return None
     vehicle, elevation = seen.frame.point(seen.vehicle.position), seen.frame.elevation(seen.elevation)
-    way = route_planner.plan_route(sites.sites[0], elevation, vehicle, settings)
+    way = plan_route(sites.sites[0], elevation, vehicle, settings)
     return replace(way, frame_id=seen.frame.frame_id)

@@ -12,7 +12,7 @@ from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.next_view import Observer
 from alight.landing.reserve import Reserve
-from alight.parallax import orthophoto
+from alight.parallax.orthophoto import orthophoto
 from alight.pipeline.cover_memory import NO_COVER_SEEN, CoverMemory
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot

@@ -11,15 +11,8 @@ from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
-from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, RecursiveMapper, mapping_lane
-from alight.pipeline.navigation import (
-    FilterLane,
-    Navigation,
-    NavigationLane,
-    TimedPoses,
-    Trajectory,
-    navigation_lane,
-)
+from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, mapping_lane
+from alight.pipeline.navigation import FilterLane, Navigation, NavigationLane, TimedPoses, Trajectory, navigation_lane
 from alight.pipeline.policy import LanePolicy
 from alight.pipeline.timing import Timings
 from alight.records import Event, Frame, PriorHeights, Rig
@@ -70,6 +63,8 @@ class Lanes:
         jobs = jobs or InTurn()
         judging = JudgingLane(stages, appearance, timings)
         if policy is not None and (policy.navigation_anew or policy.mapping_anew):
+            from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+
             again = FilterAgain(
                 lambda number: FilterLane(rig, stages, history, frame_id=number), policy.navigation_anew
             )

@@ -24,8 +24,7 @@ class Pipeline:
     """Three lanes in turn: navigation, mapping, judging. Feed it events in the order of arrival, then `finish`.
 
     Args:
-        rig: the cameras.
-        kind: `flight` (continuous) or `photos` (far apart).
+        rig, kind: the cameras; `flight` (continuous) or `photos` (far apart).
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
         far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
@@ -33,8 +32,7 @@ class Pipeline:
         appearance: model of appearance; None: land cover from the map's own evidence alone.
         policy: chooses exposures, effort and the maps that are judged; None: a `FlightPolicy` by `sites.every`.
         on_verdict: called with the verdict on a map that was judged in flight, and the stamp of its newest exposure.
-        lanes: to use instead of those for `kind` and the settings, such as processes of their own.
-        navigation: a lane whose motions all come at the end, such as bundle adjustment; None: the filter, or `poses`.
+        lanes, navigation: used instead of the usual ones; one whose motions all come at the end (bundle adjustment).
         imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
     """
 

@@ -16,6 +16,7 @@ from alight.records.landing import (
     Sites,
     Waypoint,
     is_site,
+    keeps_margin,
     p_safe_text,
 )
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
@@ -116,5 +117,6 @@ __all__ = [
     "is_measured",
     "is_site",
     "is_trusted",
+    "keeps_margin",
     "p_safe_text",
 ]

@@ -34,14 +34,24 @@ class Hazard(IntFlag):
 def is_site(p_safe: F32, least: float) -> Mask:
     """Whether P(safe) makes a touchdown that no limit refuses a site; else it is a candidate, (R, C).
 
-    This is the one decision between the two. Its result is `Hazard.DOUBT`: a place without any reason is a site, one
-    with this reason alone a candidate.
+    This is the one decision by P(safe). Its result is `Hazard.DOUBT`: a place without any reason is a site, one with
+    this reason alone a candidate. A place that is listed also keeps a margin (`keeps_margin`).
 
     Args:
         p_safe: (R, C), 0 where a limit refuses a touchdown, NaN where it cannot be judged.
         least: P(safe) of a site, at least.
     """
     return p_safe >= least
+
+
+def keeps_margin(clearance: F32, margin: float) -> Mask:
+    """Whether a touchdown has the room that a listed place must have, (R, C).
+
+    Args:
+        clearance: (R, C) metres to the nearest touchdown that is refused.
+        margin: metres, `sites.margin`.
+    """
+    return clearance >= margin
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from alight.geometry import LocalFrame
-from alight.records.executive import FlightDiary
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
 from alight.records.photos import PhotoRow
 from alight.records.surface import ElevationMap, TerrainMap
 from alight.records.telemetry import Home
 from alight.settings import Settings
+
+if TYPE_CHECKING:
+    from alight.records.executive import FlightDiary
 
 
 @dataclass(frozen=True, eq=False)

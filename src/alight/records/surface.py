@@ -58,7 +58,7 @@ class Flag(IntFlag):
     STEP = 32  # within a window of a height step: the height may be that of the neighbour
     INCONSISTENT = 64  # fewer than two of the views that see the cell agree
     RANGE = 128  # the height is at an end of the searched range
-    UNSURE = 256  # the evidence together makes a wrong match likely
+    UNSURE = 256  # probably a wrong match, or sigma too large, or isolated
     FEW = 512  # seen by two views only: a note, not a reason
     WATER = 1024  # water: the match is the bed, below the surface
 

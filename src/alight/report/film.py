@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from alight.arrays import U8
 from alight.records import RunResult, p_safe_text
-from alight.records.executive import LookPicture
 from alight.report import canvas, paint
 from alight.report.figures import Figure
+
+if TYPE_CHECKING:
+    from alight.records.executive import LookPicture
 
 GAP = 6  # pixels between the photo and P(safe) below it
 INK = (255, 255, 255, 255)

@@ -41,7 +41,7 @@ FLAGS: Mapping[Flag, str] = {
     Flag.STEP: "beside a step (kept, doubtful)",
     Flag.INCONSISTENT: "views contradict each other",
     Flag.RANGE: "outside the searched heights",
-    Flag.UNSURE: "probably a wrong match",
+    Flag.UNSURE: "probably a wrong match, or sigma too large, or isolated",
     Flag.FEW: "seen by two views only (a note)",
     Flag.WATER: "water: the bed was seen, not the surface",
 }

@@ -9,19 +9,16 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from alight.cluster import open_jobs
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
-from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
+from alight.outputs import FileStore, is_finished, prepare_folder
 from alight.pipeline import Pipeline, ScheduledPolicy, TimedPoses
 from alight.pipeline.navigation import NavigationLane
 from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
 from alight.runner.opening import open_source
 from alight.runs import appearance_of, result_of, with_home
 from alight.settings import Settings
-from alight.sources import Source, read_tum
-
-__all__ = ["Find", "find", "given_poses", "replay", "write_run"]
+from alight.sources import Source
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +38,8 @@ def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
     if poses is None:
         return None
     if poses != "truth":
+        from alight.sources.tum import read_tum
+
         return read_tum(Path(poses), source.local)
     if source.truth_trajectory is None:
         raise InputError(f"--poses truth: {source.name} has no state_groundtruth_estimate0; give a TUM file instead")
@@ -189,7 +188,8 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     with closing(FileStore(out)) as far:
         if not digest:
             return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
-        from alight.photos.work import SavedJobs, work_key
+        from alight.cluster import open_jobs
+        from alight.photos.work import SavedJobs, WorkFolder, work_key
 
         with open_jobs(how.scheduler) as jobs:
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)

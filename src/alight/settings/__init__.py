@@ -2,7 +2,6 @@
 
 from alight.settings.imu import ImuNoise
 from alight.settings.loading import load_settings, settings_of_keys, settings_of_run
-from alight.settings.page import settings_page
 from alight.settings.stages import (
     BundleSettings,
     ElevationSettings,
@@ -25,5 +24,5 @@ __all__ = [
     "BundleSettings", "ElevationSettings", "ExecutiveSettings", "FilterSettings", "HazardsSettings", "ImuNoise",
     "Lander", "MotionSettings",
     "ParallaxSettings", "RouteSettings", "Settings", "SitesSettings", "StageSettings", "TerrainSettings",
-    "TracksSettings", "Tuning", "load_settings", "settings_of_keys", "settings_of_run", "settings_page",
+    "TracksSettings", "Tuning", "load_settings", "settings_of_keys", "settings_of_run",
 ]  # fmt: skip

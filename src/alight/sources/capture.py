@@ -15,9 +15,8 @@ import cv2
 from alight.arrays import U8
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 
-PREFIXES = ("camera:", "rtsp:", "gst:", "video:")
 DEVICE, GSTREAMER = "camera", "gst"
 RATE_PERIODS = 0.5  # of a frame: images of two cameras that are nearer are one exposure
 SILENT = 10.0  # s without an image after which the cameras are over

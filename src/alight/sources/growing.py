@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import U8
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.images import read_image
 from alight.sources.streams import IMU_COLUMNS, NAV_COLUMNS, Table, imu_samples, nav_samples, usable_imu, usable_nav
 from alight.sources.tables import Row, named, numbers_of, rows_of

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from alight.records import Event, InputError, Telemetry
 from alight.settings import Settings
-from alight.sources.capture import PREFIXES, Cameras
-from alight.sources.growing import GrowingLog, wait_for_calibration
 from alight.sources.source import Source
 
+PREFIXES = ("camera:", "rtsp:", "gst:", "video:")
 IDLE = 10.0  # s without new rows or pictures, after which a folder counts as complete
 PATIENCE = 30.0  # s that a folder may take to get its calibration
 BETWEEN = re.compile(rf",\s*(?={'|'.join(PREFIXES)})")  # two cameras; a pipeline or an address may hold commas itself
@@ -52,10 +51,14 @@ def open_sensors(
         InputError: it is no source, or cannot be used; the message names what was looked for.
     """
     if not is_cameras(name):
+        from alight.sources.growing import GrowingLog, wait_for_calibration
+
         wait_for_calibration(Path(name), PATIENCE)
         growing = GrowingLog(Path(name), settings, IDLE)
         return LiveSource(growing, growing.events(stopped), True)
     if rig is None:
         raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
+    from alight.sources.capture import Cameras
+
     cameras = Cameras(BETWEEN.split(name), rig, settings)
     return LiveSource(cameras, cameras.events(stopped), True)

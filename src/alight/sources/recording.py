@@ -17,12 +17,11 @@ from alight.geometry import Pose
 from alight.records import Event, Frame, InputError, NavSample, Rig, Schedule
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead, unpack
 from alight.settings import Settings
-from alight.sources.flight_log import NOISE
+from alight.sources.calibrated_folder import NOISE
 from alight.sources.lens_bounds import why_no_lens
 from alight.sources.sensors import FARTHEST, HIGHEST
-from alight.sources.source import Findings, RecordedSource, Trajectory
+from alight.sources.source import FAR, Findings, RecordedSource, Trajectory
 from alight.sources.streams import FASTEST, QUICKEST, SIGMAS, STRONGEST
-from alight.sources.tum import FAR
 
 HEAD = "alight"
 LATEST = 2**62  # ns

@@ -12,6 +12,7 @@ from alight.geometry import LocalFrame, Pose
 from alight.records import Event, PhotoFacts, Rig, Schedule
 from alight.settings import ImuNoise, Settings
 
+FAR = 200_000.0  # m; an aircraft's local frame ends long before: beyond it the numbers are of another system
 Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
 
 

@@ -11,9 +11,8 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.geometry import LocalFrame, Pose, matrix_from_quaternion
 from alight.records import ImuSample, NavSample
-from alight.sources.source import Findings, Trajectory
+from alight.sources.source import FAR, Findings, Trajectory
 from alight.sources.tables import read_numbers
-from alight.sources.tum import FAR
 
 # no aircraft moves or turns like that; a sigma this small makes a matrix singular, one this large has no information
 HIGHEST, FASTEST, QUICKEST, STRONGEST = 100_000.0, 3_000.0, 200.0, 5_000.0  # m, m/s, rad/s, m/s^2

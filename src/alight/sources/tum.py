@@ -10,10 +10,9 @@ import numpy as np
 from alight.documents import DocumentError, read_bytes
 from alight.geometry import LocalFrame, Pose
 from alight.records import InputError
-from alight.sources.source import Trajectory
+from alight.sources.source import FAR, Trajectory
 
 LARGEST = 1_000_000_000  # bytes
-FAR = 200_000.0  # m; an aircraft's local frame ends long before: beyond it the numbers are of another system
 HINT = "each line needs: seconds x y z qx qy qz qw"
 
 

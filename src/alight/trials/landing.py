@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from alight import terrain
-from alight.checks import Judged
+from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive import ENDS
 from alight.flight.session.pilot import LandingPilot
@@ -214,23 +214,23 @@ class Trial:
 
     def _is_ready(self, now_ns: int) -> bool:
         """True if the motion and the autopilot's position are known, or will not be."""
-        m, vehicle = self._pilot.motion, self._ours.vehicle
+        m, vehicle = self._pilot.inputs.motion, self._ours.vehicle
         assert vehicle is not None
         known = m is not None and judge_motion(m, (now_ns - m.t_ns) * 1e-9).verdict is not Judged.BAD
         return (known and vehicle.telemetry.has_position) or (now_ns - self._start_ns) * 1e-9 > READY
 
     def _feed(self, event: Event) -> None:
-        fresh = self._pilot.saw(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
+        fresh = self._pilot.inputs.add_frame(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
         if fresh is None:
             return
         with self._costs.of("pipeline"):
             motion = self._pipeline.feed(fresh)
         if motion is not None:
-            self._after(MOTION_NS, lambda: self._pilot.moved(motion))
+            self._after(MOTION_NS, lambda: self._pilot.inputs.add_motion(motion))
 
     def _judged(self, verdict: Verdict, t_ns: int) -> None:
         self._verdicts += 1
-        self._after(VERDICT_NS, lambda: self._pilot.judged(verdict, t_ns))
+        self._after(VERDICT_NS, lambda: self._pilot.inputs.add_verdict(verdict, t_ns))
 
     def _after(self, delay_ns: int, call: Callable[[], None]) -> None:
         self._numbers += 1

@@ -211,6 +211,7 @@ class RemoteVehicle:
         self._ordered[number] = mode
 
     def _aim(self, target: Target) -> None:
+        """Send a set-point near the vehicle towards a target; the target itself while its place is unknown."""
         if self._target is None:
             self._aiming_ns, self._ahead = self._now_ns, None
         elif (target.place is None) is not (self._target.place is None):

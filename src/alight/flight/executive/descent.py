@@ -11,11 +11,24 @@ import numpy as np
 from alight.flight.executive.opinion import Opinion, Standing
 from alight.records import Site
 from alight.records.executive import Order, Situation
-from alight.settings import StageSettings
+from alight.settings import ExecutiveSettings, StageSettings
 
 HEARD = 2.0  # m of descent in which enough verdicts come: nearer than this to the height of the last verdicts it waits
 CLIMB = 0.3  # m, up to which it goes back to the height that it keeps; what is more was an error of the estimate
 LAST = 0.5  # of the sideways speed, once a landing is not broken off any more: it must not drift as it touches down
+
+
+def is_too_low_to_abort(left: float, keys: ExecutiveSettings) -> bool:
+    """True if a landing is not broken off any more, `left` metres above its place."""
+    return left < keys.abort_height
+
+
+def is_near_ground(left: float, keys: ExecutiveSettings) -> bool:
+    """True if a landing, `left` metres above its place, outlives degraded motion and pictures that show little.
+
+    From 2 m above grass the whole picture sways, and counts as moving.
+    """
+    return left < keys.degraded_height
 
 
 class Descent:
@@ -44,8 +57,7 @@ class Descent:
         """Take a new verdict; True: the last ones together refuse the place.
 
         They do if several in a row see too little of it, or if it has come into doubt and stays there: one low
-        P(safe) may come from swaying grass. Near the ground neither is a reason: from 2 m above grass the whole
-        picture sways, and counts as moving.
+        P(safe) may come from swaying grass. Near the ground neither is a reason (`is_near_ground`).
 
         Args:
             taken: s, the newest exposure that the verdict holds.
@@ -53,7 +65,7 @@ class Descent:
             left: metres above it.
         """
         self._taken.append(taken)
-        if left < self._keys.degraded_height:
+        if is_near_ground(left, self._keys):
             self._unseen = 0
             return False
         if said.standing is Standing.NOT_SEEN:
@@ -68,7 +80,7 @@ class Descent:
         if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
-        late = silent > self._keys.unjudged and left >= self._keys.abort_height and self._keys.look_again
+        late = silent > self._keys.unjudged and self._keys.look_again and not is_too_low_to_abort(left, self._keys)
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:
@@ -89,8 +101,8 @@ class Descent:
 
     def _has_heard(self, left: float) -> bool:
         """True if enough verdicts to break the landing off have come, or will come on the way down."""
-        above = left - self._keys.degraded_height
-        return not 0.0 <= above < HEARD or not self._keys.look_again or len(self._p) == self._p.maxlen
+        waits = left - self._keys.degraded_height < HEARD and not is_near_ground(left, self._keys)
+        return not (waits and self._keys.look_again) or len(self._p) == self._p.maxlen
 
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
         """Return the order for now.
@@ -99,7 +111,7 @@ class Descent:
         to break the landing off. If the vehicle's position in the frame of the place is not known, it sinks straight
         down: it is too low to break off.
         """
-        low, sink = left < self._keys.abort_height, self._keys.landing_speed
+        low, sink = is_too_low_to_abort(left, self._keys), self._keys.landing_speed
         self._flown.append((now.t, left))
         self._high = max(self._high, left)
         self._low_at = now.t if low and self._low_at is None else self._low_at

@@ -17,7 +17,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.flight.executive.clear_way import ClearWay
 from alight.flight.executive.course import Course
-from alight.flight.executive.descent import Descent
+from alight.flight.executive.descent import Descent, is_near_ground, is_too_low_to_abort
 from alight.flight.executive.known_places import KnownPlaces
 from alight.flight.executive.limits import AttemptLimits, Recovery, held_enough, is_too_weak, patience
 from alight.flight.executive.look_leg import LookLeg
@@ -128,7 +128,7 @@ class Executive:
             return E.LINK_LOST, "no heartbeat"
         if self.state is S.RETURN:
             return None, ""
-        if self.state is S.COMMIT and self._left < self._keys.abort_height:
+        if self.state is S.COMMIT and is_too_low_to_abort(self._left, self._keys):
             return (E.UNFELT, unfelt) if (unfelt := self._descent.unfelt(now.t)) else (None, "")
         if (trouble := self._trouble(now)) is not None:
             return trouble
@@ -374,7 +374,7 @@ class Executive:
         if not self._keys.look_again or t is None or now.position is None or seen is None:
             return False
         if self.state is S.COMMIT:
-            return self._left >= self._keys.degraded_height and not self._clear_way.is_free_down(t, seen)
+            return not (is_near_ground(self._left, self._keys) or self._clear_way.is_free_down(t, seen))
         if self.state is S.LOOK and self._leg_now is not None:
             across = self._across
             return across is not None and not self._clear_way.is_free(now.position, across, t.up, seen)

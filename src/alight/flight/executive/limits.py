@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from alight.flight.executive.descent import is_near_ground
 from alight.records.executive import FlightEvent, FlightState, Situation
 from alight.settings import ExecutiveSettings
 
@@ -89,8 +90,7 @@ def held_enough(
 def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float, keys: ExecutiveSettings) -> bool:
     """True if the motion has been degraded for too long for the present state.
 
-    Near the ground it does not end a landing, as long as the autopilot holds its place: from 2 m above grass the whole
-    picture sways.
+    Near the ground it does not end a landing, as long as the autopilot holds its place.
 
     Args:
         now: `holds`: the autopilot holds its place.
@@ -99,7 +99,7 @@ def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float
         left: metres above the place.
         keys: the limits.
     """
-    if state is FlightState.COMMIT and now.holds and left < keys.degraded_height:
+    if state is FlightState.COMMIT and now.holds and is_near_ground(left, keys):
         return False
     near_a_place = (FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT)
     return state in near_a_place and degraded >= keys.degraded

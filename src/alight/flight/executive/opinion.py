@@ -10,7 +10,7 @@ from enum import Enum
 import numpy as np
 
 from alight.landing.reasons import REASON_WORDS
-from alight.records import Hazard, Site
+from alight.records import Hazard, Site, keeps_margin
 from alight.records.executive import MapVerdict
 
 
@@ -44,7 +44,7 @@ def opinion(
     """Look up the verdict on one place.
 
     A listed place near by counts as it. For a place that is not listed, its cell decides: it may be good ground that is
-    not listed because of a better place a few metres away.
+    not listed because of a better place a few metres away. Where it keeps no margin, it is a candidate at best.
 
     Args:
         place: in the frame of the verdict's map.
@@ -74,11 +74,6 @@ def opinion(
     found = replace(place, p_safe=p)
     if p < least:
         return Opinion(Standing.REFUSED, found, p, "P(safe) is too low")
-    tight = f"another is refused within {margin:.1f} m" if _is_tight(seen, row, col, margin) else ""
-    why = "doubt" if reasons & Hazard.DOUBT else tight
+    roomy = keeps_margin(seen.hazards.clearance[row, col], margin)
+    why = "doubt" if reasons & Hazard.DOUBT else "" if roomy else f"another is refused within {margin:.1f} m"
     return Opinion(Standing.CANDIDATE if why else Standing.SITE, found, p, why)
-
-
-def _is_tight(seen: MapVerdict, row: int, col: int, margin: float) -> bool:
-    """True if a touchdown is refused within the margin."""
-    return not float(seen.hazards.clearance[row, col]) >= margin

@@ -20,19 +20,20 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
     out = {(s, E.PILOT): S.HANDED_OVER for s in (*FLYING, S.RETURN)}
     out |= {(s, E.LINK_LOST): S.HANDED_OVER for s in (*FLYING, S.RETURN)}
     out |= {(s, E.NAVIGATION_LOST): S.HOLD for s in ABOVE} | {(s, E.CAMERA_LOST): S.HOLD for s in ABOVE}
-    out |= {(S.COMMIT, E.NAVIGATION_LOST): S.ABORT, (S.COMMIT, E.CAMERA_LOST): S.ABORT}
     out |= {(s, e): S.RETURN for s in (*ABOVE, S.HOLD) for e in (E.WIND, E.BATTERY, E.TIME)}
-    out |= {(S.COMMIT, E.WIND): S.ABORT, (S.COMMIT, E.WAITED): S.ABORT}
     out |= {(S.HOLD, E.RECOVERED): S.SEARCH, (S.HOLD, E.WAITED): S.HANDED_OVER}
     out |= {(S.SEARCH, E.SEARCHED): S.RETURN, (S.SEARCH, E.FOUND): S.APPROACH}
     out |= {(S.APPROACH, E.ARRIVED): S.LOOK, (S.DESCEND, E.ARRIVED): S.LOOK}
     out |= {(S.LOOK, E.LOWER): S.DESCEND, (S.LOOK, E.CONFIRMED): S.COMMIT}
-    out |= {(s, E.REFUSED): S.SEARCH for s in AT_A_PLACE} | {(S.COMMIT, E.REFUSED): S.ABORT}
+    out |= {(s, E.REFUSED): S.SEARCH for s in AT_A_PLACE}
     out |= {(s, E.WAITED): S.SEARCH for s in AT_A_PLACE}
-    out |= {(s, E.NEW_FRAME): S.SEARCH for s in AT_A_PLACE} | {(S.COMMIT, E.NEW_FRAME): S.ABORT}
+    out |= {(s, E.NEW_FRAME): S.SEARCH for s in AT_A_PLACE}
     out |= {(S.COMMIT, E.UNFELT): S.HANDED_OVER}
     out |= {(S.COMMIT, E.TOUCHED_DOWN): S.LANDED, (S.RETURN, E.TOUCHED_DOWN): S.LANDED}
     out |= {(S.ABORT, E.CLEAR): S.SEARCH, (S.ABORT, E.WAITED): S.HANDED_OVER}
+    # what breaks a landing off, unless it is too low for that (`is_too_low_to_abort`)
+    breaks_off = E.NAVIGATION_LOST, E.CAMERA_LOST, E.WIND, E.WAITED, E.REFUSED, E.NEW_FRAME
+    out |= {(S.COMMIT, e): S.ABORT for e in breaks_off}
     return out
 
 

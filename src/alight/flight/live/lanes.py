@@ -14,7 +14,8 @@ from alight.flight.live.nursery import Nursery
 from alight.flight.live.worker import LaneLost, Spec, Worker
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
-from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate, RecursiveMapper
+from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation, Trajectory
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Rig

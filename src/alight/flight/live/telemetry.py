@@ -12,7 +12,7 @@ from alight.flight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.geometry import LocalFrame
 from alight.records import Event, InputError, NavSample
 from alight.sources.arrival import as_they_arrive
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource
 
 log = logging.getLogger(__name__)

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight import compiled
-from alight.checks import CheckResult, Judged
-from alight.checks.result import bad
+from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live import FlightHealth, Listener
 from alight.flight.live.live import NAVIGATION
@@ -29,7 +28,7 @@ from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runs import flown_home, with_home
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
-from alight.sources.flight_log import CalibratedFolder
+from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, open_sensors
 
 PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
@@ -203,7 +202,7 @@ class _Cabin:
         settings, policy = plan.settings, FlightPolicy(every=0)  # judged as the executive needs it
         self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, policy, self)
         self._loop = FlightLoop(feed, self._vehicle, self._hand, self._pilot, self._status)
-        listener = Listener(self._pilot.moved, self._pilot.judged)
+        listener = Listener(self._pilot.inputs.add_motion, self._pilot.inputs.add_verdict)
         self._run = LiveRun(
             opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener, policy=policy
         )
@@ -244,7 +243,7 @@ class _Cabin:
                 if isinstance(event, Frame):
                     now_ns = time.monotonic_ns()
                     known = self._arrivals.saw(event, now_ns)
-                    fresh = self._pilot.saw(event, now_ns) if known else None
+                    fresh = self._pilot.inputs.add_frame(event, now_ns) if known else None
                 if fresh is not None:
                     self._run.live.feed(fresh)
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
@@ -318,13 +317,13 @@ class _Cabin:
     def _before(self, motion: bool) -> list[CheckResult]:
         with self._feed.lock:
             found = [*self._machine, *autopilot_checks(self._plan, self._feed)]
-        facts = self._arrivals.facts(time.monotonic_ns(), self._pilot.pictures.frozen)
+        facts = self._arrivals.facts(time.monotonic_ns(), self._pilot.inputs.pictures.frozen)
         found.append(preflight.judge_cameras(facts))
         found += [bad("source", str(e), "see that it goes on") for e in self._failed]
         return [*found, self._motion_check()] if motion else found
 
     def _motion_check(self) -> CheckResult:
-        m = self._pilot.motion
+        m = self._pilot.inputs.motion
         return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
 
     # -- the landing
@@ -343,7 +342,10 @@ class _Cabin:
         pilot, plan = self._pilot, self._plan
         ended, why = pilot.diary.end or (pilot.state, "")
         why = f"ended by the user; {self._stopped}" if self._stopped else why
-        times = {"image to way-point": list(pilot.way_point_times), "image to set-point": list(pilot.set_point_times)}
+        times = {
+            "image to way-point": list(pilot.delays.of_verdicts),
+            "image to set-point": list(pilot.delays.of_motions),
+        }
         found = self._run.finish()
         result = replace(
             with_home(found, flown_home(plan.home, self._vehicle.telemetry, plan.separation)), diary=pilot.diary,

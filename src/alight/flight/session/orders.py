@@ -14,12 +14,11 @@ from alight.flight.session.contact import Contact
 from alight.flight.session.near import own_way
 from alight.flight.session.order_taker import OrderTaker, words_of
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, Landed, Motion, Place
+from alight.records import FlightMode, Motion, Place
 from alight.records.executive import FlightState, Order
 
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is ordered again
 OFTEN = 3  # refusals in a row, after which a person is warned
-GRACE_NS = 2_000_000_000  # from the answer to a mode until heartbeats must show it
 BELOW = 1.5  # m below a high site, the target of guidance
 STAYS, STAY_SPEED, STAY_SINK = 5.0, 1.0, 0.5  # m and m/s: the way back to the held place is short, and slow
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
@@ -58,7 +57,6 @@ class OrderSender:
         self._farthest, self._stale = farthest, stale
         self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
-        self._accepted_ns: int | None = None  # instant at which the mode was accepted
         self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
         self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and the instant from which it is wanted
         self._held: tuple[Place, int] | None = None  # held place, and instant of its last order
@@ -102,27 +100,12 @@ class OrderSender:
             return
         self._ticket = -1
         if ok:
-            self._accepted_ns, self._refusals = now_ns, 0
+            self._refusals = 0
             return
         self._refusals += 1
         if self._refusals == OFTEN and self._mode is not None:
             self._tell(f"{self._mode.value} was refused {OFTEN} times: be ready to take over")
         self._mode, self._refused_ns = None, now_ns
-
-    def strayed(self, now_ns: int) -> str:
-        """Return in words that another mode is flown than the one that was ordered and accepted; empty: it is that one.
-
-        A change of mode within seconds of our own order looks like its effect: this distinguishes them later.
-        """
-        heard = self._vehicle.telemetry
-        if self._mode is None or self._accepted_ns is None or not (self.hand.in_control and heard.armed):
-            return ""
-        if heard.mode is self._mode or self._heartbeat_ns(now_ns) < self._accepted_ns + GRACE_NS:
-            return ""
-        ends = heard.landed in (Landed.GROUND, Landed.UNKNOWN)  # it may change modes by itself at the end of a task
-        if ends and (self._mode, heard.mode) in self._vehicle.firmware.natural:
-            return ""
-        return f"{heard.mode_name} is flown, and {self._mode.value} was ordered: somebody else has changed it"
 
     def _heartbeat_ns(self, now_ns: int) -> int:
         """Arrival of the newest heartbeat, our clock."""
@@ -141,7 +124,7 @@ class OrderSender:
         stale = self.hand.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
         if stale or now_ns - self._refused_ns < AGAIN_NS:
             return False
-        self._wanted = self._heading = self._accepted_ns = None
+        self._wanted = self._heading = None
         self._mode = mode
         self._ticket = self.hand.set_mode(mode)
         return True

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from alight.checks import CheckResult
-from alight.checks.result import bad, good, unknown, warning
+from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate
 from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings

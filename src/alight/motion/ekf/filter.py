@@ -53,7 +53,7 @@ from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measu
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import OPEN_RATE_SIGMA, Preintegral
 from alight.motion.projection import POSITION_FIRST
-from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
+from alight.motion.smoother.recorded_flight import RecordedFlight
 from alight.records import (
     ImuSample,
     Motion,
@@ -187,7 +187,11 @@ class MotionFilter:
 
         Empty when `smooth` is off in the settings, and where a batch is not possible.
         """
-        return smooth_flight(self._recording) if self._recording else RefinedMotions((), None)
+        if self._recording is None:
+            return RefinedMotions((), None)
+        from alight.motion.smoother.smoother import smooth_flight
+
+        return smooth_flight(self._recording)
 
     @property
     def time_ns(self) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,13 +43,13 @@ from alight.motion.preintegration import Preintegral, corrected, preintegrate, s
 from alight.motion.projection import POSITION_FIRST, observation_sigma
 from alight.motion.robust import cauchy
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal, Factors
+from alight.motion.smoother.recorded_flight import LEAST_EXPOSURES, RecordedFlight
 from alight.motion.smoother.track_segments import TrackSegments
-from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, RefinedMotions, Rig, Tracks
+from alight.records import KeyframePosterior, Motion, NavSample, RefinedMotions
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-LEAST_EXPOSURES = 3  # of a flight that is smoothed
 _SIZE = NAV.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
 _POSE = POS.stop  # of these: attitude and position
 _NAV_SCALE = np.sqrt(27.0)  # sigmas, Cauchy scale of a quantity of GPS/INS
@@ -62,17 +62,6 @@ _MOST_JOINT = 240  # exposures whose joint covariance is given out: 17 MB; betwe
 _LEAD_NS = 50_000_000  # ns by which an exposure may lie before the first inertial sample for the IMU to drive it
 _BIASES = slice(GYRO.start, ACC.stop)
 _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
-
-
-@dataclass(eq=False)
-class RecordedFlight:
-    """Input of the filter during a flight, and its motions."""
-
-    rig: Rig
-    settings: FilterSettings
-    imu: list[ImuSample] = field(default_factory=list)
-    nav: list[NavSample] = field(default_factory=list)
-    exposures: list[tuple[Motion, Tracks, F64]] = field(default_factory=list)  # motion, tracks, core of the state
 
 
 def smooth_flight(recording: RecordedFlight) -> RefinedMotions:

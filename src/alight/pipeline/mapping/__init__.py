@@ -7,17 +7,12 @@ from __future__ import annotations
 
 from alight.elevation import TileStore
 from alight.jobs import Jobs
-from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
 from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, VehiclePosition
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 from alight.pipeline.timing import Timings
 from alight.records import PriorHeights, Rig
 from alight.settings import StageSettings
 
-__all__ = [
-    "BatchMapper", "FinishedMap", "MapSnapshot", "MapUpdate", "MappingLane", "PhotoMapper", "RecursiveMapper",
-    "VehiclePosition", "mapping_lane",
-]  # fmt: skip
+__all__ = ["FinishedMap", "MapSnapshot", "MapUpdate", "MappingLane", "VehiclePosition", "mapping_lane"]
 
 
 def mapping_lane(
@@ -39,8 +34,10 @@ def mapping_lane(
         jobs: matches tiles at the end.
         prior: heights from elsewhere, with which the search at the end begins.
     """
-    if at_end:
-        return PhotoMapper(rig, settings, far, timings, jobs, prior)
-    if settings.parallax.method == "ring" or not history:  # without an end there is no batch
+    if not at_end and (settings.parallax.method == "ring" or not history):  # without an end there is no batch
+        from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+
         return RecursiveMapper(rig, settings, far, timings, history)
-    return BatchMapper(rig, settings, far, timings, jobs, prior)
+    from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
+
+    return (PhotoMapper if at_end else BatchMapper)(rig, settings, far, timings, jobs, prior)

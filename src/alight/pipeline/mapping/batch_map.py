@@ -14,17 +14,11 @@ from alight.arrays import F64, I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
-from alight.parallax import (
-    NO_POINTS,
-    Images,
-    Matched,
-    choose_views,
-    ground_sampling,
-    height_range,
-    match_tile,
-    may_see,
-    with_datum,
-)
+from alight.parallax.batch import Images, match_tile
+from alight.parallax.datum import with_datum
+from alight.parallax.pose_error import Matched
+from alight.parallax.sparse_points import NO_POINTS, height_range
+from alight.parallax.views import choose_views, ground_sampling, may_see
 from alight.pipeline.mapping.cell_size import cell_size, level_for
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large

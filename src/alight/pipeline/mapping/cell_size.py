@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from alight.arrays import F64
-from alight.parallax import ground_sampling
+from alight.parallax.views import ground_sampling
 from alight.records import View
 from alight.settings import StageSettings
 

@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
-from alight.parallax import NO_POINTS, find_points, height_range, supported
+from alight.parallax.sparse_points import NO_POINTS, find_points, height_range, supported
 from alight.pipeline.mapping.cell_size import first_cell
 from alight.pipeline.mapping.view_geometry import looking_down
 from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted

@@ -1,4 +1,7 @@
-"""Choice of the keyframes: which exposures the map is made of, for both ways of mapping."""
+"""Choice of the keyframes: which exposures of a flight or a recording the map is made of.
+
+Of photos every one is kept (`PhotoMapper`).
+"""
 
 from __future__ import annotations
 

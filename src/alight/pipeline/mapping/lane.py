@@ -65,7 +65,7 @@ class FinishedMap:
 
 
 class MappingLane(Protocol):
-    """One way to map, with all its policy: choice of keyframes, search of the ground, forgetting."""
+    """One way to map: choice of keyframes, search of the ground, forgetting."""
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Take one exposure; None where the map has not changed.

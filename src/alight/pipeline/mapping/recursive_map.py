@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from alight.arrays import F64, U16, Mask
-from alight.elevation import TiledElevation
+from alight.elevation import TiledElevation, doublings_up_to
 from alight.geometry import Grid
-from alight.parallax import RecursiveParallax
+from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.mapping.cell_size import cell_size, level_for
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
@@ -155,9 +155,8 @@ class RecursiveMap(GroundMap):
         if about is not None:
             reach = self.settings.mapping.judged_about
             low, high = np.minimum(low, about - reach), np.maximum(high, about + reach)
-        level = self.level
-        while self.elevation.cell_at(level + 1) <= self.settings.lander.judging_cell:
-            level += 1
+        here = self.elevation.cell_at(self.level)
+        level = self.level + doublings_up_to(here, self.settings.lander.judging_cell)
         found = self.elevation.read(_window(self.elevation, low, high, level, BYTES_A_CELL))
         return replace(found, gauge=self.gauge) if found.trusted.any() else None
 

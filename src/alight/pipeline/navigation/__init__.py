@@ -7,13 +7,12 @@ adjustment of photos, whose motions all come at the end.
 from __future__ import annotations
 
 from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch, Handover, TrackedFrame
-from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.navigation.lane import MotionSource, Navigation, NavigationLane, TimedPoses, Trajectory
 from alight.records import Rig, SettingsError
 from alight.settings import StageSettings
 
 __all__ = [
-    "FilterLane", "FrameBatch", "GivenLane", "Handover", "MotionSource", "Navigation", "NavigationLane", "TimedPoses",
+    "FilterLane", "FrameBatch", "Handover", "MotionSource", "Navigation", "NavigationLane", "TimedPoses",
     "TrackedFrame", "Trajectory", "navigation_lane",
 ]  # fmt: skip
 
@@ -32,6 +31,8 @@ def navigation_lane(
         SettingsError: the settings ask for bundle adjustment, whose lane is the caller's.
     """
     if poses is not None:
+        from alight.pipeline.navigation.given import GivenLane
+
         return GivenLane(rig, poses, settings.motion, history)
     if settings.motion.bundles(kind):
         raise SettingsError("motion.method: give the lane of the bundle adjustment as `navigation`, or use filter")

@@ -17,7 +17,7 @@ from alight.motion import RollbackFilter
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.smoother.smoother import LEAST_EXPOSURES
+from alight.motion.smoother.recorded_flight import LEAST_EXPOSURES
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
