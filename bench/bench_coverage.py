@@ -23,7 +23,7 @@ from alight.runner.replay import Find, find
 from alight.settings import load_settings
 
 FLIGHTS = {"sample": "sample", **{n: f"rendered/{n}" for n in ("gravelpit", "scree", "shore")}}
-METHODS = ("batch", "ring")
+METHODS = ("batch", "recursive")
 WITHIN = 92.0, 98.0  # % of the ground cells
 COLUMNS = {
     "within 1.96 sigma, %": "relative",

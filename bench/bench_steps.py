@@ -20,8 +20,8 @@ from tables import Row
 from alight.elevation import TiledElevation
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
-from alight.parallax.recursive import RecursiveParallax
 from alight.parallax.batch import Images, match_tile
+from alight.parallax.recursive import RecursiveParallax
 from alight.records import ElevationMap, Heights, KeyframePosterior, Motion, View
 from alight.settings import HazardsSettings, Lander, ParallaxSettings
 

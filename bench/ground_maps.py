@@ -32,8 +32,8 @@ from alight.terrain.classify import Tables
 from alight_sim import SimulatedFlight
 
 Bool = NDArray[np.bool_]
-How = Literal["batch", "ring", "batch-true", "ring-true"]
-HOWS: tuple[How, ...] = ("batch", "ring")
+How = Literal["batch", "recursive", "batch-true", "recursive-true"]
+HOWS: tuple[How, ...] = ("batch", "recursive")
 TUNING = (
     "canal/12m/tuning-35", "canal/20m/tuning-31", "canal/20m/tuning-55", "canal/40m/tuning-39",
     "car_park/12m/tuning-419", "car_park/20m/tuning-407", "car_park/30m/tuning-73", "concrete/12m/tuning-404",

@@ -158,13 +158,12 @@ def test_skip_and_every_of_a_recording(record: Callable[..., Path]) -> None:
 def test_the_settings_of_an_earlier_version_are_read(
     record: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Keys that were moved are renamed, unknown ones left out; of a head that cannot be read the file is named."""
+    """Unknown keys are left out; of a head that cannot be read the file is named."""
     written = FlightHead.to_json
 
     def earlier(head: FlightHead) -> str:
         tree = json.loads(written(head))
-        del tree["settings"]["tuning"]
-        tree["settings"]["tracks"] = {"count": 99}
+        tree["settings"]["tuning"]["tracks"] |= {"count": 99, "wings": 2}
         tree["settings"]["lander"] |= {"radius": 2.0, "wings": 2}
         return json.dumps(tree)
 

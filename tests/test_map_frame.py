@@ -169,7 +169,7 @@ def _in_frame(motion: Motion, frame_id: int, offset: np.ndarray, own: np.ndarray
     )  # fmt: skip
 
 
-SETTINGS = ("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.3", "sites.margin=0")
+SETTINGS = ("parallax.method=recursive", "sites.every=5", "hazards.p_safe=0.3", "sites.margin=0")
 
 
 def _flown_by(lane: NavigationLane, rig: Rig) -> Pipeline:

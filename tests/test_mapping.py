@@ -179,7 +179,7 @@ def test_a_ground_that_is_found_again_is_searched_for_at_once(monkeypatch: pytes
 def test_a_recording_that_ends_before_the_ground_is_found_in_flight_has_a_map() -> None:
     """Seven keyframes: the ground is sought with every eighth."""
     f, events = flight()
-    mapper = RecursiveMapper(f.rig, settings_of("parallax.method=ring").stages(), None, Timings(), history=True)
+    mapper = RecursiveMapper(f.rig, settings_of("parallax.method=recursive").stages(), None, Timings(), history=True)
     found = mapped(mapper, tuple(e for e in events if e.t_ns <= f.frame_times[6]))
     assert mapper.store.taken == 7
     assert found.elevation.trusted.sum() > 100

@@ -116,7 +116,7 @@ def batch_mapper(settings: StageSettings) -> BatchMapper:
 
 def brief_mapper() -> RecursiveMapper:
     """Return the mapper of a flight of unlimited length."""
-    settings = settings_of("parallax.method=ring").stages()
+    settings = settings_of("parallax.method=recursive").stages()
     return RecursiveMapper(flight()[0].rig, settings, NullStore(), Timings(), history=False)
 
 
@@ -150,10 +150,10 @@ def with_frames(**changes: object) -> tuple[Event, ...]:
 # -- the whole way
 
 
-@pytest.mark.parametrize("method", ["batch", "ring"])
+@pytest.mark.parametrize("method", ["batch", "recursive"])
 def test_heights_are_right(method: str) -> None:
     """The median error is below half a percent of the height above ground, with 160 x 120 pixels."""
-    d = batch().decision if method == "batch" else run(settings_of("parallax.method=ring")).decision
+    d = batch().decision if method == "batch" else run(settings_of("parallax.method=recursive")).decision
     m = trusted_of(d)
     error = errors(m)[m.trusted]
     error = error[np.isfinite(error)]
@@ -245,7 +245,7 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
 
 
 def test_a_flight_without_history_makes_the_same_map_and_holds_little() -> None:
-    whole = trusted_of(run(settings_of("parallax.method=ring")).decision)
+    whole = trusted_of(run(settings_of("parallax.method=recursive")).decision)
     brief = mapped(brief_mapper())
     assert brief.most_keyframes <= 17
     b = brief.elevation
@@ -259,7 +259,7 @@ def test_a_flight_without_history_makes_the_same_map_and_holds_little() -> None:
 
 def test_a_full_store_of_a_flight_forgets_the_oldest() -> None:
     """Pixels of twelve frames fit, and no more are held; the map has used the others already and is the same."""
-    frame, s = 160 * 120 * 3, settings_of("parallax.method=ring").stages()
+    frame, s = 160 * 120 * 3, settings_of("parallax.method=recursive").stages()
     small = replace(s, parallax=s.parallax.model_copy(update={"store_mb": 12 * frame / 1e6}))
     found = mapped(RecursiveMapper(flight()[0].rig, small, None, Timings(), history=True))
     whole = mapped(RecursiveMapper(flight()[0].rig, s, None, Timings(), history=True))
@@ -291,7 +291,7 @@ def test_a_hover_without_history_holds_little() -> None:
 def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:
     """Sites of earlier keyframes are kept although the newest keyframe does not see them any more."""
     f, events = flight()
-    settings = settings_of("parallax.method=ring", "hazards.p_safe=0.1", "sites.margin=0")
+    settings = settings_of("parallax.method=recursive", "hazards.p_safe=0.1", "sites.margin=0")
     policy, verdicts = FlightPolicy(every=5), list[Verdict]()
     p = Pipeline(
         f.rig, "flight", settings, f.truth_trajectory, history=False, policy=policy,
@@ -321,7 +321,7 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
 def test_the_end_of_a_flight_knows_what_moved_and_who_came(monkeypatch: pytest.MonkeyPatch) -> None:
     """The best place of the flight lies on a street: a car passes it once, and the last verdict still refuses it."""
     f, events = flight()
-    settings = settings_of("parallax.method=ring", "sites.every=0", "sites.margin=0", "terrain.enabled=false")
+    settings = settings_of("parallax.method=recursive", "sites.every=0", "sites.margin=0", "terrain.enabled=false")
 
     def end(moves: I64) -> Decision:
         monkeypatch.setattr(recursive_map, "what_moves", lambda grid, flags, anew: moves)
@@ -342,7 +342,7 @@ def test_the_end_of_a_flight_knows_what_moved_and_who_came(monkeypatch: pytest.M
 def test_a_place_that_is_asked_about_is_judged_though_the_newest_keyframe_does_not_look_there() -> None:
     """The executive needs a verdict on the place that it flies to, and the map still has the ground there."""
     f, events = flight()
-    settings, policy, verdicts = settings_of("parallax.method=ring"), FlightPolicy(every=0), list[Verdict]()
+    settings, policy, verdicts = settings_of("parallax.method=recursive"), FlightPolicy(every=0), list[Verdict]()
     p = Pipeline(
         f.rig, "flight", settings, f.truth_trajectory, history=False, policy=policy,
         on_verdict=lambda verdict, t_ns: verdicts.append(verdict),
@@ -384,7 +384,7 @@ def test_a_map_is_judged_when_the_need_calls_for_it_and_the_lane_is_free() -> No
 
 def test_nothing_is_judged_in_flight_where_it_is_not_asked_for() -> None:
     f, events = flight()
-    p = Pipeline(f.rig, "flight", settings_of("parallax.method=ring", "sites.every=0"), f.truth_trajectory)
+    p = Pipeline(f.rig, "flight", settings_of("parallax.method=recursive", "sites.every=0"), f.truth_trajectory)
     for e in events:
         p.feed(e)
     assert p.reserve.sites == ()

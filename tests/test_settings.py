@@ -15,28 +15,6 @@ from alight.settings import ImuNoise, Settings, load_settings, settings_of_keys,
 from alight.settings.keys import all_keys, user_keys
 from alight.settings.page import settings_page
 
-# keys of users before the tuning had a group of its own
-MOVED = {
-    "tracks": "count window_px levels search_px search_sigmas search_sigma_px forward_backward_px epipolar_px texture",
-    "motion.filter": "points clones pixel_sigma pixel_repeat texture_reference depth_share vague_share "
-    "nav_position_tau nav_attitude_tau nav_velocity_tau nav_position_white nav_attitude_white "
-    "nav_velocity_white nav_rate_white position_sigma attitude_sigma velocity_sigma acceleration_sigma "
-    "angular_acceleration_sigma gyro_noise gyro_walk gyro_bias_sigma accelerometer_noise accelerometer_walk "
-    "accelerometer_bias_sigma lateness gate coast smooth track_span",
-    "motion.bundle": "features image_px neighbours matches observations attitude_sigma heading_sigma mounting_sigma "
-    "position_sigma",
-    "parallax": "views ring keyframe_baseline",
-    "elevation": "tile",
-    "terrain": "appearance block ground_window bulge raised overhang basin_depth",
-    "hazards": "unknown_share doubtful_share bridge bridge_plain min_landable tilt_sigma noise_length smoothed "
-    "hidden_hazard",
-    "sites": "roomy room_weight",
-    "route": "look_share",
-}
-MOVED_KEYS = [
-    (f"{group}.{name}", f"tuning.{group.split('.')[-1]}.{name}") for group in MOVED for name in MOVED[group].split()
-]
-
 
 def test_nothing_needs_to_be_set() -> None:
     assert load_settings() == load_settings("") == load_settings("# only a remark\n") == Settings()
@@ -61,16 +39,11 @@ def test_an_unknown_key_is_refused_with_the_nearest_one(text: str, said: str) ->
         load_settings(text)
 
 
-@pytest.mark.parametrize(("old", "new"), MOVED_KEYS)
-def test_a_key_that_became_tuning_is_refused_with_its_new_name(old: str, new: str) -> None:
-    assert new in all_keys()
-    with pytest.raises(ValueError, match=f"^{re.escape(old)} is now {re.escape(new)};"):
-        load_settings("", [f"{old}=1"])
-
-
-def test_every_misplaced_key_of_a_group_is_named() -> None:
-    with pytest.raises(ValueError, match=r"^tracks\.count is now tuning\.tracks\.count; tracks\.wings: unknown key; "):
-        load_settings("tracks: {count: 9, wings: 2}")
+def test_every_unknown_key_is_named() -> None:
+    with pytest.raises(
+        ValueError, match=r"^parallax\.cel: unknown key, did you mean parallax\.cell\?; wings: unknown key; "
+    ):
+        load_settings("{wings: 2, parallax: {cel: 9}}")
 
 
 @pytest.mark.parametrize(
@@ -181,10 +154,6 @@ def test_a_bad_assignment_is_refused_by_name(assignment: str, why: str) -> None:
         load_settings("parallax: {cell: 0.5}", [assignment])
 
 
-def test_the_method_auto_of_earlier_versions_is_batch() -> None:
-    assert load_settings("parallax: {method: auto}").parallax.method == "batch"
-
-
 @pytest.mark.parametrize("tuning", [False, True])
 def test_yaml_goes_out_and_comes_back(tuning: bool) -> None:
     """A changed constant of the tuning is never lost, whether the others are written or not."""
@@ -291,17 +260,17 @@ def test_stored_settings_read_back_the_same_recording_alike() -> None:
 
 
 def test_settings_of_an_earlier_run_are_read() -> None:
-    """Moved keys keep their values, and unknown keys are left out."""
+    """Unknown keys are left out."""
     stored = {
         "lander": {"radius": 2.0, "wings": 2},
-        "motion": {"filter": {"gate": 0.9, "time_offset": 0.02}},
-        "tracks": {"count": 99},
-        "parallax": {"method": "auto", "views": 9},
+        "motion": {"filter": {"time_offset": 0.02}},
+        "tuning": {"filter": {"gate": 0.9, "wings": 2}},
+        "parallax": {"method": "recursive"},
         "weather": {"wind": 3.0},
     }
     s = settings_of_run(stored)
-    assert (s.lander.radius, s.motion.filter.time_offset, s.parallax.method) == (2.0, 0.02, "batch")
-    assert (s.tuning.filter.gate, s.tuning.tracks.count, s.tuning.parallax.views) == (0.9, 99, 9)
+    assert (s.lander.radius, s.motion.filter.time_offset, s.parallax.method) == (2.0, 0.02, "recursive")
+    assert s.tuning.filter.gate == 0.9
     assert settings_of_run(s.model_dump(mode="json")) == s
 
 

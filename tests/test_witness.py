@@ -132,7 +132,7 @@ def found(method: str, moving: bool, effort: int = 0) -> Heights:
     return heights
 
 
-@pytest.mark.parametrize("method", ["batch", "ring"])
+@pytest.mark.parametrize("method", ["batch", "recursive"])
 def test_a_rig_tells_waves_from_ground(method: str) -> None:
     """Without temporal consistency the bed would pass: its texture is twice as strong as the waves."""
     moves = (found(method, moving=True).flags & np.uint16(Flag.MOVING)) != 0
@@ -146,7 +146,7 @@ def test_a_rig_tells_waves_from_ground(method: str) -> None:
 @pytest.mark.parametrize("effort", [1, 3])
 def test_with_less_effort_the_rig_tells_waves_all_the_same(effort: int) -> None:
     """Some exposures keep both cameras: once, with one of each, moving shadows were given out."""
-    moves = (found("ring", moving=True, effort=effort).flags & np.uint16(Flag.MOVING)) != 0
+    moves = (found("recursive", moving=True, effort=effort).flags & np.uint16(Flag.MOVING)) != 0
     inner = (np.abs(NORTH) < 3.0) & (np.abs(EAST) < 5.0)
     assert moves[inner & (EAST < -2.5)].mean() > 0.95
     assert moves[inner & (EAST > 3.5)].mean() < 0.05

@@ -111,7 +111,7 @@ def _open_place(world: SceneWorld, rng: np.random.Generator) -> F64:
 
 class _Vehicle:
     def __init__(self, world: SceneWorld, seed: int) -> None:
-        self.settings = load_settings("", ["parallax.method=ring", "sites.every=0"])
+        self.settings = load_settings("", ["parallax.method=recursive", "sites.every=0"])
         self.rng = np.random.default_rng(seed)
         self.places = _places(world, self.rng)
         start = (self.places[0, 0] - 12.0, self.places[0, 1] - 11.0, START)

@@ -87,7 +87,7 @@ def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
     shots = list(exposures(flight))
     views = [v for shot in shots for v in shot]
     camera = float(np.median([v.centre[2] for v in views]))
-    for method in ("batch", "ring"):
+    for method in ("batch", "recursive"):
         batch, recursive = BatchMap(Settings().stages()), RecursiveMap(Settings().stages())
         lane = batch if method == "batch" else recursive
         if not lane.find_ground(views[:: max(1, len(views) // 24)]):
@@ -114,7 +114,7 @@ def main() -> None:
     """Fit and print."""
     labels, parts = [], []
     for name in sys.argv[1:] or FLIGHTS:
-        for method, part in zip(("batch", "ring"), collect(name), strict=False):
+        for method, part in zip(("batch", "recursive"), collect(name), strict=False):
             labels.append(f"{name} {method}")
             parts.append(part)
             print(f"{labels[-1]}: {len(part[1])} cells, {100 * part[1].mean():.2f} % wrong", flush=True)

@@ -214,8 +214,8 @@ def lander_of(run: Run) -> Lander:
 
 
 def places_of(run: Run, kind: Literal["sites", "candidates"]) -> F64:
-    """East and north of the sites or of the candidates, (N, 2) metres; version 0.1.0 lists no candidates."""
-    places = run.info["answer"].get(kind, [])
+    """East and north of the sites or of the candidates, (N, 2) metres."""
+    places = run.info["answer"][kind]
     return np.array([[s["east_m"], s["north_m"]] for s in places], dtype=np.float64).reshape(-1, 2)
 
 

@@ -35,12 +35,12 @@ class Run:
     flags: U16 | None  # (R, C) bits of Flag
     terrain: U8 | None  # (R, C) Terrain codes
     safe: F32 | None  # (R, C) probability, NaN = not judged
-    reasons: U16 | None  # (R, C) bits of Hazard; None also for runs of version 0.1.0
+    reasons: U16 | None  # (R, C) bits of Hazard
     ortho: U8 | None  # (R, C, 3) RGB
 
     @property
     def settings(self) -> Settings:
-        """The settings of the run, also of an earlier version of Alight.
+        """The settings of the run.
 
         Raises:
             KeyError: run.json holds none.
@@ -71,7 +71,7 @@ class _Place(BaseModel):
 
 class _Answer(BaseModel):
     sites: list[_Place]
-    candidates: list[_Place] = []  # version 0.1.0 lists none
+    candidates: list[_Place]
 
 
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

@@ -59,7 +59,7 @@ class FlightHead:
 
     @classmethod
     def from_json(cls, text: str) -> FlightHead:
-        """Decode the head from JSON; settings of another version are read as those of a run.json.
+        """Decode the head from JSON.
 
         Raises:
             InputError: it is damaged, or of another version.

@@ -127,7 +127,7 @@ def prior_heights(source: Source, settings: Settings, dem: Path | None) -> Prior
         return None
     if not source.georeferenced:
         raise InputError(f"--prior-dem: {source.name} says nothing about its place on Earth; run it without")
-    if settings.parallax.method == "ring":
+    if settings.parallax.method == "recursive":
         raise InputError("--prior-dem: is for maps made at the end; run it without, or with parallax.method=batch")
     from alight.sources.prior_dem import read_prior
 

@@ -1,9 +1,9 @@
-"""The names of all keys, the new names of keys of earlier versions, and the nearest name to a wrong one."""
+"""The names of all keys, and the nearest name to a wrong one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from functools import cache
 from types import MappingProxyType
 
@@ -11,19 +11,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from alight.settings.whole import Settings
-
-# groups of earlier versions whose constants are now tuning, with their stage of tuning
-_STAGE_OF = {
-    "motion.filter": "filter",
-    "motion.bundle": "bundle",
-    "tracks": "tracks",
-    "parallax": "parallax",
-    "elevation": "elevation",
-    "terrain": "terrain",
-    "hazards": "hazards",
-    "sites": "sites",
-    "route": "route",
-}
 
 
 def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[str, FieldInfo]]:
@@ -47,19 +34,13 @@ def user_keys() -> dict[str, FieldInfo]:
     return {k: v for k, v in all_keys().items() if not k.startswith("tuning.")}
 
 
-def moved_to(key: str) -> str | None:
-    """The name of a key of an earlier version that became tuning; None for any other."""
-    group, _, name = key.rpartition(".")
-    new = f"tuning.{_STAGE_OF.get(group)}.{name}"
-    return new if new in all_keys() else None
-
-
 def nearest(key: str) -> str | None:
     """The known key or group that is most like an unknown one; None where none is alike."""
-    names = {k: k for k in all_keys()}
-    names |= {group: group for k in names if (group := k.rpartition(".")[0])}
-    for old, stage in _STAGE_OF.items():
-        start = f"tuning.{stage}."
-        names |= {k.replace(start, f"{old}."): k for k in all_keys() if k.startswith(start)}
-    found = get_close_matches(key, names, n=1, cutoff=0.75)
-    return names[found[0]] if found else None
+    names = dict.fromkeys(name for k in all_keys() for name in (k, k.rpartition(".")[0]))
+    found = get_close_matches(key, names, n=3, cutoff=0.75)
+    return max(found, key=lambda name: _likeness(name, key), default=None)
+
+
+def _likeness(one: str, other: str) -> float:
+    """Likeness of the last parts of two keys, 0 to 1."""
+    return SequenceMatcher(None, one.rpartition(".")[2], other.rpartition(".")[2]).ratio()

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from alight.documents import DocumentError, parse_yaml
-from alight.settings.keys import all_keys, moved_to, nearest
+from alight.settings.keys import all_keys, nearest
 from alight.settings.whole import Settings
 
 Tree = dict[str, Any]
@@ -18,8 +18,7 @@ def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
     """Make settings from YAML text and `key=value` assignments; the latter win.
 
     Raises:
-        ValueError: the text is no YAML, a key is unknown or moved, or a value is out of range; the message names the
-            key.
+        ValueError: the text is no YAML, a key is unknown, or a value is out of range; the message names the key.
     """
     try:
         tree = parse_yaml(text) or {}
@@ -36,7 +35,7 @@ def settings_of_keys(given: Mapping[str, Any]) -> Settings:
     """Make settings from keys such as `parallax.cell` or groups of them; each wins over those before it.
 
     Raises:
-        ValueError: a key is unknown or moved, or a value is out of range; the message names the key.
+        ValueError: a key is unknown, or a value is out of range; the message names the key.
     """
     tree = dict[str, Any]()
     for key, value in given.items():
@@ -45,16 +44,15 @@ def settings_of_keys(given: Mapping[str, Any]) -> Settings:
 
 
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
-    """Read the settings of a run.json, also of another version: moved keys are renamed, unknown ones left out.
+    """Read the settings of a run.json; unknown keys are left out.
 
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
     """
     known, tree = all_keys(), dict[str, Any]()
     for key, value in _leaves(stored):
-        now = moved_to(key) or key
-        if now in known:
-            _put(tree, now, value)
+        if key in known:
+            _put(tree, key, value)
     return _validated(tree)
 
 
@@ -114,16 +112,7 @@ def _explain(error: ValidationError) -> str:
         key = ".".join(str(k) for k in e["loc"])
         if e["type"] != "extra_forbidden":
             lines.append(f"{key}: {e['msg']} (got {e['input']!r})")
-        elif isinstance(e["input"], dict) and any(moved_to(f"{key}.{name}") for name in e["input"]):
-            lines += [_refusal(f"{key}.{name}") for name in e["input"]]  # a group that does not exist any more
         else:
-            lines.append(_refusal(key))
+            like = nearest(key)
+            lines.append(f"{key}: unknown key" + (f", did you mean {like}?" if like else ""))
     return "; ".join(lines) + "; 'alight settings' lists every key"
-
-
-def _refusal(key: str) -> str:
-    new = moved_to(key)
-    if new:
-        return f"{key} is now {new}"
-    like = nearest(key)
-    return f"{key}: unknown key" + (f", did you mean {like}?" if like else "")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from alight.settings.base import (
     Finite,
@@ -68,7 +68,7 @@ class MotionKeys(FrozenModel):
     )
     given_position_sigma: NonNegative = Field(
         0.0,
-        description="1-sigma of the position of poses given with --poses, m; above 0, ring refines them",
+        description="1-sigma of the position of poses given with --poses, m; above 0, recursive refines them",
     )
     given_attitude_sigma: NonNegative = Field(
         0.0, description="1-sigma of the attitude of poses given with --poses, rad"
@@ -81,18 +81,12 @@ class MotionKeys(FrozenModel):
         return self.method == "bundle" or (self.method == "auto" and kind == "photos")
 
 
-def _batch_for_auto(method: Any) -> Any:
-    """Replace `auto` of earlier versions by `batch`."""
-    return "batch" if method == "auto" else method
-
-
 class ParallaxKeys(FrozenModel):
     """Measurement of heights."""
 
-    method: Annotated[Literal["batch", "ring"], BeforeValidator(_batch_for_auto)] = Field(
+    method: Literal["batch", "recursive"] = Field(
         "batch",
-        description="batch (also: auto): from all exposures at the end; "
-        "ring: step by step with every keyframe, as in flight",
+        description="batch: from all exposures at the end; recursive: step by step with every keyframe, as in flight",
     )
     quality: Literal["fast", "normal", "fine"] = Field(
         "normal",
@@ -248,7 +242,7 @@ class SitesKeys(FrozenModel):
         32,
         ge=0,
         le=10**9,
-        description="Keyframes from one judgement to the next in flight (parallax.method=ring); 0: at the end",
+        description="Keyframes from one judgement to the next in flight (parallax.method=recursive); 0: at the end",
     )
 
 

@@ -253,7 +253,7 @@ class Trial:
 
 def as_flown(settings: Settings) -> Settings:
     """The settings of a landing, whose map is recursive."""
-    return settings.model_copy(update={"parallax": settings.parallax.model_copy(update={"method": "ring"})})
+    return settings.model_copy(update={"parallax": settings.parallax.model_copy(update={"method": "recursive"})})
 
 
 class TrialLog:

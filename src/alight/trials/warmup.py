@@ -22,7 +22,7 @@ def compile_kernels(tell: Tell) -> None:
     try:
         flight = simulate.fly("demo", 0, 1.0)
         simulate.write(flight, folder / "flight", lambda done, total: tell("flying", done / total))
-        for method in ("batch", "ring"):
+        for method in ("batch", "recursive"):
             settings = Settings.model_validate({"parallax": {"method": method}})
             replay.replay(open_source(folder / "flight", settings), settings, None, tell)
         compiled.mark_warm()

@@ -34,7 +34,7 @@ def mapping_lane(
         jobs: matches tiles at the end.
         prior: heights from elsewhere, with which the search at the end begins.
     """
-    if not at_end and (settings.parallax.method == "ring" or not history):  # without an end there is no batch
+    if not at_end and (settings.parallax.method == "recursive" or not history):  # without an end there is no batch
         from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 
         return RecursiveMapper(rig, settings, far, timings, history)
