@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections import Counter
@@ -16,10 +17,9 @@ from pydantic import BaseModel, ValidationError
 LONGEST = 1_000_000  # bytes of a YAML file: the largest of ours has 20,000
 LARGEST_JSON = 64_000_000  # bytes
 DEEPEST = 40  # of mappings and lists in each other
+DEEP = f"nested more than {DEEPEST} deep; write it flat"
 MOST_VALUES = 50_000  # aliases counted as often as they are used
 LARGEST_INTEGER = 2**63
-LONG_INTEGER = "an integer of more than 19 digits; check the number"
-MOST_DIGITS = 100  # of an integer: one of 63 bits, written in binary, has 65
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -71,8 +71,7 @@ class _Loader(yaml.SafeLoader):
         return tree
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        """Construct an integer; refuse one of more than `MOST_DIGITS` digits."""
-        _see_digits(node.value)
+        """Construct a decimal integer."""
         return int(node.value)
 
 
@@ -95,56 +94,26 @@ def parse_yaml(text: str) -> Any:
     """The value of a YAML text.
 
     Raises:
-        DocumentError: it is no YAML, too deep or too large with its aliases written out, refers to itself, or holds
-            a value that is neither a word nor a number.
+        DocumentError: it is no YAML, too deep or too large with its aliases written out, or holds a value that is
+            neither a word nor a number.
     """
     if len(text) > LONGEST:
         raise DocumentError(f"not valid YAML: longer than {LONGEST} characters")
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        _measure(node, {}, 0)
-        tree = loader.construct_document(node)
+        tree = yaml.load(text, _Loader)
+        _check(tree, MOST_VALUES)
     except yaml.YAMLError as e:
         mark = getattr(e, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark is not None else ""
         why = " ".join(str(getattr(e, "problem", None) or e).split())[:300]
         raise DocumentError(f"not valid YAML{where}: {why}") from e
     except RecursionError as e:
-        raise DocumentError(_deep()) from e
+        raise DocumentError(DEEP) from e
     except DocumentError:
         raise
     except (ValueError, TypeError, OverflowError, AttributeError) as e:
         raise DocumentError(f"not valid YAML: {' '.join(str(e).split())[:300]}") from e
-    _check(tree, 0)
     return tree
-
-
-def _deep() -> str:
-    return f"nested more than {DEEPEST} deep; write it flat"
-
-
-def _measure(node: yaml.Node, sizes: dict[int, int], depth: int) -> int:
-    """Number of values under a node, aliases written out."""
-    if depth > DEEPEST:
-        raise DocumentError(_deep())
-    known = sizes.get(id(node))
-    if known == 0:
-        raise DocumentError("an alias that refers to itself; write the value out")
-    if known is not None:
-        return known
-    sizes[id(node)] = 0  # being measured
-    total = 1
-    if isinstance(node, yaml.SequenceNode):
-        total += sum(_measure(v, sizes, depth + 1) for v in node.value)
-    elif isinstance(node, yaml.MappingNode):
-        total += sum(_measure(k, sizes, depth + 1) + _measure(v, sizes, depth + 1) for k, v in node.value)
-    if total > MOST_VALUES:
-        raise DocumentError(f"more than {MOST_VALUES} values, aliases written out; write it shorter")
-    sizes[id(node)] = total
-    return total
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -154,26 +123,13 @@ def parse_json(text: str | bytes) -> Any:
         DocumentError: it is no JSON, too deep, or holds numbers out of range.
     """
     try:
-        tree = json.loads(text, parse_int=_integer)
+        tree = json.loads(text)
     except RecursionError as e:
-        raise DocumentError(_deep()) from e
-    except DocumentError:
-        raise
+        raise DocumentError(DEEP) from e
     except ValueError as e:
         raise DocumentError(f"not valid JSON: {e}") from e
-    _check(tree, 0)
+    _check(tree, math.inf)
     return tree
-
-
-def _integer(digits: str) -> int:
-    _see_digits(digits)
-    return int(digits)
-
-
-def _see_digits(text: str) -> None:
-    """Refuse an integer so long that its conversion takes noticeable time."""
-    if len(text) > MOST_DIGITS:
-        raise DocumentError(LONG_INTEGER)
 
 
 def validated(kind: type[Model], tree: Any) -> Model:
@@ -190,18 +146,18 @@ def validated(kind: type[Model], tree: Any) -> Model:
         raise DocumentError(f"{key or 'it'} is damaged ({first['msg'].lower()})") from e
 
 
-def _check(tree: Any, depth: int) -> None:
-    """Refuse nesting beyond `DEEPEST`, integers beyond `LARGEST_INTEGER`, and values of other types than JSON's."""
-    if depth > DEEPEST:
-        raise DocumentError(_deep())
-    if isinstance(tree, Mapping):
-        for value in tree.values():
-            _check(value, depth + 1)
-    elif isinstance(tree, list):
-        for value in tree:
-            _check(value, depth + 1)
-    elif isinstance(tree, int):
-        if abs(tree) > LARGEST_INTEGER:
-            raise DocumentError(LONG_INTEGER)
-    elif not isinstance(tree, str | float | None):
-        raise DocumentError(f"a {type(tree).__name__} is neither a word nor a number; put it into quotes")
+def _check(tree: Any, most: float) -> None:
+    """Refuse nesting beyond `DEEPEST`, too many values or too large integers, and values of other types than JSON's."""
+    waiting, count = [(tree, 0)], 0
+    while waiting:
+        (value, depth), count = waiting.pop(), count + 1
+        if depth > DEEPEST:
+            raise DocumentError(DEEP)
+        if count > most:
+            raise DocumentError(f"more than {most} values, aliases written out; write it shorter")
+        if isinstance(value, Mapping | list):
+            waiting += [(v, depth + 1) for v in (value.values() if isinstance(value, Mapping) else value)]
+        elif isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+            raise DocumentError("an integer of more than 19 digits; check the number")
+        elif not isinstance(value, str | int | float | None):
+            raise DocumentError(f"a {type(value).__name__} is neither a word nor a number; put it into quotes")
