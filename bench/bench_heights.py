@@ -3,7 +3,6 @@
     python bench/bench_heights.py                                        # all of it, about an hour of CPU
     python bench/bench_heights.py --rows sgbm,coverage --rungs meadow/40m/test-1
     python bench/bench_heights.py --rows unflagged --seeds 1001
-    python bench/bench_heights.py --page                                 # into docs/lab/heights-table.md as well
 
 Quantities that were measured with the same source before are not measured again (out/bench-heights). Recordings are in
 ../shared/data or $ALIGHT_DATA.
@@ -24,7 +23,7 @@ import heights_ladder as ladder
 import heights_recordings as recordings
 import heights_step
 import heights_unflagged as unflagged
-from heights_table import PAGE, Row, head, markdown, write_below_mark
+from heights_table import Row, head
 from matchers import SGBM, SGBM_CHECKS
 
 Rows = Callable[[argparse.Namespace, ladder.Ladder], list[Row]]
@@ -55,7 +54,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", default=",".join(GROUPS), help=f"some of {', '.join(GROUPS)}")
     parser.add_argument("--rungs", default="", help="of the ladder, by name, with commas between")
-    parser.add_argument("--page", action="store_true", help=f"write the table into {PAGE.name} as well")
     parser.add_argument("--seeds", default="1001", help="of the scenes of `unflagged`")
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
@@ -68,8 +66,6 @@ def main() -> None:
     print("\n\nThe whole table")
     for name, rows in table.items():
         print("\n".join([head(name), *(r.line() for r in rows)]))
-    if options.page:
-        write_below_mark(PAGE, markdown(table))
 
 
 if __name__ == "__main__":

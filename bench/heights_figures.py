@@ -1,4 +1,4 @@
-"""The figures of docs/lab/heights-table.md: error against frames, height and pose error, drawn from measured numbers.
+"""The figures of docs/lab/heights.md: error against frames, height and pose error, drawn from measured numbers.
 
 python bench/heights_figures.py                   # all into docs/figures; numbers are kept between runs
 python bench/heights_figures.py frames height     # some

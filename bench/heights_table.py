@@ -22,8 +22,6 @@ SOURCES = (
     "bench/bench_heights_memory.py", "training/outlier_probability.py",
 )  # fmt: skip
 WIDTH = 78
-MARK = "<!-- below: made by `python bench/bench_heights.py --page` -->"
-PAGE = ROOT / "docs" / "lab" / "heights-table.md"
 
 
 @dataclass(frozen=True)
@@ -70,23 +68,6 @@ def said(limit: float | tuple[float, float] | None) -> str:
 def head(title: str) -> str:
     """The heading line above rows."""
     return f"\n{title:{WIDTH}s}{'must':>10s}{'aim':>10s}{'got':>10s}"
-
-
-def markdown(groups: dict[str, list[Row]]) -> str:
-    """The rows as one table; a miss is bold."""
-    out = ["| quantity | must | aim | got | |", "| --- | --- | --- | --- | --- |"]
-    for group, rows in groups.items():
-        out.append(f"| **{group}** | | | | |")
-        for r in rows:
-            verdict = f"**{r.verdict}**" if r.verdict == "MISS" else r.verdict
-            out.append(f"| {r.name} | {said(r.must)} | {said(r.aim)} | {r.value:.3f} | {verdict} |")
-    return "\n".join(out) + "\n"
-
-
-def write_below_mark(page: Path, text: str) -> None:
-    """Replace the text below `MARK` on a page."""
-    top = page.read_text(encoding="utf-8").split(MARK)[0]
-    page.write_text(f"{top}{MARK}\n\n{text}", encoding="utf-8")
 
 
 @cache
