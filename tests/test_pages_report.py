@@ -70,7 +70,7 @@ def errors() -> list[list[str]]:
 def test_an_error_of_the_page_is_one_of_the_code(pieces: list[str]) -> None:
     files = [
         p
-        for part in ("sources", "outputs", "pipeline/mapping", "photos/reading")
+        for part in ("sources", "outputs", "pipeline/mapping", "photos/reading", "runner")
         for p in (ROOT / "src" / "alight" / part).glob("*.py")
     ]
     said = re.compile(r"[^\n]*(?:\n[^\n]*)?".join(map(re.escape, pieces)))  # a message takes two lines at most
