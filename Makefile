@@ -29,7 +29,7 @@ format: $(MADE)  ## put the source into its form
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 	$(BIN)/python bench/bench_steps.py
 
-bench-heights: $(MADE)  ## heights: everything asked of them beside what they must show; an hour of CPU, kept between runs
+bench-heights: $(MADE)  ## heights with true poses beside what they must show, and StereoSGBM; an hour of CPU, kept between runs
 	$(BIN)/python bench/bench_heights.py
 
 fuzz: $(MADE)  ## damaged flights, photos, recordings, rasters, runs, scenes, models, settings and MAVLink for ten minutes; failures are kept in out/fuzz
@@ -46,20 +46,21 @@ bench-coverage: $(MADE)  ## do heights from estimated poses lie within what the 
 
 bench-ground: $(MADE)  ## P(safe) on other renderers and on test flights, the contest's terrains, the terrain library, speed
 	PYTHONPATH=bench $(BIN)/python bench/ground_domains.py
-	$(BIN)/python bench/bench_ground.py && $(BIN)/python bench/ground_flights.py && $(BIN)/python bench/bench_terrain.py library && $(BIN)/python bench/bench_terrain.py measure
+	PYTHONPATH=bench $(BIN)/python bench/ground_domains.py --set fresh
+	$(BIN)/python bench/bench_ground.py && $(BIN)/python bench/bench_terrain.py library && $(BIN)/python bench/bench_terrain.py measure
 
 train: $(MADE)  ## fit the land cover and P(safe) anew: src/alight/learned; hours of CPU, maps kept between runs
 	$(BIN)/python -m pip install --quiet --editable '.[train]'
 	PYTHONPATH=bench $(BIN)/python training/land_cover.py && PYTHONPATH=bench $(BIN)/python training/detection.py && PYTHONPATH=bench $(BIN)/python training/p_safe.py && PYTHONPATH=bench $(BIN)/python training/near.py
 
-bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
+bench-motion: $(MADE)  ## ego-motion: consistency, drift without GPS, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py
 
 bench-photos: $(MADE)  ## a card of photos: CPU a megapixel, memory, coverage, accuracy; half an hour, or --full by hand
 	$(BIN)/python bench/bench_photos.py
 
-bench-simulator: $(MADE)  ## the simulator: speed, geometry, and how real it is beside ../shared/data
-	$(BIN)/python bench/bench_simulator.py && $(BIN)/python bench/realism.py
+bench-simulator: $(MADE)  ## the simulator: speed, time to make a world, a steered landing
+	$(BIN)/python bench/bench_simulator.py
 
 pictures: $(MADE)  ## the built-in scenes from 20 and 100 m: docs/scenes, and what `alight simulate --list` shows
 	$(BIN)/python bench/scene_pictures.py

@@ -14,7 +14,7 @@ import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from motion_common import DATA, Row
+from tables import DATA, Row, show
 
 from alight.evaluation import evaluate
 from alight.outputs import write_run
@@ -24,7 +24,7 @@ from alight.settings import load_settings
 
 FLIGHTS = {"sample": "sample", **{n: f"rendered/{n}" for n in ("gravelpit", "scree", "shore")}}
 METHODS = ("batch", "ring")
-LEAST, MOST = 92.0, 98.0  # % of the ground cells
+WITHIN = 92.0, 98.0  # % of the ground cells
 COLUMNS = {
     "within 1.96 sigma, %": "relative",
     "within 1.96 sigma and common tilt, %": "with tilt",
@@ -48,11 +48,8 @@ def rows_of(flight: Path, out: Path, name: str) -> list[Row]:
         for column, short in COLUMNS.items():
             value = values.get(f"ground {column}{suffix}")
             judged = short == "with tilt" and by == "heights"
-            limits = (LEAST,) if judged else ()
             if isinstance(value, float):
-                rows.append(Row(f"{name}, constant of the {by}: {short}", value, *limits, least=True))
-                if judged:
-                    rows.append(Row("... at most", value, MOST))
+                rows.append(Row(f"{name}, constant of the {by}: {short}", value, WITHIN if judged else None))
     return rows
 
 
@@ -72,8 +69,7 @@ def main() -> None:
             for method in options.methods.split(","):
                 out = (options.kept or Path(made)) / f"{flight}-{method}"
                 run(folder, method, out)
-                for row in rows_of(folder, out, f"{flight}, {method}"):
-                    print(row.line(), flush=True)
+                show(*rows_of(folder, out, f"{flight}, {method}"))
 
 
 if __name__ == "__main__":

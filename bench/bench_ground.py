@@ -1,4 +1,4 @@
-"""Hazard judgement: hazard terrains with truth, and speed. Flights: bench/ground_flights.py.
+"""Hazard judgement: hazard terrains with truth, and speed. Flights: bench/ground_domains.py.
 
 Run: python bench/bench_ground.py               (hazards and speed)
      python bench/bench_ground.py hazards [--data ../shared/data/hazard-contest]
@@ -93,32 +93,6 @@ def hazards(data: Path) -> None:
         print(f"{folder.name}: sharpened in {seconds:.1f} s, {100 * truth.mean():.1f} % safe in truth")
         for least in (0.5, 0.9, 0.99):
             print(f"  P >= {least:<5} {scores(p, least, truth)}")
-        plain = cv2.resize(coarse.height, image.shape[::-1], interpolation=cv2.INTER_CUBIC)
-        smooth, inner = judge(as_map(plain, CELL / 2, np.full(plain.shape, 0.003, np.float32)))
-        print(f"  without the image {scores(np.nan_to_num(smooth.p_safe[inner, inner]), 0.99, truth)}")
-
-
-SQUARE = ((0.6, 0.6), (0.6, -0.6), (-0.6, 0.6), (-0.6, -0.6))
-LANDERS = {
-    "disc": Lander(),
-    "square feet, 8 headings": Lander(feet=SQUARE, foot_radius=0.1, belly_clearance=0.3),
-    "square feet, 36 headings": Lander(feet=SQUARE, foot_radius=0.1, belly_clearance=0.3, headings=36),
-    "skids, 8 headings": Lander(skids=(1.2, 1.0), belly_clearance=0.3),
-    "skids, 36 headings": Lander(skids=(1.2, 1.0), belly_clearance=0.3, headings=36),
-}
-
-
-def speed(cells: int = 1000) -> None:
-    """Time of the whole verdict with its probabilities, rolling ground with 400 rocks, 0.1 m cells; best of three."""
-    e = rolling(cells)
-    for name, lander in LANDERS.items():
-        assess(e, None, lander, HazardsSettings())  # compile
-        took = []
-        for _ in range(3):
-            wall, cpu = time.perf_counter(), time.process_time()
-            assess(e, None, lander, HazardsSettings())
-            took.append((time.perf_counter() - wall, time.process_time() - cpu))
-        print(f"{name:26s} wall {min(t[0] for t in took):.2f} s  cpu {min(t[1] for t in took):.2f} s")
 
 
 def rolling(cells: int) -> ElevationMap:
@@ -130,7 +104,7 @@ def rolling(cells: int) -> ElevationMap:
     return as_map(z.astype(np.float32), 0.1, np.full(z.shape, 0.02, np.float32))
 
 
-def verdict_speed(cells: int = 600) -> None:
+def speed(cells: int = 600) -> None:
     """CPU of the whole verdict of 60 x 60 m: land cover, hazards, sites; and over StereoSGBM(64) of 640 x 480."""
     e, s, model = rolling(cells), Settings().stages(), read_model()
     rng = np.random.default_rng(1)
@@ -173,7 +147,6 @@ def main() -> None:
         hazards(arguments.data)
     if arguments.part in ("all", "speed"):
         speed()
-        verdict_speed()
 
 
 if __name__ == "__main__":

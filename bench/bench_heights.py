@@ -1,71 +1,170 @@
-"""Heights against all their requirements: one table, a row a quantity, with must and aim beside the measured value.
+"""Heights with true poses against their requirements: one table, a row a quantity, with must and aim beside it.
 
     python bench/bench_heights.py                                        # all of it, about an hour of CPU
     python bench/bench_heights.py --rows sgbm,coverage --rungs meadow/40m/test-1
     python bench/bench_heights.py --rows unflagged --seeds 1001
 
-Quantities that were measured with the same source before are not measured again (out/bench-heights). Recordings are in
-../shared/data or $ALIGHT_DATA.
+`step`: CPU of a keyframe. `accuracy`, `sgbm`, `coverage`: rungs of the ladder. `unflagged`: wrong heights
+where none can be measured. Quantities that were measured with the same source before are not measured again
+(out/bench-heights). Heights from estimated poses: bench_coverage.py; of photos: bench_photos.py.
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import argparse
-import importlib
+import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 
-import heights_ladder as ladder
-import heights_recordings as recordings
-import heights_step
 import heights_unflagged as unflagged
-from heights_table import Row, head
-from matchers import SGBM, SGBM_CHECKS
+import numpy as np
+from bench_steps import keyframe_rows
+from heights_points import METHODS, Answer, Points, Shots, claimless, compare, mapped, on_map, points_of
+from ladder import exposures, rung
+from stereo import heights_at
+from tables import Row, at_least, kept, show
 
-Rows = Callable[[argparse.Namespace, ladder.Ladder], list[Row]]
+from alight_sim import SimulatedFlight
+
+COUNTS = (10, 20)  # exposures
+MIDDLE = 40  # metres: height at which everything is measured
+HEIGHTS = (20, 40, 60, 100, 150)
+SCENES = ("meadow", "farmland", "village", "quarry", "forest", "lakes", "desert", "yard")
+FEW = ("meadow", "farmland", "village", "quarry")  # at the other heights
+MUST = {10: (0.15, 0.12), 20: (0.12, 0.08)}  # % of height: must and aim
+PAIRS = 5
+Found = dict[str, dict[str, float]]  # a row of numbers a matcher
 
 
-def others(module: str) -> list[Row]:
-    """The rows of another bench module."""
-    return list(importlib.import_module(module).rows())
+def sgbm_motion(shots: Shots, points: Points) -> Answer:
+    """StereoSGBM on pairs half the window apart, median of the pairs."""
+    views, half = [s[0] for s in shots], len(shots) // 2
+    starts = range(0, len(views) - half, max(1, half // PAIRS))
+    return claimless(np.nanmedian([heights_at(views[i], views[i + half], points.xyz) for i in starts], axis=0))
 
 
-GROUPS: dict[str, Rows] = {
-    "step": lambda options, rungs: heights_step.rows(),
-    "sample": lambda options, rungs: recordings.sample_rows(),
-    "photos": lambda options, rungs: recordings.photo_rows(),
+def sgbm_widest(shots: Shots, points: Points) -> Answer:
+    """StereoSGBM on the first and the last picture."""
+    return claimless(heights_at(shots[0][0], shots[-1][0], points.xyz))
+
+
+MOTION = {"SGBM, median": sgbm_motion, "SGBM, widest": sgbm_widest}
+
+
+@lru_cache(1)
+def _flown(name: str) -> tuple[SimulatedFlight, Shots]:
+    flight = rung(name).fly()
+    return flight, list(exposures(flight))
+
+
+def measure(name: str, count: int) -> Found:
+    """Measure every matcher on the `count` exposures about the middle of a rung."""
+
+    def work() -> Found:
+        flight, shots = _flown(name)
+        start = (len(shots) - count) // 2
+        some = shots[start : start + count]
+        points, left = points_of(flight, some), [s[:1] for s in some]
+        ours = {m: on_map(mapped(left, m, 8), points) for m in METHODS}
+        return compare(ours | {name: match(some, points) for name, match in MOTION.items()}, points)
+
+    return kept(f"{name} N {count}", work)  # type: ignore[no-any-return]
+
+
+@dataclass
+class Ladder:
+    """The rungs of a table; a rung is measured when a row first needs it, and its numbers are printed."""
+
+    names: Sequence[str] = ()  # rungs asked for by name, instead of all
+    _found: dict[tuple[str, int], Found] = field(default_factory=dict)
+
+    @property
+    def heights(self) -> list[int]:
+        """Heights of the rungs."""
+        return sorted({rung(n).height for n in self.names}) if self.names else list(HEIGHTS)
+
+    def of(self, name: str, count: int) -> Found:
+        """The numbers of one rung."""
+        if (name, count) not in self._found:
+            for n in COUNTS:  # together: a flight takes as long as its matching
+                self._found[name, n] = measure(name, n)
+                print("\n".join(shown(f"{name}, N = {n}", self._found[name, n])), flush=True)
+        return self._found[name, count]
+
+    def median(self, matcher: str, column: str, heights: Collection[int], count: int) -> float:
+        """Median of one number over the rungs of some heights."""
+        every = self.names or [f"{s}/{h}m/test-1" for h in heights for s in (SCENES if h == MIDDLE else FEW)]
+        values = [self.of(n, count)[matcher].get(column, np.nan) for n in every if rung(n).height in heights]
+        return float(np.nanmedian(values)) if values else math.nan
+
+
+def shown(title: str, found: Found) -> list[str]:
+    """The numbers of a rung as lines of text."""
+    columns = list(found["batch"])
+    out = [f"{title:28s}" + "".join(f"{c:>13s}" for c in columns)]
+    for name, values in found.items():
+        out.append(f"  {name:26s}" + "".join(f"{values.get(c, math.nan):13.3f}" for c in columns))
+    return out
+
+
+def accuracy(rungs: Ladder) -> list[Row]:
+    """Rows of the error on open ground, % of height."""
+    return [
+        Row(f"open-ground NMAD, % of height: {h} m, N = {n}, {m}", rungs.median(m, "open NMAD %", [h], n), *MUST[n])
+        for h in sorted(rungs.heights, key=lambda h: (h != MIDDLE, h)) for n in COUNTS for m in METHODS
+    ]  # fmt: skip
+
+
+def sgbm(rungs: Ladder) -> list[Row]:
+    """Ratio of StereoSGBM's error to ours on the same motion baseline; the better of its two ways counts."""
+    out = []
+    for n in COUNTS:
+        theirs = {m: rungs.median(m, "open NMAD %", [MIDDLE], n) for m in MOTION}
+        best = min(theirs, key=lambda m: theirs[m])
+        for m in METHODS:
+            ratio = theirs[best] / rungs.median(m, "open NMAD %", [MIDDLE], n)
+            name = f"times better than {best}, open ground, {MIDDLE} m, N = {n}, {m}"
+            out.append(Row(name, ratio, at_least(2.0), at_least(3.0)))
+    return out
+
+
+COVERAGE = {
+    "open 95 %": ((93.0, 99.0), (94.0, 97.0)), "edge 95 %": ((90.0, 100.0), (93.0, 97.0)),
+    "open 68 %": ((60.0, 80.0), (65.0, 72.0)),
+}  # fmt: skip
+
+
+def coverage(rungs: Ladder) -> list[Row]:
+    """Share of the heights given out within the claimed interval."""
+    return [
+        Row(f"{k.split()[0]}: within the {k.split(' ', 1)[1]} interval, {m}, N = {n}",
+            rungs.median(m, k, rungs.heights, n), *limits)
+        for k, limits in COVERAGE.items() for n in COUNTS for m in METHODS
+    ]  # fmt: skip
+
+
+GROUPS: dict[str, Callable[[argparse.Namespace, Ladder], list[Row]]] = {
+    "step": lambda options, rungs: keyframe_rows(),
+    "accuracy": lambda options, rungs: accuracy(rungs),
+    "sgbm": lambda options, rungs: sgbm(rungs),
+    "coverage": lambda options, rungs: coverage(rungs),
     "unflagged": lambda options, rungs: unflagged.rows(options.seeds),
-    "accuracy": lambda options, rungs: ladder.accuracy(rungs),
-    "exponent": lambda options, rungs: ladder.exponent(rungs),
-    "sgbm": lambda options, rungs: ladder.sgbm(rungs),
-    "edges": lambda options, rungs: ladder.edges(rungs),
-    "coverage": lambda options, rungs: ladder.coverage(rungs),
-    "poses": lambda options, rungs: others("bench_heights_poses"),
-    "memory": lambda options, rungs: others("bench_heights_memory"),
 }
 
 
 def main() -> None:
-    """Print the table, group by group, and all of it again at the end."""
+    """Print the table, group by group."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", default=",".join(GROUPS), help=f"some of {', '.join(GROUPS)}")
     parser.add_argument("--rungs", default="", help="of the ladder, by name, with commas between")
     parser.add_argument("--seeds", default="1001", help="of the scenes of `unflagged`")
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
-    print(f"StereoSGBM: {SGBM}; what it is sure of: {SGBM_CHECKS}")
-    rungs = ladder.Ladder([n for n in options.rungs.split(",") if n])
-    table: dict[str, list[Row]] = {}
+    rungs = Ladder([n for n in options.rungs.split(",") if n])
     for name in options.rows.split(","):
-        table[name] = GROUPS[name](options, rungs)
-        print("\n".join([head(name), *(r.line() for r in table[name])]), flush=True)
-    print("\n\nThe whole table")
-    for name, rows in table.items():
-        print("\n".join([head(name), *(r.line() for r in rows)]))
+        show(*GROUPS[name](options, rungs), title=name)
 
 
 if __name__ == "__main__":

@@ -1,33 +1,30 @@
 """A live run against its requirements: recorded and simulated flights at their own speed, in real time.
 
     python bench/bench_live.py                          all of it; a quarter of an hour
-    python bench/bench_live.py rate busy start sample   some parts: rate faster busy cpu memory start sample
+    python bench/bench_live.py rate busy start sample   some parts: rate busy memory start sample
     python bench/bench_live.py memory --minutes 30
 
 The simulated flight, 640 x 480 stereo at 30 exposures a second, is made once and kept in out/bench-live. At its end the
-ground below repeats, and the motion goes on. `cpu` and `sample` need ../shared/data (or $ALIGHT_DATA).
+ground below repeats, and the motion goes on. `sample` needs ../shared/data (or $ALIGHT_DATA).
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
-from motion_common import DATA, Row, say
+from tables import DATA, Row, at_least, show
 
 import alight
 import alight_sim
@@ -96,11 +93,11 @@ class Flown:
 
     Args:
         seconds: of flight.
-        speed: 2 is twice as fast.
+        memory: seconds between two measurements of it; 0: none, and a recording is written instead.
     """
 
-    def __init__(self, seconds: float, speed: float = 1.0, more: Sequence[str] = (), memory: float = 0.0) -> None:
-        source, settings = open_source(recording()), for_flight(load_settings("", [*SETTINGS, *more]))
+    def __init__(self, seconds: float, memory: float = 0.0) -> None:
+        source, settings = open_source(recording()), for_flight(load_settings("", [*SETTINGS]))
         self.memory = list[float]()
         with tempfile.TemporaryDirectory() as folder:
             head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)
@@ -113,10 +110,10 @@ class Flown:
                 p.worker.wait_until_ready()
             begin = asked = time.perf_counter()
             first, counts = None, dict[str, int]()
-            for event in paced(around(source, seconds), speed):
+            for event in paced(around(source, seconds), 1.0):
                 live.feed(event)
                 now = time.perf_counter()
-                if first is None and now - begin > WARM / speed:
+                if first is None and now - begin > WARM:
                     first = now
                     for times in live.watch.times.values():
                         times.clear()
@@ -137,20 +134,6 @@ class Flown:
             self.compiled = live.counts["loops compiled in flight"]
             if recorder is not None:
                 recorder.close()
-
-    def rows(self, what: str, must: float, aim: float | None) -> list[Row]:
-        """Rows of every flight."""
-        t = self.times
-        return [
-            Row(f"{what}: exposures a second that navigation used", self.used / self.lasted, must, aim, "1/s", True),
-            Row(f"{what}: exposures left out", self.left_out, 0),
-            Row(f"{what}: frame to pose, p95", 1e3 * q95(t, "frame to pose"), 50, None, "ms"),
-            Row(f"{what}: map steps a second", len(t.get("map step", ())) / self.lasted, 5, 15, "1/s", True),
-            Row(f"{what}: map step, p95", q95(t, "map step"), 0.25, None, "s"),
-            Row(f"{what}: keyframe to verdict, p95", q95(t, "frame to verdict"), 1.0, 0.4, "s"),
-            Row(f"{what}: lanes lost", self.restarts, 0),
-            Row(f"{what}: loops compiled in flight", self.compiled, 0),
-        ]
 
 
 def q95(times: dict[str, F64], name: str) -> float:
@@ -177,12 +160,18 @@ def resident(pid: int) -> float:
 
 def part_rate(_: argparse.Namespace) -> None:
     """30 exposures a second."""
-    say(*Flown(40.0).rows("30 a second", 29.0, 50.0))
-
-
-def part_faster(_: argparse.Namespace) -> None:
-    """50 exposures a second."""
-    say(*Flown(40.0, 50.0 / RATE).rows("50 a second", 29.0, 49.0))
+    f = Flown(40.0)
+    t = f.times
+    show(
+        Row("exposures a second that navigation used", f.used / f.lasted, at_least(29.0), at_least(50.0)),
+        Row("... left out", f.left_out, 0),
+        Row("frame to pose, p95, ms", 1e3 * q95(t, "frame to pose"), 50),
+        Row("map steps a second", len(t.get("map step", ())) / f.lasted, at_least(5), at_least(15)),
+        Row("map step, p95, s", q95(t, "map step"), 0.25),
+        Row("keyframe to verdict, p95, s", q95(t, "frame to verdict"), 1.0, 0.4),
+        Row("lanes lost", f.restarts, 0),
+        Row("loops compiled in flight", f.compiled, 0),
+    )
 
 
 def part_busy(_: argparse.Namespace) -> None:
@@ -193,23 +182,15 @@ def part_busy(_: argparse.Namespace) -> None:
     finally:
         busy.kill()
     rate, lost = flown.used / flown.lasted, flown.restarts
-    say(Row("a processor busy: exposures a second that navigation used", rate, 20, None, "1/s", True),
+    show(Row("a processor busy: exposures a second that navigation used", rate, at_least(20)),
         Row("a processor busy: lanes lost", lost, 0))  # fmt: skip
-
-
-def part_cpu(_: argparse.Namespace) -> None:
-    """CPU of tracking and filter, and of a map step, over yardsticks of OpenCV."""
-    here = Path(__file__).parent
-    for command in (["bench_motion.py", "speed"], ["-c", "from heights_step import rows; [print(r) for r in rows()]"]):
-        words = [str(here / command[0]), *command[1:]] if command[0].endswith(".py") else command
-        subprocess.run([sys.executable, *words], cwd=here, check=False)
 
 
 def part_memory(args: argparse.Namespace) -> None:
     """Resident memory, flat after the first tenth."""
     m = Flown(60.0 * args.minutes, memory=10.0).memory
     early, late = statistics.median(m[len(m) // 10 : len(m) // 5 + 1]), statistics.median(m[-max(len(m) // 10, 1) :])
-    say(Row(f"memory at the end of {args.minutes:g} minutes", late, 1500, 800, "MB"),
+    show(Row(f"memory at the end of {args.minutes:g} minutes, MB", late, 1500, 800),
         Row("... over that at the start", late / early, 1.05))  # fmt: skip
 
 
@@ -221,7 +202,7 @@ def part_start(_: argparse.Namespace) -> None:
         subprocess.run(command("live", recording(), "--out", out), check=True, stdout=subprocess.DEVNULL)
         with (out / "recording.mcap").open("rb") as file:
             _, _, motion = next(iter(make_reader(file).iter_messages(topics=[MOTION])))
-    say(Row("start to first pose", 1e-9 * (motion.log_time - begin), 5, 3, "s"))
+    show(Row("start to first pose, s", 1e-9 * (motion.log_time - begin), 5, 3))
 
 
 def part_sample(_: argparse.Namespace) -> None:
@@ -240,8 +221,8 @@ def part_sample(_: argparse.Namespace) -> None:
         found = {p: alight.evaluate(p, log) for p in (live, batch)}
         noise = {p: f.values["ground NMAD, % of height, registered"] for p, f in found.items()}
         counts = json.loads((live / "run.json").read_text())["counts"]
-    say(Row("sample live: files that differ in its replay", differ, 0),
-        Row("sample live: exposures that navigation used, of 120", counts["frames used"], 120, None, "", True),
+    show(Row("sample live: files that differ in its replay", differ, 0),
+        Row("sample live: exposures that navigation used, of 120", counts["frames used"], at_least(120)),
         Row("sample live over batch: ground NMAD, registered", noise[live] / noise[batch], 1.15))  # fmt: skip
 
 
@@ -252,7 +233,7 @@ def command(*words: object) -> list[str]:
 
 
 PARTS = {
-    "rate": part_rate, "faster": part_faster, "busy": part_busy, "cpu": part_cpu, "memory": part_memory,
+    "rate": part_rate, "busy": part_busy, "memory": part_memory,
     "start": part_start, "sample": part_sample,
 }  # fmt: skip
 

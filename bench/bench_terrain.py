@@ -9,16 +9,14 @@ Maps are the product's own (bench/ground_maps.py) and kept under --scratch, beca
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from ground_flights import FRESH
-from ground_maps import judgeable
+from ground_maps import FRESH, judgeable
 
-from alight.arrays import U8
+from alight.arrays import F64
 from alight.pipeline.judging import land_cover
-from alight.records import LANDABLE, ElevationMap, Terrain
+from alight.records import LANDABLE, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.appearance import read_model
 from alight.sources.library import is_labelled, read_labelled, read_library
@@ -31,37 +29,23 @@ ALL = (*NEVER, Terrain.STRUCTURE, Terrain.ROCK, *LANDABLE)
 LEAST = 200  # cells of a class in a flight that count
 
 
-def maps(names: Sequence[str], scratch: Path) -> Iterator[tuple[str, ElevationMap, U8]]:
-    """Name, map and true class of every flight."""
-    for name in names:
-        found = judgeable(name, "batch", scratch)
-        if found is not None:
-            yield name, found.elevation, found.label
-
-
 def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
     """Share of each true class that is refused, by class alone and together with heights that are not trusted."""
     known = None if str(model) == "none" else read_model(model)
     print(f"{'refused %, class / class or height':<36}" + "".join(f"{k.name.lower()[:11]:>13}" for k in ALL))
-    rows: list[list[tuple[float, float] | None]] = []
-    for name, e, label in maps(flights, scratch):
-        cover = land_cover(e, TerrainSettings(), known)
-        refused, doubtful, looked = ~(cover.landable >= 0.5), ~e.trusted, seen(e)
-        row: list[tuple[float, float] | None] = []
-        for kind in ALL:
-            here = looked & (label == kind)
-            enough = here.sum() >= LEAST
-            row.append((100 * refused[here].mean(), 100 * (refused | doubtful)[here].mean()) if enough else None)
-        rows.append(row)
-        _tell(name[-36:], row)
-    means = [
-        np.mean([r[k] for r in rows if r[k]], axis=0) if any(r[k] for r in rows) else None for k in range(len(ALL))
-    ]
-    _tell("mean of the flights", [None if m is None else (float(m[0]), float(m[1])) for m in means])
+    rows = []
+    for j in filter(None, (judgeable(name, "batch", scratch) for name in flights)):
+        e = j.elevation
+        refused, looked = ~(land_cover(e, TerrainSettings(), known).landable >= 0.5), seen(e)
+        cells = [looked & (j.label == kind) for kind in ALL]
+        by = (refused, refused | ~e.trusted)
+        rows.append([[100 * b[c].mean() if c.sum() >= LEAST else np.nan for b in by] for c in cells])
+        _show(j.name[-36:], np.array(rows[-1]))
+    _show("mean of the flights", np.nanmean(rows, axis=0))
 
 
-def _tell(name: str, row: list[tuple[float, float] | None]) -> None:
-    print(f"{name:<36}" + "".join(f"{'':>13}" if r is None else f"{r[0]:7.1f}/{r[1]:5.1f}" for r in row), flush=True)
+def _show(name: str, row: F64) -> None:
+    print(f"{name:<36}" + "".join(f"{a:7.1f}/{b:5.1f}" for a, b in row), flush=True)
 
 
 def library(data: Path) -> None:

@@ -1,4 +1,4 @@
-"""Points at which heights are judged on simulated ground, and the errors of a matcher's heights there."""
+"""Maps of the heights stage alone with true poses, and their errors at points of simulated ground."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from matchers import inside, stands_clear
-from numpy.typing import NDArray
 
-from alight.arrays import F64
-from alight.records import Terrain, View
+from alight.arrays import F32, F64, Mask
+from alight.geometry import Grid
+from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.records import ElevationMap, Terrain, View
+from alight.settings import Settings
 from alight.spread import nmad
 from alight_sim import SimulatedFlight
 
@@ -20,8 +22,24 @@ LEAST = 50  # least number of points of a percentage
 OPEN = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 STEP, BESIDE = 0.5, 0.5  # metres: of a height step, and beside it
 BAD = 0.5  # metres
-Mask = NDArray[np.bool_]
-Row = dict[str, float]
+BORDER = 8  # px
+METHODS = ("batch", "recursive")
+Numbers = dict[str, float]
+Shots = list[list[View]]  # exposures, the left view first
+
+
+def mapped(shots: Shots, method: str, found_by: int) -> ElevationMap | None:
+    """The map of the heights stage alone by `batch` or `recursive`; about `found_by` views serve to find the ground."""
+    views = [v for shot in shots for v in shot]
+    ground = (BatchMap if method == "batch" else RecursiveMap)(Settings().stages())
+    if not ground.find_ground(views[:: max(1, len(views) // found_by)]):
+        raise SystemExit(ground.reason)
+    if isinstance(ground, BatchMap):
+        ground.match_tiles(views, lambda share: None)
+    else:
+        for shot in shots:
+            ground.step(shot)
+    return ground.snapshot()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +61,24 @@ class Answer:
     given: Mask  # heights that it would give out
 
 
-def points_of(flight: SimulatedFlight, shots: list[list[View]]) -> Points:
+def inside(view: View, xyz: F64) -> Mask:
+    """Mask (N,) of the points (N, 3) that lie in a picture, `BORDER` pixels away from its end."""
+    uv = view.camera.project(view.world_from_cam.inverse.apply(xyz))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((uv > BORDER) & (uv < [view.camera.width - BORDER, view.camera.height - BORDER])).all(1))
+
+
+def stands_clear(surface: F32, grid: Grid, xyz: F64, view: View) -> Mask:
+    """Mask (N,) of the points (N, 3) that no part of a surface hides from a camera."""
+    clear, way = np.ones(len(xyz), bool), view.centre - xyz
+    for rise in np.arange(0.2, float(np.nanmax(surface)) - float(np.nanmin(surface)), 0.2):
+        p = xyz + way * (rise / way[:, 2:])
+        r, c = (np.rint(i).astype(int) for i in grid.index(p[:, 0], p[:, 1]))
+        clear &= ~(surface[r.clip(0, grid.rows - 1), c.clip(0, grid.cols - 1)] > p[:, 2] + 0.1)
+    return clear
+
+
+def points_of(flight: SimulatedFlight, shots: Shots) -> Points:
     """Draw the points, none of them on water."""
     truth = flight.truth
     size = 2 * round(BESIDE / truth.grid.cell) + 1
@@ -63,12 +98,28 @@ def points_of(flight: SimulatedFlight, shots: list[list[View]]) -> Points:
     return Points(xyz[k], np.isin(truth.label[r[k], c[k]], OPEN) & ~step, step, above)
 
 
+def on_map(found: ElevationMap | None, points: Points) -> Answer:
+    """Heights of a map at the points."""
+    if found is None:  # no baseline yet
+        return claimless(np.full(len(points.xyz), np.nan))
+    r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
+    ok = (r >= 0) & (r < found.grid.rows) & (c >= 0) & (c < found.grid.cols)
+    r, c = r.clip(0, found.grid.rows - 1), c.clip(0, found.grid.cols - 1)
+    height = np.where(ok, found.height[r, c], np.nan).astype(np.float64)
+    return Answer(height, found.sigma[r, c].astype(np.float64), ok & found.trusted[r, c])
+
+
+def claimless(height: F64) -> Answer:
+    """Answer of a matcher that neither refuses a height nor claims a sigma."""
+    return Answer(height, np.full(len(height), np.nan), np.isfinite(height))
+
+
 def percent(part: Mask) -> float:
     """Share of a mask in percent, NaN of too few."""
     return 100 * float(part.mean()) if part.size > LEAST else np.nan
 
 
-def errors(answer: Answer, points: Points, both: Mask) -> Row:
+def errors(answer: Answer, points: Points, both: Mask) -> Numbers:
     """One matcher's row; `both`: points where all matchers have a height.
 
     `open 68 %` and so on: of the points given out, those within 1 (and 1.96) of the claimed sigma.
@@ -80,7 +131,6 @@ def errors(answer: Answer, points: Points, both: Mask) -> Row:
         "edge bad %": percent(np.abs(edge) > BAD),
         "given %": 100 * float(answer.given.mean()),
         "bad given %": percent(np.abs(e[answer.given]) > BAD),
-        "edge bad given %": percent(np.abs(e[answer.given & points.edge]) > BAD),
     }
     for name, where in (("open", points.open & answer.given), ("edge", points.edge & answer.given)):
         if where.sum() > LEAST and np.isfinite(answer.sigma[where]).all():
@@ -89,7 +139,7 @@ def errors(answer: Answer, points: Points, both: Mask) -> Row:
     return out
 
 
-def compare(answers: Mapping[str, Answer], points: Points) -> dict[str, Row]:
+def compare(answers: Mapping[str, Answer], points: Points) -> dict[str, Numbers]:
     """The row of every matcher, errors on the points where all have a height."""
     both = np.all([np.isfinite(a.height) for a in answers.values()], axis=0)
     return {name: errors(a, points, both) for name, a in answers.items()}

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from alight.records import InputError
+from alight.records import Frame, InputError, View
 from alight_sim.flight import SimulatedFlight, fly
 from alight_sim.patterns import FlightPlan, Pattern
 from alight_sim.scene import Scene, built_in, read_scene
@@ -198,3 +198,15 @@ def _check(r: Rung) -> None:
         raise InputError(f"{r.name}: use two different heights from {LOWEST} to {HIGHEST} m")
     if r.kind not in KINDS or not 1 <= r.number <= MOST_SEEDS:
         raise InputError(f"{r.name}: use tuning-1 or test-1, up to {MOST_SEEDS}")
+
+
+def exposures(flight: SimulatedFlight) -> Iterator[list[View]]:
+    """The views of each exposure of a flight with their true poses."""
+    for event in flight.events():
+        if isinstance(event, Frame):
+            body = flight.pose(event.t_ns)
+            yield [
+                View(event.t_ns, i, image, cam.camera, body @ cam.body_from_cam)
+                for i, (cam, image) in enumerate(zip(flight.true_rig.cameras, event.images, strict=True))
+                if image is not None
+            ]

@@ -96,8 +96,6 @@ def report(command: str, folder: Path) -> bool:
     for room, count in rooms.most_common():
         print(f"  {room:24s}{count:6d}")
     print("  modules of the simulator:", ", ".join(simulator) or "none")
-    if os.environ.get("LOADED_LINES_ALL"):
-        print("\n".join(f"    {name:56s}{count:5d}" for name, count in sorted(lines.items())))
     return rooms.total() <= MOST[command] and not simulator
 
 

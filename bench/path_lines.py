@@ -1,4 +1,4 @@
-"""Count the lines that run from `alight run FLIGHT` to a site: raw lines, and code without blank lines and comments.
+"""Count the lines that run from `alight run FLIGHT` to a site.
 
 python bench/path_lines.py            # the modules that the replay imports, without bundle, training and outputs
 """
@@ -45,30 +45,18 @@ def imports(path: Path, known: dict[str, Path]) -> set[str]:
     return {m for m in packages if m in known}
 
 
-def code_lines(path: Path) -> int:
-    """Lines that are neither blank nor a comment nor part of a docstring."""
-    text = path.read_text(encoding="utf-8")
-    told = set()
-    for n in ast.walk(ast.parse(text)):
-        if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(n):
-            told |= set(range(n.body[0].lineno, (n.body[0].end_lineno or 0) + 1))
-    rows = enumerate(text.split("\n"), 1)
-    return sum(1 for i, row in rows if row.strip() and not row.strip().startswith("#") and i not in told)
-
-
 def main() -> None:
-    """Print the sums, and the code of each room."""
+    """Print the sum, and the lines of each room."""
     known, seen, ahead = modules(), set[str](), [START]
     while ahead:
         name = ahead.pop()
         if name not in seen and not name.startswith(LEFT_OUT):
             seen.add(name)
             ahead += imports(known[name], known)
-    raw = sum(known[m].read_text(encoding="utf-8").count("\n") for m in seen)
     rooms = Counter[str]()
     for m in seen:
-        rooms[".".join(m.split(".")[:2])] += code_lines(known[m])
-    print(f"{len(seen)} modules, {raw} lines, {rooms.total()} of code")
+        rooms[".".join(m.split(".")[:2])] += known[m].read_text(encoding="utf-8").count("\n")
+    print(f"{len(seen)} modules, {rooms.total()} lines")
     for room, lines in rooms.most_common():
         print(f"  {room:20s}{lines:6d}")
 

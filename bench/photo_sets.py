@@ -6,29 +6,26 @@ Photos are drawn with GPS tags of 2 m (1 sigma, drifting) and no other tags than
 from __future__ import annotations
 
 import math
-import os
 import shutil
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
+
 import numpy as np
-from mirafiori_reference import moved, tum_line
+from damage import write_photo
 from PIL import Image
+from tables import DATA, ROOT
 
 import alight_sim as simulate
 from alight.arrays import F64
-from alight.geometry import LocalFrame, Pose
-from alight.records import Frame
-from alight.runner.opening import open_source
-from alight.settings import Settings
 from alight_sim.flight import START_NS
 
-ROOT = Path(__file__).parents[1]
-DATA = Path(os.environ.get("ALIGHT_DATA", ROOT.parent / "shared" / "data"))
 OUT = ROOT / "out" / "bench-photos"
 REAL = ("mirafiori", "garfield", "caliterra")
-SENSOR = 13.2e-3, 8.8e-3  # metres, of a one-inch sensor
+SENSOR = 13.2e-3  # metres, width of a one-inch sensor
 AROUND = 25.0  # m of ground about the lines
 FIELD = math.radians(73.7)  # across the picture
 
@@ -103,74 +100,34 @@ def draw(what: Drawn, folder: Path) -> None:
         }
     )
     flown = simulate.fly(scene, 1)
-    (folder / "images").mkdir(parents=True)
     times = flown.frame_times
     places = np.array([flown.pose(int(t)).translation for t in times])
     rng, drift, last = np.random.default_rng(3), np.zeros(3), None
-    seconds, poses = list[int](), list[Pose]()
+    seconds, centres = list[int](), list[F64]()
     looks = flown.rig.cameras[0].body_from_cam
     for k, (t, place) in enumerate(zip(times, places, strict=True)):
         if last is not None and np.linalg.norm(place[:2] - last[:2]) < step:
             continue
         last = place
-        seconds.append(second_of(int(t)))
-        poses.append(flown.pose(int(t)) @ looks)
+        seconds.append((int(t) - START_NS) // 10**9 + 1_700_000_000)  # since 1970
+        centres.append((flown.pose(int(t)) @ looks).translation)
         drift = 0.9 * drift + rng.normal(0, (0.9, 0.9, 1.3))
-        image = Image.fromarray(flown.image(k, 0))
-        path = folder / "images" / f"photo_{len(seconds):04d}.jpg"
-        image.save(path, quality=95, exif=tags(flown.local, place + drift, int(t), what.size))
+        write_photo(
+            folder / "images" / f"photo_{len(seconds):04d}.jpg", second=None, xmp=b"", size=what.size,
+            place=tuple(float(v) for v in flown.local.to_geodetic(place + drift)), model="Simulator",
+            main={0x010F: "Alight"}, photo=phone_tags(seconds[-1], width), image=Image.fromarray(flown.image(k, 0)),
+        )  # fmt: skip
     truth = flown.truth
     np.savez(
         folder / "flown.npz",
         height=truth.height, grid=[truth.grid.east, truth.grid.north, truth.grid.cell], above=what.height,
-        origin=[flown.local.latitude, flown.local.longitude, flown.local.height],
-        seconds=seconds, centres=[p.translation for p in poses], turns=[p.rotation for p in poses],
+        seconds=seconds, centres=centres,
     )  # fmt: skip
 
 
-def second_of(t_ns: int) -> int:
-    """The whole second of an exposure since 1970, as its tags give it."""
-    return (t_ns - START_NS) // 10**9 + 1_700_000_000
-
-
-def tags(local: LocalFrame, place: F64, t_ns: int, size: tuple[int, int]) -> bytes:
-    """EXIF like that of a phone: camera, focal length, time and GPS."""
-    latitude, longitude, height = (float(v) for v in local.to_geodetic(place))
-    exif = Image.Exif()
-    focal = 0.5 * SENSOR[0] / math.tan(0.5 * FIELD)
-    exif[0x010F], exif[0x0110] = "Alight", "Simulator"
-    details = exif.get_ifd(0x8769)
-    details[0x9003] = time.strftime("%Y:%m:%d %H:%M:%S", time.gmtime(second_of(t_ns)))
-    details[0x920A], details[0xA405] = focal * 1000, round(36e-3 * focal / SENSOR[0] * 1000)
-    details[0xA20E], details[0xA20F], details[0xA210] = size[0] / SENSOR[0] / 100, size[0] / SENSOR[0] / 100, 3
-    gps = exif.get_ifd(0x8825)
-    gps[1], gps[2] = "N" if latitude >= 0 else "S", sexagesimal(abs(latitude))
-    gps[3], gps[4] = "E" if longitude >= 0 else "W", sexagesimal(abs(longitude))
-    gps[5], gps[6] = b"\x00", height
-    return bytes(exif.tobytes())
-
-
-def sexagesimal(degrees: float) -> tuple[float, float, float]:
-    """Degrees, minutes, seconds."""
-    minutes = (degrees - int(degrees)) * 60
-    return float(int(degrees)), float(int(minutes)), (minutes - int(minutes)) * 60
-
-
-def true_poses(photos: Path) -> Path:
-    """Write the true poses of drawn photos as TUM, in the frame of a run over them."""
-    z = np.load(photos.parent / "flown.npz")
-    at = {int(s): Pose(r, c) for s, r, c in zip(z["seconds"], z["turns"], z["centres"], strict=True)}
-    source = open_source(photos, Settings())
-    looks, local = source.rig.cameras[0].body_from_cam.inverse, LocalFrame(*z["origin"])
-    lines = [
-        tum_line(e.t_ns, moved(source.local, local, at[e.t_ns // 10**9]) @ looks)
-        for e in source.events() if isinstance(e, Frame) and e.t_ns // 10**9 in at
-    ]  # fmt: skip
-    path = photos.parent / "true.tum"
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def first(drawn: Drawn, lines: int) -> Drawn:
-    """Return a set with its first lines alone."""
-    return replace(drawn, lines=lines)
+def phone_tags(second: int, width: int) -> dict[int, object]:
+    """EXIF tags of a phone: the time in seconds since 1970, and the focal length of pictures so many pixels wide."""
+    focal = 0.5 * SENSOR / math.tan(0.5 * FIELD)
+    taken = time.strftime("%Y:%m:%d %H:%M:%S", time.gmtime(second))
+    lens = {0x920A: focal * 1000, 0xA405: round(36 * focal / SENSOR)}
+    return {0x9003: taken, 0xA20E: width / SENSOR / 100, 0xA20F: width / SENSOR / 100, 0xA210: 3, **lens}

@@ -19,8 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from card import version, write_table
-from ground_flights import TUNING
-from ground_maps import HOWS, judgeable
+from ground_maps import HOWS, TUNING, judgeable
 from ground_truth import GroundTruth
 
 from alight.arrays import F32, F64, I64, Mask

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 from card import version, write_table
 from draws import rounds_of
-from ground_flights import TUNING
-from ground_maps import Judgeable, judgeable
+from ground_maps import TUNING, Judgeable, judgeable
 from looks import TUNING as LOOKS
 from looks import kept_looks
 from scipy.ndimage import distance_transform_edt
@@ -213,10 +212,10 @@ def main() -> None:
     near = sum("/looks/" in names[int(p.flight[0])] for p in parts)
     fitted = (
         f"Maps of {len(parts) - near} simulated tuning flights of our own simulator (`TUNING` in "
-        "`bench/ground_flights.py`), batch maps with\nestimated poses, and looks from 4 to 10 m in "
-        f"{near} worlds (`TUNING` in `bench/looks.py`), recursive maps;\na cell carries a class that may not be landed "
-        f"on if any of that class lies in it. {AS_THEY_COME} cells as they come and\n{OF_A_CLASS} of each class are "
-        f"drawn a flight. {version()}"
+        "`bench/ground_maps.py`), batch maps with\nestimated poses, and looks from 4 to 10 m in "
+        f"{near} worlds (`TUNING` in `training/looks.py`), recursive maps;\na cell carries a class that may not be "
+        f"landed on if any of that class lies in it. {AS_THEY_COME} cells as they come and\n{OF_A_CLASS} of each class "
+        f"are drawn a flight. {version()}"
     )
     measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
     made = "`PYTHONPATH=bench python training/land_cover.py`"

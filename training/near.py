@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from card import version, write_table
-from ground_flights import cover_of
+from ground_maps import cover_of
 from ground_truth import GroundTruth
 from land_cover import family_of
 from looks import FAMILIES, TEST, Look, kept_looks

@@ -15,10 +15,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
-from ladder import rung
+from ladder import exposures, rung
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
-from true_views import exposures
 
 import alight_sim as simulate
 from alight.arrays import F32, F64

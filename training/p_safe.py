@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 from card import version, write_table
-from ground_flights import TUNING, cover_of
-from ground_maps import HOWS, How, Judgeable, judgeable
+from ground_maps import HOWS, TUNING, How, Judgeable, cover_of, judgeable
 from ground_truth import GroundTruth
 from land_cover import family_of, fit_net, joined, rows_of, with_limit
 from looks import TUNING as LOOKS

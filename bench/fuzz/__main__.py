@@ -2,9 +2,6 @@
 
     python bench/fuzz --minutes 10 --seed 3 [--keep FOLDER] [--kinds flight,dem]
 
-`--settings KIND` instead sets every setting of `alight settings --all` to each of a few extreme values, on a healthy
-input of that kind.
-
 A failure is kept as JSON: its kind, its damages and the output. `--again FILE` repeats it. Exit code 1 if a case
 failed.
 """
@@ -30,10 +27,7 @@ import trial
 from cost import PATIENCE, Cost, pixels_left
 from grammar import Damage, drawn
 
-from alight.settings.keys import all_keys
-
 HEALTHY_SECONDS = 600.0  # limit of processor time of a healthy input
-EXTREMES = ("1e9", "1e5", "100", "1e-9", "0", "-1")  # values that at least one bound of a setting should refuse
 TAGS = tuple(seeds.dji_tags())
 
 
@@ -102,14 +96,6 @@ class Fuzzer:
             self._note(kind, fault, {"kind": kind, "damages": [asdict(d) for d in few], "fault": fault, "said": said})
         return fault
 
-    def setting(self, kind: str, key: str, value: str) -> None:
-        """Run a healthy input with one setting at one value."""
-        damage = Damage("set", key, 0.0, value)
-        fault, said = self.judged(kind, [damage])
-        if fault is not None:
-            tree = {"kind": kind, "damages": [asdict(damage)], "fault": fault, "said": said}
-            self._note(kind, f"{key}={value}: {fault}", tree)
-
     def _note(self, kind: str, fault: str, tree: dict[str, object]) -> None:
         if fault in self.failures:
             return
@@ -138,10 +124,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=None, help="default: another one each time")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"))
     parser.add_argument("--kinds", default=",".join([*seeds.INPUTS, "protocol"]))
-    parser.add_argument("--settings", default="", help="a kind, on which every setting is tried at extreme values")
     parser.add_argument("--again", type=Path, default=None, help="a failure that was kept")
     given = parser.parse_args()
-    kinds = [given.settings] if given.settings else given.kinds.split(",")
+    kinds = given.kinds.split(",")
     seed = random.SystemRandom().randrange(10**6) if given.seed is None else given.seed
     tree = json.loads(given.again.read_text(encoding="utf-8")) if given.again else None
     with tempfile.TemporaryDirectory(prefix="alight-fuzz-") as folder:
@@ -152,12 +137,6 @@ def main() -> int:
                 fault = "\n".join(map(str, fuzzer.judged(tree["kind"], [Damage(**d) for d in tree["damages"]])))
             sys.stdout.write(f"{fault}\n")
             return int(fault is not None and not fault.startswith("None"))
-        if given.settings:
-            tried = [(key, value) for key in all_keys() for value in EXTREMES]
-            for key, value in tried:
-                fuzzer.setting(given.settings, key, value)
-            sys.stdout.write(f"{len(tried)} trials, {len(fuzzer.failures)} failures\n")
-            return int(bool(fuzzer.failures))
         end, trials = time.monotonic() + 60 * given.minutes, 0
         while time.monotonic() < end and trials < given.trials:
             fuzzer.once(kinds[trials % len(kinds)], 1_000_000 * seed + trials)

@@ -1,7 +1,7 @@
 """Looks from near by, with truth: a vehicle comes down over places and flies look legs, as before a landing.
 
-    PYTHONPATH=bench python bench/looks.py                     # P(safe) on worlds that had no part in a fit
-    PYTHONPATH=bench python bench/looks.py meadow/looks/test-3
+    PYTHONPATH=bench python training/looks.py                     # P(safe) on worlds that had no part in a fit
+    PYTHONPATH=bench python training/looks.py meadow/looks/test-3
 
 Half of the places are truly safe, half are drawn anywhere. The map is the recursive one, with the poses of the filter.
 A claim is false where no truly safe touchdown lies within 0.3 m.
@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from ground_flights import LEVELS, Judged, cover_of, pooled, reliability
-from ground_maps import Judgeable, read_map, write_map
+from ground_domains import Claims, pooled
+from ground_maps import Judgeable, cover_of, read_map, write_map
 from ground_truth import Bool, GroundTruth
 
 from alight import hazards
@@ -205,20 +205,11 @@ def cut(e: ElevationMap, place: F64) -> ElevationMap:
     return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], gauge=e.gauge)
 
 
-def judged(look: Look) -> Judged:
+def claims_of(look: Look) -> Claims:
     """Claims and truth of the cells about the place of a look."""
     s, j = Settings().stages(), look.judgeable
     danger = hazards.assess(j.elevation, cover_of(j), s.lander, s.hazards)
-    truth, here = GroundTruth(j.truth, s.lander), j.seen & look.about(danger.grid)
-    safe, near = (truth.on(danger.grid, m)[here] for m in (truth.safe, truth.near(truth.safe)))
-    return Judged(j.name, np.nan_to_num(danger.p_safe)[here], safe, near)
-
-
-def show(j: Judged) -> None:
-    """Print the cells claimed, falsely claimed and found."""
-    print(f"{j.name:36s} {len(j.p)} cells, {100 * j.safe.mean():.1f} % truly safe")
-    for level in LEVELS:
-        print("   " + j.line(level), flush=True)
+    return Claims.of(j.name, danger, GroundTruth(j.truth, s.lander), j.seen & look.about(danger.grid))
 
 
 def main() -> None:
@@ -226,16 +217,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("flights", nargs="*", default=TEST)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
-    options, done = parser.parse_args(), list[Judged]()
+    options, done = parser.parse_args(), list[Claims]()
     for name in options.flights:
-        found = [judged(look) for look in kept_looks(name, options.scratch)]
+        found = [claims_of(look) for look in kept_looks(name, options.scratch)]
         if found:
             done.append(pooled(found, name))
-            show(done[-1])
-    every = pooled(done)
-    show(every)
-    for claimed, true, cells in reliability(every):
-        print(f"   claimed {claimed:.3f}  true {true:.3f}  {cells:8d} cells")
+            print("\n".join(done[-1].lines()), flush=True)
+    print("\n".join(pooled(done).lines()))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,10 @@
-"""Rows of a table of quantities with their `must` and `aim` limits, and numbers that are kept between runs."""
+"""Rows of a table of quantities beside their `must` and `aim` limits, recordings, and numbers kept between runs."""
 
 from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other cost eight times the work here
 
 import hashlib
 import json
@@ -11,17 +15,20 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from alight.runner.opening import open_source
+from alight.settings import Settings
+from alight.sources import Source
+
 ROOT = Path(__file__).parents[1]
+DATA = Path(os.environ.get("ALIGHT_DATA", ROOT.parent / "shared" / "data"))
 KEPT = ROOT / "out" / "bench-heights"
-# sources on which a measured number depends: after a change it is measured again
+# sources on which a kept number depends: after a change it is measured again
 SOURCES = (
     "src/alight/geometry", "src/alight/raster", "src/alight/parallax", "src/alight/pipeline", "src/alight_sim",
-    "src/alight/elevation", "src/alight/settings", "bench/scenes", "bench/matchers.py", "bench/subjects.py",
-    "bench/heights_points.py", "bench/heights_matchers.py", "bench/heights_ladder.py",
-    "bench/heights_unflagged.py", "bench/heights_recordings.py", "bench/bench_heights_poses.py",
-    "bench/bench_heights_memory.py", "training/outlier_probability.py",
+    "src/alight/elevation", "src/alight/settings", "bench",
 )  # fmt: skip
 WIDTH = 78
+Limit = float | tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -30,8 +37,8 @@ class Row:
 
     name: str
     value: float
-    must: float | tuple[float, float] | None = None
-    aim: float | tuple[float, float] | None = None
+    must: Limit = None
+    aim: Limit = None
 
     @property
     def verdict(self) -> str:
@@ -46,18 +53,24 @@ class Row:
 
     def line(self) -> str:
         """One line of the table."""
-        return f"{self.name:{WIDTH}s}{said(self.must):>10s}{said(self.aim):>10s}{self.value:10.3f}  {self.verdict}"
+        limits = f"{limit_text(self.must):>10s}{limit_text(self.aim):>10s}"
+        return f"{self.name:{WIDTH}s}{limits}{self.value:10.3f}  {self.verdict}"
 
 
-def meets(value: float, limit: float | tuple[float, float] | None) -> bool:
+def at_least(low: float) -> tuple[float, float]:
+    """The limit of a quantity that is good when it is large."""
+    return low, math.inf
+
+
+def meets(value: float, limit: Limit) -> bool:
     """Return whether a value is within a limit."""
     if limit is None:
         return True
     return limit[0] <= value <= limit[1] if isinstance(limit, tuple) else value <= limit
 
 
-def said(limit: float | tuple[float, float] | None) -> str:
-    """A limit in words."""
+def limit_text(limit: Limit) -> str:
+    """A limit as it stands in a table."""
     if limit is None:
         return ""
     if isinstance(limit, tuple):
@@ -65,9 +78,20 @@ def said(limit: float | tuple[float, float] | None) -> str:
     return f"<= {limit:.4g}"
 
 
-def head(title: str) -> str:
-    """The heading line above rows."""
-    return f"\n{title:{WIDTH}s}{'must':>10s}{'aim':>10s}{'got':>10s}"
+def show(*rows: Row, title: str = "") -> None:
+    """Print rows, below a heading where there is a title."""
+    if title:
+        print(f"\n{title:{WIDTH}s}{'must':>10s}{'aim':>10s}{'got':>10s}")
+    for row in rows:
+        print(row.line(), flush=True)
+
+
+def recording(folder: Path, settings: Settings) -> Source | None:
+    """Open a recording; print a line if it is absent."""
+    if not folder.is_dir():
+        print(f"{folder}: absent, left out; set ALIGHT_DATA to the folder of recordings")
+        return None
+    return open_source(folder, settings)
 
 
 @cache
@@ -75,8 +99,7 @@ def source_hash() -> str:
     """Digest of the source that a number depends on."""
     digest = hashlib.sha256()
     for name in SOURCES:
-        path = ROOT / name
-        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        for file in sorted((ROOT / name).rglob("*")):
             if file.suffix in (".py", ".yaml") and file.is_file():
                 digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
