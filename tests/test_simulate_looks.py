@@ -222,7 +222,7 @@ def busy_world():
 
 def with_cars(world, *traffic):
     flat = dataclasses.replace(world)
-    flat.__dict__["traffic"] = tuple(Mover(t, lambda e, n: 0.0, 3) for t in traffic)
+    flat.__dict__["movers"] = tuple(Mover(t, lambda e, n: 0.0, 3) for t in traffic)
     return flat
 
 
