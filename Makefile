@@ -3,10 +3,12 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; 
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 MADE := .venv/.made
+unexport PYTHONDONTWRITEBYTECODE  # else each process of the tests compiles all its imports anew
+
 PYTEST = $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
+.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures pages clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -65,8 +67,11 @@ bench-simulator: $(MADE)  ## the simulator: speed, time to make a world, a steer
 pictures: $(MADE)  ## the built-in scenes from 20 and 100 m: docs/scenes, and what `alight simulate --list` shows
 	$(BIN)/python bench/scene_pictures.py
 
+pages: $(MADE)  ## docs/settings.md and docs/scene-keys.md: every setting, every key of a scene file
+	$(BIN)/alight settings --markdown > docs/settings.md && $(BIN)/alight simulate --keys > docs/scene-keys.md
+
 clean:  ## everything that was made, .venv included
-	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache docs/settings.md docs/scene-keys.md
 
 $(MADE): pyproject.toml src/alight/__init__.py
 	@test -n '$(PYTHON)' || { echo 'Alight needs Python 3.11 or newer and found none; install it, or name it: make PYTHON=/path/to/python3.11' >&2; exit 1; }

@@ -1,5 +1,4 @@
-"""Pictures of the built-in scenes, for the documentation (docs/scenes) and for `alight simulate --list`; and the
-table of all keys of a scene file (docs/scene-keys.md).
+"""Pictures of the built-in scenes, for the documentation (docs/scenes) and for `alight simulate --list`.
 
 python bench/scene_pictures.py          # all; or the names of some
 """
@@ -14,7 +13,6 @@ import numpy as np
 
 import alight_sim as simulate
 from alight.arrays import U8
-from alight_sim.keys import reference
 from alight_sim.scene import FOLDER, built_in
 
 DOCS = Path(__file__).parents[1] / "docs" / "scenes"
@@ -43,9 +41,7 @@ def save(image: U8, path: Path, quality: int = 88) -> None:
 
 
 def main() -> None:
-    """Draw every scene at every height, and write down the keys."""
-    head = "# Keys of a scene file\n\nMade by `make pictures`, as `alight simulate --keys` prints them.\n\n"
-    (DOCS.parent / "scene-keys.md").write_text(head + reference(), encoding="utf-8")
+    """Draw every scene at every height."""
     for name in sys.argv[1:] or built_in():
         for height in HEIGHTS:
             image = picture(name, height)

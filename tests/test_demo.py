@@ -89,7 +89,7 @@ def test_the_page_for_newcomers_shows_the_landing(landed: Done) -> None:
 
 @long
 def test_the_comparison_shows_a_sound_run(recorded: Done) -> None:
-    """The bounds are loose: only a broken stage exceeds them. docs/lab/flights.md has the figures."""
+    """The bounds are loose: only a broken stage exceeds them. docs/lab/heights.md has the figures."""
     found = rows(recorded[1].stdout)
     assert found["best site truly safe, registered"] == "yes"
     good, of = map(int, found["sites truly safe, registered"].split(" of "))

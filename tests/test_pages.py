@@ -21,7 +21,8 @@ from alight.settings import Settings
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 METHOD = sorted((DOCS / "method").glob("*.md"))
-PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
+GENERATED = {DOCS / "settings.md", DOCS / "scene-keys.md"}  # by `make pages`, where that was run
+PAGES = sorted({*ROOT.glob("*.md"), *DOCS.rglob("*.md")} - GENERATED)
 PRESENT = [p for p in PAGES if p.parent != DOCS / "lab"]  # a dated page names the files of its day
 TREE = [p.relative_to(ROOT).as_posix() for part in ("src", "tests", "bench") for p in (ROOT / part).rglob("*.py")]
 MOST_WORDS, MOST_IN_SENTENCE = 1000, 30  # the latter of nine in ten sentences

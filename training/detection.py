@@ -1,4 +1,4 @@
-"""Measure `learned/detection.npz`: probability that heights or pixels show an obstacle (docs/lab/detection.md).
+"""Measure `learned/detection.npz`: probability that heights or pixels show an obstacle (docs/lab/p-safe.md).
 
     PYTHONPATH=bench python training/detection.py                   # measure on tuning flights, and write the table
     PYTHONPATH=bench python training/detection.py --look FLIGHT...  # on other flights with truth, print only

@@ -1,4 +1,4 @@
-"""Probability that pixels show a spot, from real photos and their reduced copies (docs/lab/detection.md); prints only.
+"""Probability that pixels show a spot, from real photos and their reduced copies (docs/lab/p-safe.md); prints only.
 
     PYTHONPATH=bench python training/detection_photos.py ../shared/data/mirafiori ../shared/data/caliterra
 

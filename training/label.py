@@ -7,7 +7,7 @@
 
 `page` writes one HTML page that holds the photos and is drawn on in a browser; it loads and saves the file of labels.
 `show` paints the labels over a run's orthophoto. `geojson` gives them in longitude and latitude (RFC 7946) by the poses
-of that run. docs/lab/labels.md explains why labels are kept in pixels of photos.
+of that run. docs/lab/land-cover.md explains why labels are kept in pixels of photos.
 """
 
 from __future__ import annotations

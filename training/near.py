@@ -31,7 +31,7 @@ from alight.learned import Rate, rate_bytes
 from alight.learned.terms import NEAR_TERMS
 from alight.settings import Settings
 
-LEFT_OUT = ("marsh", "rubble")  # puddles like lawn make every lawn doubtful; no term separates them (docs/lab/looks.md)
+LEFT_OUT = ("marsh", "rubble")  # puddles like lawn make every lawn doubtful; no term separates them: docs/lab/p-safe.md
 SHALLOW = ("depot", "furrows")  # water of 3 cm on even ground: it lowers P everywhere, and is detected no better
 WORLDS = tuple(f"{family}/looks/tuning-{k}" for k in range(1, 5) for family in FAMILIES if family not in LEFT_OUT)
 SOME = 250  # cells of a look

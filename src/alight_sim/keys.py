@@ -15,7 +15,7 @@ HEAD = "| key | default | what |\n| --- | --- | --- |"
 
 def reference() -> str:
     """All sections, then all things that layers are made of, as Markdown tables."""
-    parts = [_table("The scene", Scene, "", 2)]
+    parts = ["# Keys of a scene file", _table("The scene", Scene, "", 2)]
     parts += [_table(f"`{path}`", model, path, 3) for path, model in _sections(Scene, "")]
     parts.append("## Things\n\nItems of `ground.layers`, drawn in their order: `{thing: rocks, per_hectare: 400}`.")
     parts += [_table(f"`thing: {name}`", kind, "", 3) for name, kind in things().items()]

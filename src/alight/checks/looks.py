@@ -44,7 +44,7 @@ def edge_widths(image: U8) -> F64:
 
     The width of an edge is its height over its steepest slope: 1 for an ideal step, 2.5 sigma for one that a Gaussian
     blurs. Of the edges with most contrast, the sharpest tenth shows the sharpness of the lens; the others depend on the
-    ground (docs/lab/check.md).
+    ground (docs/lab/flight.md).
     """
     grey = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image).astype(np.float32)
     grey = cv2.GaussianBlur(grey, (0, 0), 0.6)

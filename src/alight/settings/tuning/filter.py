@@ -21,7 +21,7 @@ class FilterTuning(FrozenModel):
         "correlated in time and between neighbouring features",
     )
     smoother_repeat: Positive = Field(
-        20.0, description="The same for the joint covariance of a smoothed flight (docs/lab/map-covariance.md)"
+        20.0, description="The same for the joint covariance of a smoothed flight (docs/lab/heights.md)"
     )
     unlikely: Positive = Field(
         6.0,
