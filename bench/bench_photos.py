@@ -56,7 +56,6 @@ def measured(name: str, photos: Path, options: list[str]) -> list[Row]:
     print(f"{name}: {len(files)} photos, {megapixels:.0f} megapixels; seconds by stage: {json.dumps(stages)}")
     rows = [
         Row(f"{name}: CPU, s a megapixel", cpu / megapixels, *CPU),
-        Row(f"{name}: CPU, s a photo", cpu / len(files)),
         Row(f"{name}: peak memory, MB", used.ru_maxrss / 1024, megabytes, megabytes / 2),
         Row(f"{name}: clock, s", clock, seconds, seconds / 2),
     ]
@@ -100,18 +99,13 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
     left = plane_of(points, moved[given, 2] - points[:, 2])[1]
     above = float(z["above"])
     return [
-        Row(
-            f"{name}: given out of the cells seen by three photos, %",
-            100 * float(np.isfinite(up).mean()),
-        ),
+        Row(f"{name}: given out of the cells seen by three photos, %", 100 * float(np.isfinite(up).mean())),
         Row(f"{name}: NMAD less a plane, % of height", 100 * nmad(left) / above, *NMAD.get(name, (None, None))),
         Row(
             f"{name}: off by more than 1 % of height, % of those given out",
             100 * float((np.abs(left) > BAD * above).mean()),
             *OFF.get(name, (0.5, None)),
         ),
-        Row(f"{name}: tilt that GPS left, mrad", 1000 * math.acos(min(float(turn[2, 2]), 1.0))),
-        Row(f"{name}: scale that GPS left, %", 100 * abs(scale - 1)),
     ]
 
 

@@ -52,17 +52,7 @@ SCENE = (
     "sensors.gps.rate", "lander.radius", "faults", "traffic", "origin.latitude", "origin.height", "rig.rate_hz",
     "rig.cameras.1.resolution", "rig.cameras.1.field_deg", "rig.cameras.1.tilt_deg", "flight.kind",
 )  # fmt: skip
-VALUES = (
-    *NUMBERS,
-    "[-1e9, 1e9]",
-    "[nan, nan]",
-    "[0, 0]",
-    "[[0,0],[1,0],[0,1]]",
-    "100000000",
-    "1e26",
-    "1e-4",
-    "recursive",
-)
+VALUES = (*NUMBERS, "[-1e9, 1e9]", "[nan, nan]", "[0, 0]", "[[0,0],[1,0],[0,1]]", "100000000", "1e26", "1e-4", "fine")
 
 
 @dataclass(frozen=True)
