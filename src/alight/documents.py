@@ -59,6 +59,19 @@ def read_text(path: Path, largest: int = LONGEST) -> str:
 class _Loader(yaml.SafeLoader):
     """YAML of words and decimal numbers: no dates, no octal 010, no 1:30 for 90; a key is a word and stands once."""
 
+    _merged = 0  # values, by all merge keys of the text
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Merge what `<<` names; refuse too many values, as a few lines can merge into billions."""
+        named = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
+        listed = [v for value in named for v in (value.value if isinstance(value, yaml.SequenceNode) else [value])]
+        for source in (v for v in listed if isinstance(v, yaml.MappingNode)):
+            self.flatten_mapping(source)
+            self._merged += len(source.value)
+            if self._merged > MOST_VALUES:
+                raise DocumentError(f"more than {MOST_VALUES} values, merged ones written out; write it shorter")
+        super().flatten_mapping(node)
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Construct a mapping; refuse keys that are no words or stand twice."""
         names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
