@@ -22,8 +22,8 @@ test: $(MADE)  ## the tests, the import contracts among them
 test-long: $(MADE)  ## more cases of what shorter tests show: each fault on each autopilot, each damage, a recorded flight
 	$(PYTEST) -m long
 
-check: $(MADE)  ## format, lint, types, imports; seconds
-	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports
+check: $(MADE)  ## format, lint, types, imports, totals that rose; seconds
+	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports && $(BIN)/python .ci/totals.py
 
 format: $(MADE)  ## put the source into its form
 	$(BIN)/ruff format . && $(BIN)/ruff check --fix .

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from ground_maps import FRESH, HOWS, TUNING, How, Judgeable, cover_of, judgeable
+from ground_maps import FRESH, HOWS, TUNING, How, Judgeable, judgeable
 from ground_truth import Bool, GroundTruth
 from tables import DATA
 
@@ -26,9 +26,11 @@ from alight import hazards
 from alight.arrays import F32
 from alight.landing import sites
 from alight.landing.next_view import Observer
+from alight.pipeline.judging import land_cover
 from alight.raster import distance_to
 from alight.records import Hazard, HazardMap, Site
 from alight.settings import Settings
+from alight.sources.appearance import read_model
 
 FOREIGN = ("sample", "rendered/gravelpit", "rendered/scree", "rendered/shore")
 SETS = {"foreign": FOREIGN, "fresh": FRESH, "tuning": TUNING}
@@ -96,9 +98,9 @@ class Row:
         return [f"{first}, fine pixels {fine}  not refused {100 * self.covered:5.1f} %  listed {places}", *rest]
 
 
-def judged(j: Judgeable) -> tuple[HazardMap, tuple[Site, ...]]:
+def judged(j: Judgeable, settings: Settings) -> tuple[HazardMap, tuple[Site, ...]]:
     """The hazard map, and the listed places."""
-    s, cover = Settings().stages(), cover_of(j)
+    s, cover = settings.stages(), land_cover(j.elevation, settings.stages().terrain, read_model())
     danger = hazards.assess(j.elevation, cover, s.lander, s.hazards)
     middle = j.elevation.grid
     above = Observer(
@@ -108,10 +110,11 @@ def judged(j: Judgeable) -> tuple[HazardMap, tuple[Site, ...]]:
     return danger, (*chosen.sites, *chosen.candidates)
 
 
-def row_of(j: Judgeable) -> Row:
+def row_of(j: Judgeable, settings: Settings | None = None) -> Row:
     """Judge one flight, and compare it with the truth."""
-    danger, listed = judged(j)
-    grid, truth = danger.grid, GroundTruth(j.truth, Settings().lander)
+    settings = settings or Settings()
+    danger, listed = judged(j, settings)
+    grid, truth = danger.grid, GroundTruth(j.truth, settings.lander)
     safe, near = truth.on(grid, truth.safe) & j.seen, truth.on(grid, truth.near(truth.safe))
     roomy = truth.on(grid, (distance_to(~truth.safe) * j.truth.grid.cell > ROOM)) & j.seen
     fine = safe & (j.elevation.picture_sampling <= FINE)
