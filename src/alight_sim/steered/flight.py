@@ -379,8 +379,8 @@ class SteeredFlight:
         self._sensors.imu_lost.append((self.seconds, self.seconds + seconds))
 
     def drain(self, share: float) -> None:
-        """Take a share of a full battery away."""
-        self.battery = max(0.0, self.battery - share)
+        """Take a share of the charge that is left away."""
+        self.battery *= 1.0 - share
 
 
 def sized_rig(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:
