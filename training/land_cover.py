@@ -25,8 +25,7 @@ from sklearn.neural_network import MLPClassifier
 
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.elevation import on_cells_up_to
-from alight.learned import CLIP, AffineLayer, KnownGround, Net, known_bytes, net_bytes
-from alight.learned.known import CLIP as KNOWN_CLIP
+from alight.learned import KnownGround, Net
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
 from alight.terrain import evidence
@@ -146,14 +145,17 @@ def fit_net(r: Rows, seed: int = 0) -> Net:
         (HIDDEN,), alpha=PENALTY * BATCH, batch_size=BATCH, learning_rate_init=RATE, random_state=seed, shuffle=False
     )  # its penalty is divided by the cells of a step
     for cells, shift in rounds_of(rng, r.weight, r.flight, z.shape[1], ROUNDS, BATCH):
-        x = (z[cells] + shift[r.flight[cells]]).clip(-CLIP, CLIP)
+        x = (z[cells] + shift[r.flight[cells]]).clip(-Net.clip, Net.clip)
         net.partial_fit(np.asarray(x, np.float32), r.kind[cells], classes=np.arange(CLASSES))
-    layers = [
-        AffineLayer(np.asarray(w, np.float32), np.asarray(b, np.float32))
-        for w, b in zip(net.coefs_, net.intercepts_, strict=True)
-    ]
-    layers[1].bias[Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)
-    return Net(r.names, usual, spread.astype(np.float32), layers[0], layers[1])
+    layers = [np.asarray(a, np.float32) for pair in zip(net.coefs_, net.intercepts_, strict=True) for a in pair]
+    layers[-1][Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)
+    return Net(r.names, usual, spread.astype(np.float32), *layers)
+
+
+def rounded(net: Net) -> Net:
+    """The net with the scales of its terms rounded to four digits, for its file."""
+    usual, spread = (np.array([float(f"{v:.4g}") for v in a], np.float32) for a in (net.usual, net.spread))
+    return replace(net, usual=usual, spread=spread)
 
 
 def family_of(name: str) -> str:
@@ -168,7 +170,7 @@ def known_ground(parts: list[Rows], families: list[str]) -> KnownGround:
     spread = np.sqrt(np.average((r.values - usual) ** 2, axis=0, weights=r.weight)).astype(np.float32) + np.float32(
         1e-6
     )
-    z = ((r.values - usual) / spread).clip(-KNOWN_CLIP, KNOWN_CLIP)
+    z = ((r.values - usual) / spread).clip(-KnownGround.clip, KnownGround.clip)
     of = dict(zip([int(p.flight[0]) for p in parts], families, strict=True))
     kinds = np.array([f"{of[int(f)]} {k}" for f, k in zip(r.flight, r.kind, strict=True)])
     means, off = [], np.zeros_like(z)
@@ -220,9 +222,9 @@ def main() -> None:
     measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
     made = "`PYTHONPATH=bench python training/land_cover.py`"
     sections = {"Fitted on": fitted, "Made by": made}
-    write_table("land_cover", net_bytes(fit_net(joined(parts))), sections | {"Metrics": measure})
+    write_table("land_cover", rounded(fit_net(joined(parts))).to_bytes(), sections | {"Metrics": measure})
     known = with_limit(parts, [names[int(p.flight[0])] for p in parts])
-    write_table("known_ground", known_bytes(known), sections)
+    write_table("known_ground", known.to_bytes(), sections)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.learned import KnownGround, Net, read_known, read_net, relu_net
+from alight.learned import KnownGround, Net, read_known, read_net
 from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap, is_measured
 from alight.settings import TerrainSettings
@@ -43,7 +43,7 @@ class Tables(NamedTuple):
 
 def package_tables() -> Tables:
     """Read the tables of the package."""
-    return Tables(read_net("land_cover"), read_known())
+    return Tables(read_net(), read_known())
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Mask:
@@ -157,7 +157,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     water = ponds(elevation, colours, shape, wet, settings)
     some: dict[str, F32] = {}
     terms = _kept(land_cover_terms(elevation, colours, shape), some)
-    odds = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
+    odds = _with_water_and_tufts(tables.net.outputs(terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
     each = [_shares(odds)]
     if added is not None:
