@@ -10,14 +10,11 @@ from scipy.ndimage import median
 
 from alight.arrays import F32, Mask
 from alight.raster import linear_ramp, masked_gaussian, without_specks
-from alight.records import ElevationMap, Flag, Terrain, TerrainMap
+from alight.records import ElevationMap, Flag, Terrain, TerrainMap, is_flagged
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
-DRY = 0.2  # likeness to water, below which ground is dry
-CONTRADICTED = 2.0  # times the area of a pond, of dry ground that lies lower and is not shut off from it
-LOWER = 0.5  # metres, by which it must lie lower: more than the errors of heights
 RESTLESS = 0.5  # share of a pond that moves, from which its heights are no evidence of drainage
 STILL = 0.2  # share that moves, below which the shape alone decides
 SHALLOW = 0.25  # of the depth of a basin: ground with less water than that lies outside
@@ -26,25 +23,25 @@ MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the 
 
 def _moving(elevation: ElevationMap) -> F32:
     """Share of nearby cells flagged as moving or inconsistent: water and swaying plants."""
-    weight = seen(elevation).astype(np.float32)
-    moving = (elevation.flags & np.uint16(Flag.MOVING | Flag.INCONSISTENT)) != 0
-    share: F32 = np.nan_to_num(masked_gaussian(moving.astype(np.float32), weight, 0.5 / elevation.grid.cell))
-    return share
+    return _near(is_flagged(elevation.flags, Flag.MOVING | Flag.INCONSISTENT).astype(np.float32), elevation)
 
 
 def water_likeness(colours: Appearance) -> F32:
     """Likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green. A car park has it too."""
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
     tone = linear_ramp(colours.cool, -0.075, -0.04) * (1 - linear_ramp(colours.green, 0.11, 0.16))
-    out: F32 = plain * tone * np.float32(colours.coloured)
-    return out
+    return np.asarray(plain * tone * np.float32(colours.coloured))
 
 
 def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
     """Mean likeness to water of the surroundings of a cell, 0 to 1."""
+    return _near(np.nan_to_num(water_likeness(colours)), elevation)
+
+
+def _near(values: F32, elevation: ElevationMap) -> F32:
+    """Mean of the seen cells within about half a metre, 0 where there are none."""
     weight = seen(elevation).astype(np.float32)
-    out: F32 = np.nan_to_num(masked_gaussian(np.nan_to_num(water_likeness(colours)), weight, 0.5 / elevation.grid.cell))
-    return out
+    return np.asarray(np.nan_to_num(masked_gaussian(values, weight, 0.5 / elevation.grid.cell)))
 
 
 def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSettings) -> F32:
@@ -55,8 +52,7 @@ def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSe
     d = settings.basin_depth
     basin = linear_ramp(depth, d / 2, 1.5 * d)
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
-    odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving).astype(np.float32)
-    return odds
+    return np.asarray(-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving, np.float32)
 
 
 def _grown(seed: Mask, into: Mask) -> Mask:
@@ -114,10 +110,13 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
 
 def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
-    """True if half of a patch lies above much connected dry ground: a car park on a slope, shade on a plain."""
+    """Whether half of a patch lies above twice its area of connected dry ground: a slope, or shade on a plain.
+
+    That ground lies lower by 0.5 m, more than the errors of heights.
+    """
     level = np.median(bed[pond])
-    dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < DRY) & (bed < level - LOWER)
-    return bool(dry.sum() > CONTRADICTED * pond.sum())
+    dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < 0.2) & (bed < level - 0.5)
+    return bool(dry.sum() > 2 * pond.sum())
 
 
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
