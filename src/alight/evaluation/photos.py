@@ -18,11 +18,10 @@ from alight.geometry import Grid, LocalFrame, world_up
 from alight.learned import arrays_of
 from alight.outputs.reading import Run
 from alight.raster import ellipse
-from alight.records import Flag, InputError
+from alight.records import Flag, InputError, is_flagged
 from alight.sources.tum import read_tum
 from alight.spread import nmad
 
-LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: limits of the reference points that are used
 # names and shapes: -1 is the number of points, -2 that of the photos
 REFERENCE = {
     "origin_llh": (3,),
@@ -32,7 +31,6 @@ REFERENCE = {
     "centers_enu": (-2, 3),
 }
 SLAB = {"points": (-1, 3), "inlier": (-1,)}
-FAR = 20_000.0  # metres between the origins of a run and of its reference, at most
 BAD_SHARE = 0.01  # of the height above ground
 
 LARGEST_REFERENCE = 4_000_000_000  # bytes
@@ -86,11 +84,11 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the reference")
     ref = read_arrays(folder / "sfm_reference.npz", REFERENCE)
     frame = LocalFrame(*ref["origin_llh"])
-    if np.linalg.norm(run.local.to_enu(frame.latitude, frame.longitude, frame.height)) > FAR:
+    if np.linalg.norm(run.local.to_enu(frame.latitude, frame.longitude, frame.height)) > 20_000.0:
         raise InputError(f"{folder}: the reference of another place; name the one of the photos that were run")
     out = Evaluation(f"{run.folder} against the reference of {folder}")
-    believed = (ref["points_track"] >= LEAST_TRACK) & (ref["points_err"] < MOST_ERROR)
-    points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][believed]))
+    used = (ref["points_track"] >= 3) & (ref["points_err"] < 1.0)  # photos, px
+    points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][used]))
     _heights(run, points, out)
     if (folder / "slab_plane.npz").exists():
         slab = read_arrays(folder / "slab_plane.npz", SLAB)
@@ -148,7 +146,7 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     out.put(
         "within 1.96 sigma (points' own 0.028 m added), %", 100 * float(np.mean(np.abs(left[known]) < 1.96 * total))
     )
-    seen = (run.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
+    seen = ~is_flagged(run.flags, Flag.UNSEEN | Flag.FEW)
     out.put("accepted of cells seen by three photos or more, %", 100 * float(np.isfinite(run.height)[seen].mean()))
 
 
