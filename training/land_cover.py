@@ -13,15 +13,14 @@ import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from card import version, write_table
-from draws import rounds_of
 from ground_maps import TUNING, Judgeable, judgeable
 from looks import TUNING as LOOKS
 from looks import kept_looks
 from scipy.ndimage import distance_transform_edt
-from sklearn.neural_network import MLPClassifier
 
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.elevation import on_cells_up_to
@@ -42,6 +41,7 @@ ROUNDS, BATCH, RATE = 10, 1024, 1e-3  # draws of all cells, cells of a step, ste
 CAUTION = 0.25
 KNOWN_SHARE = 0.95  # of the landable cells of families left out that count as known
 SOFT = 0.05  # added to the variance of every term
+SHIFT = 0.35  # spreads of a term, 1-sigma of the shift of a flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +135,39 @@ def joined(parts: list[Rows]) -> Rows:
     return Rows(parts[0].names, values, kind, weight / weight.sum(), flight)
 
 
+class Round(NamedTuple):
+    """The cells of one round, whole batches of them."""
+
+    cells: I64  # (N,) indices of cells
+    shift: F32  # (flights, terms) spreads
+
+
+def rounds_of(
+    rng: np.random.Generator, weight: F64, flight: I64, terms: int, rounds: int, batch: int
+) -> Iterator[Round]:
+    """Draw the cells of each round.
+
+    Args:
+        rng: random numbers.
+        weight: (N,) of the cells, sums to 1.
+        flight: (N,) number of each cell's flight.
+        terms: of a cell.
+        rounds: number of rounds.
+        batch: cells of a step; a round is a whole number of batches.
+    """
+    count = len(weight) // batch * batch
+    for _ in range(rounds):
+        cells = rng.choice(len(weight), count, p=weight)
+        yield Round(cells, rng.normal(0, SHIFT, (int(flight.max()) + 1, terms)).astype(np.float32))
+
+
 def fit_net(r: Rows, seed: int = 0) -> Net:
-    """Fit a net to some cells: Adam over draws by weight, each round's evidence shifted anew."""
+    """Fit a net to some cells: Adam over draws by weight, each round's evidence shifted anew.
+
+    The shift simulates another camera, light and ground: without it a net overfits to the flights.
+    """
+    from sklearn.neural_network import MLPClassifier
+
     rng = np.random.default_rng(seed)
     usual = np.average(r.values, axis=0, weights=r.weight).astype(np.float32)
     spread = np.sqrt(np.average((r.values - usual) ** 2, axis=0, weights=r.weight)).astype(np.float32) + 1e-6

@@ -27,7 +27,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_draws_are_by_weight_and_each_flight_is_shifted_as_one() -> None:
-    from draws import SHIFT, rounds_of
+    from land_cover import SHIFT, rounds_of
 
     weight = np.r_[np.full(5000, 0.9 / 5000), np.full(5000, 0.1 / 5000)]
     flight = np.repeat(np.arange(100), 100)

@@ -15,7 +15,7 @@ from alight.terrain.features import PIXEL, STRETCH, against, appearance_features
 VARIANTS = 3  # of each patch: the original and two as by other cameras
 PLACES = 3  # along each side of a patch, at which its features are measured
 
-Tell = Callable[[float], None]
+Report = Callable[[float], None]
 
 
 def quiet(share: float) -> None:
@@ -73,7 +73,7 @@ def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
 
 
 def measure_patches(
-    patches: list[LabelledPatch], level: int, tell: Tell = quiet, variants: int = VARIANTS, seed: int = 0
+    patches: list[LabelledPatch], level: int, report: Report = quiet, variants: int = VARIANTS, seed: int = 0
 ) -> Samples:
     """Measure features of all patches and their variants at one level, each relative to the frame of its site."""
     rng = np.random.default_rng(seed)
@@ -84,7 +84,7 @@ def measure_patches(
             parts.append(found)
             which += [i] * len(found)
             variant += [v] * len(found)
-        tell((i + 1) / len(patches))
+        report((i + 1) / len(patches))
     samples = Samples(np.concatenate(parts), np.array(which, np.int64), np.array(variant, np.int64))
     return _against_sites(samples, np.array([p.site for p in patches]), level)
 
