@@ -31,9 +31,6 @@ REFERENCE = {
     "centers_enu": (-2, 3),
 }
 SLAB = {"points": (-1, 3), "inlier": (-1,)}
-BAD_SHARE = 0.01  # of the height above ground
-
-LARGEST_REFERENCE = 4_000_000_000  # bytes
 
 
 def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
@@ -104,7 +101,8 @@ def read_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, 
         InputError: the file cannot be read or lacks one of the arrays, or an array has another shape or is not numeric.
     """
     try:
-        arrays = arrays_of(read_bytes(path, LARGEST_REFERENCE), largest=LARGEST_REFERENCE)
+        largest = 4_000_000_000  # bytes
+        arrays = arrays_of(read_bytes(path, largest), largest)
         found, sizes = {name: arrays[name] for name in shapes}, dict[int, int]()
         for name, shape in shapes.items():
             values = found[name]
@@ -139,7 +137,7 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     out.put("P95 of |error| less a plane, m", float(np.percentile(np.abs(left), 95)))
     out.put("bias (median), m", float(np.median(error[given])))
     out.put("tilt, mrad", float(1e3 * np.hypot(*plane[:2])))
-    off = float((np.abs(left) > BAD_SHARE * above).sum() / len(points))
+    off = float((np.abs(left) > 0.01 * above).sum() / len(points))
     out.put(
         "off by more than 1 % of height and given out, % of all points", 100 * off if np.isfinite(above) else np.nan
     )
@@ -172,7 +170,7 @@ def _centres(run: Run, centres: F64, out: Evaluation) -> None:
     own = np.array([p.translation for p in read_tum(path, run.local)[1]])  # a photo's body is its camera
     distance, index = cKDTree(centres).query(own)
     if len(set(index.tolist())) < len(own):
-        out.put("camera centres", "cannot be told apart: two are nearest to the same reference")
+        out.put("camera centres", "cannot be distinguished: two are nearest to the same reference")
         return
     out.put("camera centres compared", f"{len(own)} of {len(centres)}")
     out.put("camera centres RMS, m", rms(distance))

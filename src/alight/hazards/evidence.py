@@ -34,13 +34,9 @@ from alight.raster import (
 from alight.records import ElevationMap, TerrainMap
 
 BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are more
-AROUND = 4.0  # metres, 1-sigma of the surroundings: ground with obstacles has more of them
-NARROW, WIDE = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
-PATCH = 1.5  # heights of the obstacle, 1-sigma over which relief and spots are gathered
-UNMEASURED = 60.0  # limits of roughness: roughness of a footprint without heights
+BAND = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
 NEAR_SAMPLES = 0.5, 0.9  # limits, ground that a sample covers: fully near by, not near by at all
 NEAR_PIXELS = 0.3, 0.5  # limits, ground that a pixel covers: likewise
-UNMATCHED = 10.0  # cells: width of a sample, or pixel, where there is none
 COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
 
 
@@ -69,8 +65,8 @@ class Discs:
         return disc_mean(coarse, self._radius + beyond, self._cell)
 
     def around(self, coarse: F32) -> F32:
-        """Mean of the surroundings."""
-        return gaussian_mean(coarse, AROUND / self._cell)
+        """Mean of the surroundings, 4 m 1-sigma: ground with obstacles has more of them."""
+        return gaussian_mean(coarse, 4.0 / self._cell)
 
     def fine(self, coarse: F32) -> F32:
         """Resample coarse cells to the cells of the map, (R, C)."""
@@ -114,8 +110,8 @@ def evidence_of(t: Touchdowns, tilt: F32, on: Inputs) -> Evidence:
 
 
 def widths(metres: F32, cell: float) -> F32:
-    """Metres of ground that a sample or a pixel covers, (R, C); where there is none, several cells."""
-    return np.asarray(np.nan_to_num(metres, nan=UNMATCHED * cell), np.float32)
+    """Metres of ground that a sample or a pixel covers, (R, C); where there is none, ten cells."""
+    return np.asarray(np.nan_to_num(metres, nan=10.0 * cell), np.float32)
 
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
@@ -136,13 +132,13 @@ def relief_power(elevation: ElevationMap, limit: float) -> F32:
 
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
     """Mean square relief of any surface, (R, C) metres, all known, as wide as an obstacle of `limit` metres."""
-    bumps = difference_of_gaussians(height / np.float32(limit), NARROW * limit / cell, WIDE * limit / cell)
+    bumps = difference_of_gaussians(height / np.float32(limit), *(s * limit / cell for s in BAND))
     return patch_mean(bumps * bumps, cell, limit)
 
 
 def patch_mean(power: F32, cell: float, limit: float) -> F32:
-    """Mean over the area that an obstacle of height `limit` (metres) covers, (R, C)."""
-    return gaussian_mean(power, PATCH * limit / cell)
+    """Mean over the area of an obstacle of height `limit` (metres), 1.5 heights 1-sigma, (R, C)."""
+    return gaussian_mean(power, 1.5 * limit / cell)
 
 
 def _log_rms(power: F32, floor: float) -> F32:
@@ -185,7 +181,7 @@ def _picture_terms(elevation: ElevationMap, limit: float, discs: Discs) -> dict[
 def _near_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
     """Evidence of all measured heights against a footprint that was seen from near by."""
     limit = on.lander.tallest_obstacle
-    measured = np.nan_to_num(t.measured_roughness, nan=UNMEASURED * limit)
+    measured = np.nan_to_num(t.measured_roughness, nan=60.0 * limit)  # a footprint without heights
     rise, smooth = (log_at_least(v / np.float32(limit), 0.03) for v in (measured, t.smooth_roughness))
     return {
         NearTerm.RISE: discs.largest(rise),

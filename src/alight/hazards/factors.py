@@ -21,9 +21,7 @@ from alight.settings import HazardsSettings, Lander
 
 FOUND = 0.95  # probability with which an obstacle of `resolved` height would have been found
 SETTLED = 0.3  # share of the doubt allowed by the least P(safe) that unseen obstacles may take
-NEARER = 0.5  # of the present pixel: that of a closer look where the size of the pixel is not the doubt
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
-LEAST = 1e-9  # keeps the logarithm of a rate, or of a probability, finite
 PIXELS_A_SAMPLE = 2.0  # pixels that a sample of the match covers: cells are 1.8 pixels wide
 
 
@@ -92,7 +90,7 @@ def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F3
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
     """Expected hazards from a rate from afar and one from near by, the logarithms weighted by the nearness (G7f)."""
-    log = (1 - found.near) * log_at_least(afar, LEAST) + found.near * read_rate(name).log_rate(found.terms)
+    log = (1 - found.near) * log_at_least(afar, 1e-9) + found.near * read_rate(name).log_rate(found.terms)
     return np.asarray(np.exp(log), np.float32)
 
 
@@ -152,7 +150,7 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
     at = [np.asarray(k * pixels, np.float32) for k in (PIXELS_A_SAMPLE, 1.0)]
     unseen = curves.unseen_share(lander.tallest_obstacle, *at)
     expected = math.pi * lander.ground_reach**2 * settings.unseen_bare * unseen
-    good = np.flatnonzero(expected <= -SETTLED * math.log(max(settings.p_safe, LEAST)))
+    good = np.flatnonzero(expected <= -SETTLED * math.log(max(settings.p_safe, 1e-9)))
     return float(pixels[good[-1]]) if good.size else float(pixels[0])
 
 
@@ -163,7 +161,7 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
     `least` margin, sigmas: sigma shrinks with the pixel. Ground: half of the present one.
     """
     (relief, obstacle, ground), fine = factors, np.float32(shows)
-    half = np.float32(NEARER) * pixel
+    half = np.float32(0.5) * pixel
     closer = np.where(pixel > fine, np.minimum(fine, pixel), half)
     enough = np.float32(ndtri(1 - SETTLED * (1 - on.settings.p_safe)))
     flatter = pixel * (least / enough).clip(0, 1)

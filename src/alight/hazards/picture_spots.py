@@ -19,7 +19,7 @@ from alight.raster import (
 )
 from alight.records import ElevationMap
 
-NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
+BAND = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
 GREY = 0.02  # excess green that the greenest spot of a grey picture counts as: ground with a few plants
 
 
@@ -33,7 +33,7 @@ class PictureSpots(NamedTuple):
 
 def spots_of(light: F32, height: float) -> F32:
     """Contrast of spots as wide as an obstacle of a height in pixels, (R, C), of log brightness or another measure."""
-    return difference_of_gaussians(light, NARROW * height, WIDE * height)
+    return difference_of_gaussians(light, *(s * height for s in BAND))
 
 
 def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
@@ -63,9 +63,9 @@ def _seen_spots(found: BlockLight | BlockGreen, height: float) -> F32:
     del found  # pictures have tens of megapixels
     if not seen.all():  # these are filled with the mean about them
         measure *= seen
-        share = gaussian_mean(seen.astype(np.float32), WIDE * height)
+        share = gaussian_mean(seen.astype(np.float32), BAND[1] * height)
         np.maximum(share, np.float32(1e-3), out=share)
-        around = gaussian_mean(measure, WIDE * height)
+        around = gaussian_mean(measure, BAND[1] * height)
         around /= share
         np.copyto(measure, around, where=~seen)
     return spots_of(measure, height) * seen

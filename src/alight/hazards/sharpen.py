@@ -26,7 +26,6 @@ log = logging.getLogger(__name__)
 HEIGHT_FLOOR = 0.001  # metres; least sigma of a cell
 ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
 UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes alternation from pixel to pixel
-_LAPLACE = np.array([[0, 1, 0], [1, -4, 1], [0, 1, 0]], np.float32)
 
 Operator = Callable[[F32], F32]
 
@@ -67,7 +66,7 @@ def coarsen_transposed(cells: F32, factor: int) -> F32:
 
 
 def _laplacian(z: F32) -> F32:
-    out = np.asarray(cv2.filter2D(z, cv2.CV_32F, _LAPLACE, borderType=cv2.BORDER_CONSTANT))
+    out = np.asarray(cv2.Laplacian(z, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_CONSTANT))
     out[0] = out[-1] = out[:, 0] = out[:, -1] = 0
     return out
 

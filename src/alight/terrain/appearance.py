@@ -9,8 +9,7 @@ import numpy as np
 from alight.arrays import F32, U8, Mask
 from alight.raster import block_mean, masked_gaussian, upsample
 from alight.records import ElevationMap, Flag, is_flagged
-
-PIXEL = 0.1  # metres: the finest detail that is used
+from alight.terrain.features import PIXEL
 
 
 @dataclass(frozen=True, eq=False)

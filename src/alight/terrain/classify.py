@@ -14,19 +14,18 @@ from alight.learned import KnownGround, Net, read_known, read_net
 from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap, is_measured
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import PIXEL, Appearance, appearance, black_ground, seen
+from alight.terrain.appearance import Appearance, appearance, black_ground, seen
 from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
-from alight.terrain.features import level_of
+from alight.terrain.features import PIXEL, level_of
 from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds
-APART = 3  # cells between those whose novelty is computed
 ANYTHING = 0.5  # probability of ground that no picture shows
 UNLIKE = 20.0  # its novelty: 1 % of a footprint refuses it
-WATER = Terrain.WATER - 1
+WATER = KINDS.index(Terrain.WATER)
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
@@ -164,11 +163,11 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     )
 
 
-def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
-    """Pass terms on, and keep every `APART`-th cell of each."""
+def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:
+    """Pass terms on, and keep every third cell of each: for the novelty."""
     for name, values in terms:
-        first = [min(APART // 2, n - 1) for n in values.shape]
-        some[name] = values[first[0] :: APART, first[1] :: APART].copy()  # a view would keep the whole
+        first = [min(apart // 2, n - 1) for n in values.shape]
+        some[name] = values[first[0] :: apart, first[1] :: apart].copy()  # a view would keep the whole
         yield name, values
 
 

@@ -22,8 +22,6 @@ WINDOW = 0.8  # metres, Gaussian 1-sigma over which detail is averaged
 BLOCK = 4  # pixels a side of a block, which has one set of numbers
 STRETCH = 1.35  # largest factor by which a picture is enlarged to reach a level
 DARK = 4.0  # grey levels added, so that noise in the dark is no contrast
-NOISE = np.float32(1e-5)  # log brightness squared: below 0.3 % there is no detail
-TINT = np.float32(1e-6)  # squared log ratio of two colours: below it there is no detail
 
 
 class AppearanceFeatures(NamedTuple):
@@ -88,12 +86,13 @@ class _Means:
 def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
     """Features of one octave of log brightness, log red over green and log blue over green."""
     power, tint = mean(light * light), mean(blue * blue)
+    noise, shade = np.float32(1e-5), np.float32(1e-6)  # log ratios squared: below these there is no detail
     return {
-        "detail": 0.5 * np.log(power + NOISE),
-        "blue shade": mean(light * blue) / np.sqrt((power + NOISE) * (tint + TINT)),
-        "red tint": 0.5 * np.log(mean(red * red) + TINT),
-        "blue tint": 0.5 * np.log(tint + TINT),
-        "evenness": mean(np.abs(light)) / np.sqrt(power + NOISE),
+        "detail": 0.5 * np.log(power + noise),
+        "blue shade": mean(light * blue) / np.sqrt((power + noise) * (tint + shade)),
+        "red tint": 0.5 * np.log(mean(red * red) + shade),
+        "blue tint": 0.5 * np.log(tint + shade),
+        "evenness": mean(np.abs(light)) / np.sqrt(power + noise),
     }
 
 

@@ -15,11 +15,6 @@ from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
-RESTLESS = 0.5  # share of a pond that moves, from which its heights are no evidence of drainage
-STILL = 0.2  # share that moves, below which the shape alone decides
-SHALLOW = 0.25  # of the depth of a basin: ground with less water than that lies outside
-MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
-
 
 def _moving(elevation: ElevationMap) -> F32:
     """Share of nearby cells flagged as moving or inconsistent: water and swaying plants."""
@@ -78,8 +73,9 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
     The first step adds connected cells that look like water. The second adds connected lower cells, because the surface
     of a pond is level: this closes gaps where the bed looks like the shore. It is left out where it would more than
-    double the water. A still patch that would run out over dry ground is no water at all. A still patch that lies
-    mostly outside of any basin only looks like water: there the rim of the map closes no basin.
+    double the water. A patch that would run out over dry ground, and of which less than half moves, is no water at all.
+    A patch that lies mostly outside of any basin, and of which less than a fifth moves, only looks like water: there
+    the rim of the map closes no basin.
 
     Args:
         signs: of water.
@@ -93,7 +89,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
     for i in range(1, count):
         pond = labels == i
         known, moving = pond & np.isfinite(signs.bed), signs.moving[pond].mean()
-        if known.any() and moving < STILL and signs.outside[known].mean() > 0.5:
+        if known.any() and moving < 0.2 and signs.outside[known].mean() > 0.5:
             out |= pond & walled
             continue
         if seed[pond].mean() < least_share:  # a slab with a wet corner is no pond
@@ -102,7 +98,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
         if not known.any():
             out |= pond
             continue
-        if moving < RESTLESS and _drains(known, signs.wet, signs.bed):
+        if moving < 0.5 and _drains(known, signs.wet, signs.bed):
             continue
         lower = _grown(pond, signs.bed <= np.percentile(signs.bed[known], 95))
         out |= lower if lower.sum() <= 2 * pond.sum() else pond
@@ -126,12 +122,12 @@ def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32,
         masked_gaussian(water_odds(colours, depth, moving, settings), weight, 0.2 / cell)
         for depth in (shape.depth, shape.walled)
     )
-    outside = shape.depth < SHALLOW * settings.basin_depth
+    outside = shape.depth < 0.25 * settings.basin_depth
     return flooded(WaterSigns(odds, walled, wet, moving, shape.level - shape.depth, outside), cell, settings.pond_share)
 
 
 def open_water(land_cover: TerrainMap) -> Mask:
-    """(R, C): whole patches labelled water with a median P(water) of at least `MIN_MEDIAN`.
+    """(R, C): whole patches labelled water with a median P(water) of at least 0.5; the sample's pond has 0.98.
 
     A cell that may not be landed on takes the name of its likeliest hazard, even an improbable one: a shadow beside a
     bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
@@ -141,4 +137,4 @@ def open_water(land_cover: TerrainMap) -> Mask:
         return wet
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
     middle = median(land_cover.water[wet], patches[wet], np.arange(1, count))
-    return np.asarray(np.concatenate([[False], middle >= MIN_MEDIAN])[patches])
+    return np.asarray(np.concatenate([[False], middle >= 0.5])[patches])

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from alight.arrays import F64, U8
 from alight.records import LANDABLE, Terrain
 
-MOST = 0.05  # requested limit of the share of hazards that are called safe
-
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
@@ -95,7 +93,7 @@ def lines_of(c: Confusion) -> Iterator[str]:
     yield f"accuracy {c.accuracy():.2f}, mean recall of the classes {c.macro_recall():.2f}"
     yield from _summary(c, 0.5)
     if not c.safe.all():
-        yield from _summary(c, c.least_for(MOST))
+        yield from _summary(c, c.least_for(0.05))
 
 
 def _summary(c: Confusion, least: float) -> Iterator[str]:

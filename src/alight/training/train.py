@@ -26,8 +26,6 @@ from alight.terrain.model import (
 from alight.training.confusion import Confusion, lines_of
 from alight.training.patches import LabelledPatch, Report, Samples, measure_patches, quiet
 
-PENALTY = 1e-4  # of the squared weights
-SHRINKAGE = 0.3  # of the covariance within the classes towards a sphere
 COARSEST = STRETCH * PIXEL * 2 ** (LEVELS - 1)  # metres, pixel
 UNTESTED = 3.0  # temperature of a model of one site: its accuracy on other sites is unknown
 
@@ -63,7 +61,7 @@ def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tu
     return found[:, :-1].astype(np.float32), found[:, -1].astype(np.float32)
 
 
-def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PENALTY) -> Head:
+def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = 1e-4) -> Head:
     """Fit the classifier of one level, without a temperature."""
     mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
     z = np.clip((values - mean) / spread, -CLIP, CLIP)
@@ -71,7 +69,7 @@ def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PEN
     centres = np.stack([np.average(z[at == k], axis=0, weights=weight[at == k]) for k in range(count)])
     within = np.cov((z - centres[at]).T)
     round_one = np.eye(len(mean)) * np.trace(within) / len(mean)
-    metric = np.linalg.inv((1 - SHRINKAGE) * within + SHRINKAGE * round_one)
+    metric = np.linalg.inv(0.7 * within + 0.3 * round_one)  # shrunk towards a sphere
     plain = [np.asarray(a, np.float32) for a in (mean, spread, weights, bias, centres, metric)]
     return Head(*plain, reach=float(np.median(to_nearest(z, centres, metric))), temperature=1.0)
 
