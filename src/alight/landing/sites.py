@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -70,17 +69,17 @@ class _Choice:
             "obstacle": float(hazards.p_obstacle[at]),
             "ground": float(hazards.p_ground[at]),
         }
-        more: dict[str, Any] = {}
-        if candidate:
+        look = None
+        if candidate and self.observer is not None:
             place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
-            look = None if self.observer is None else next_view(place, settles_at, self.observer, self.settings)
-            more = {"doubt": min(factors, key=factors.__getitem__), "look": look}
+            look = next_view(place, settles_at, self.observer, self.settings)
         return Site(
             rank=rank, east=east, north=north, up=up, height_sigma=sigma, p_safe=float(hazards.p_safe[at]),
-            **{f"p_{k}": v for k, v in factors.items()}, resolved=float(hazards.resolved[at]),
-            quality=float(hazards.quality[at]), slope=float(hazards.slope[at]),
+            p_relief=factors["relief"], p_obstacle=factors["obstacle"], p_ground=factors["ground"],
+            resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]), slope=float(hazards.slope[at]),
             roughness=float(hazards.roughness[at]), clearance=room, radius=self.lander.radius + room,
-            terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer), **more,
+            terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
+            doubt=min(factors, key=factors.__getitem__) if candidate else None, look=look,
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:

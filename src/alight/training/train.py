@@ -71,7 +71,8 @@ def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = 1e-
     round_one = np.eye(len(mean)) * np.trace(within) / len(mean)
     metric = np.linalg.inv(0.7 * within + 0.3 * round_one)  # shrunk towards a sphere
     plain = [np.asarray(a, np.float32) for a in (mean, spread, weights, bias, centres, metric)]
-    return Head(*plain, reach=float(np.median(to_nearest(z, centres, metric))), temperature=1.0)
+    reach = float(np.median(to_nearest(z, centres, metric)))
+    return Head(plain[0], plain[1], plain[2], plain[3], plain[4], plain[5], reach, temperature=1.0)
 
 
 def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, I64]:
