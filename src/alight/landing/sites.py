@@ -69,6 +69,7 @@ class _Choice:
             "obstacle": float(hazards.p_obstacle[at]),
             "ground": float(hazards.p_ground[at]),
         }
+        doubt: Doubt = min(factors, key=factors.__getitem__)
         look = None
         if candidate and self.observer is not None:
             place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
@@ -79,7 +80,7 @@ class _Choice:
             resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]), slope=float(hazards.slope[at]),
             roughness=float(hazards.roughness[at]), clearance=room, radius=self.lander.radius + room,
             terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
-            doubt=min(factors, key=factors.__getitem__) if candidate else None, look=look,
+            doubt=doubt if candidate else None, look=look,
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:
