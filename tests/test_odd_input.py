@@ -253,7 +253,7 @@ def test_truth_that_says_nothing_of_the_map(case: str, done: Path, flight: Path,
     for name, values in (("dem", height), ("class", np.ones((120, 160), np.uint8))):
         write_dem(flight / "truth" / f"{name}.tif", values, -12.0 if case == "nothing known" else -12000.0)
     assert evaluated(done, flight) == 2
-    refused(capsys, "truth/dem.tif: knows no height on the run's map; name the flight that was run")
+    refused(capsys, "truth/dem.tif: has no height on the run's map; name the flight that was run")
 
 
 # -- scenes

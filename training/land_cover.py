@@ -13,20 +13,18 @@ import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from card import version, write_table
-from draws import rounds_of
 from ground_maps import TUNING, Judgeable, judgeable
 from looks import TUNING as LOOKS
 from looks import kept_looks
 from scipy.ndimage import distance_transform_edt
-from sklearn.neural_network import MLPClassifier
 
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.elevation import on_cells_up_to
-from alight.learned import CLIP, AffineLayer, KnownGround, Net, known_bytes, net_bytes
-from alight.learned.known import CLIP as KNOWN_CLIP
+from alight.learned import KnownGround, Net
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
 from alight.terrain import evidence
@@ -43,6 +41,7 @@ ROUNDS, BATCH, RATE = 10, 1024, 1e-3  # draws of all cells, cells of a step, ste
 CAUTION = 0.25
 KNOWN_SHARE = 0.95  # of the landable cells of families left out that count as known
 SOFT = 0.05  # added to the variance of every term
+SHIFT = 0.35  # spreads of a term, 1-sigma of the shift of a flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +135,39 @@ def joined(parts: list[Rows]) -> Rows:
     return Rows(parts[0].names, values, kind, weight / weight.sum(), flight)
 
 
+class Round(NamedTuple):
+    """The cells of one round, whole batches of them."""
+
+    cells: I64  # (N,) indices of cells
+    shift: F32  # (flights, terms) spreads
+
+
+def rounds_of(
+    rng: np.random.Generator, weight: F64, flight: I64, terms: int, rounds: int, batch: int
+) -> Iterator[Round]:
+    """Draw the cells of each round.
+
+    Args:
+        rng: random numbers.
+        weight: (N,) of the cells, sums to 1.
+        flight: (N,) number of each cell's flight.
+        terms: of a cell.
+        rounds: number of rounds.
+        batch: cells of a step; a round is a whole number of batches.
+    """
+    count = len(weight) // batch * batch
+    for _ in range(rounds):
+        cells = rng.choice(len(weight), count, p=weight)
+        yield Round(cells, rng.normal(0, SHIFT, (int(flight.max()) + 1, terms)).astype(np.float32))
+
+
 def fit_net(r: Rows, seed: int = 0) -> Net:
-    """Fit a net to some cells: Adam over draws by weight, each round's evidence shifted anew."""
+    """Fit a net to some cells: Adam over draws by weight, each round's evidence shifted anew.
+
+    The shift simulates another camera, light and ground: without it a net overfits to the flights.
+    """
+    from sklearn.neural_network import MLPClassifier
+
     rng = np.random.default_rng(seed)
     usual = np.average(r.values, axis=0, weights=r.weight).astype(np.float32)
     spread = np.sqrt(np.average((r.values - usual) ** 2, axis=0, weights=r.weight)).astype(np.float32) + 1e-6
@@ -146,14 +176,17 @@ def fit_net(r: Rows, seed: int = 0) -> Net:
         (HIDDEN,), alpha=PENALTY * BATCH, batch_size=BATCH, learning_rate_init=RATE, random_state=seed, shuffle=False
     )  # its penalty is divided by the cells of a step
     for cells, shift in rounds_of(rng, r.weight, r.flight, z.shape[1], ROUNDS, BATCH):
-        x = (z[cells] + shift[r.flight[cells]]).clip(-CLIP, CLIP)
+        x = (z[cells] + shift[r.flight[cells]]).clip(-Net.clip, Net.clip)
         net.partial_fit(np.asarray(x, np.float32), r.kind[cells], classes=np.arange(CLASSES))
-    layers = [
-        AffineLayer(np.asarray(w, np.float32), np.asarray(b, np.float32))
-        for w, b in zip(net.coefs_, net.intercepts_, strict=True)
-    ]
-    layers[1].bias[Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)
-    return Net(r.names, usual, spread.astype(np.float32), layers[0], layers[1])
+    layers = [np.asarray(a, np.float32) for pair in zip(net.coefs_, net.intercepts_, strict=True) for a in pair]
+    layers[-1][Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)
+    return Net(r.names, usual, spread.astype(np.float32), *layers)
+
+
+def rounded(net: Net) -> Net:
+    """The net with the scales of its terms rounded to four digits, for its file."""
+    usual, spread = (np.array([float(f"{v:.4g}") for v in a], np.float32) for a in (net.usual, net.spread))
+    return replace(net, usual=usual, spread=spread)
 
 
 def family_of(name: str) -> str:
@@ -168,7 +201,7 @@ def known_ground(parts: list[Rows], families: list[str]) -> KnownGround:
     spread = np.sqrt(np.average((r.values - usual) ** 2, axis=0, weights=r.weight)).astype(np.float32) + np.float32(
         1e-6
     )
-    z = ((r.values - usual) / spread).clip(-KNOWN_CLIP, KNOWN_CLIP)
+    z = ((r.values - usual) / spread).clip(-KnownGround.clip, KnownGround.clip)
     of = dict(zip([int(p.flight[0]) for p in parts], families, strict=True))
     kinds = np.array([f"{of[int(f)]} {k}" for f, k in zip(r.flight, r.kind, strict=True)])
     means, off = [], np.zeros_like(z)
@@ -220,9 +253,9 @@ def main() -> None:
     measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
     made = "`PYTHONPATH=bench python training/land_cover.py`"
     sections = {"Fitted on": fitted, "Made by": made}
-    write_table("land_cover", net_bytes(fit_net(joined(parts))), sections | {"Metrics": measure})
+    write_table("land_cover", rounded(fit_net(joined(parts))).to_bytes(), sections | {"Metrics": measure})
     known = with_limit(parts, [names[int(p.flight[0])] for p in parts])
-    write_table("known_ground", known_bytes(known), sections)
+    write_table("known_ground", known.to_bytes(), sections)
 
 
 if __name__ == "__main__":

@@ -26,9 +26,11 @@ from scipy.special import ndtr
 
 from alight.arrays import F64, Mask
 from alight.hazards.assessment import evidence
+from alight.hazards.evidence import unlike_ground
 from alight.hazards.factors import with_floors
-from alight.learned import Rate, rate_bytes
-from alight.learned.terms import NEAR_TERMS
+from alight.hazards.touchdown import Inputs
+from alight.learned import Rate
+from alight.learned.terms import NEAR_TERMS, FloorTerm
 from alight.settings import Settings
 
 LEFT_OUT = ("marsh", "rubble")  # puddles like lawn make every lawn doubtful; no term separates them: docs/lab/p-safe.md
@@ -54,10 +56,10 @@ class NearSample:
 
 def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
     s, j = Settings().stages(), look.judgeable
-    found, reasons = evidence(j.elevation, cover_of(j), s.lander, s.hazards)
+    found, reasons = evidence(Inputs(j.elevation, cover_of(j), s.lander, s.hazards))
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     kept = (discs.largest(j.seen.astype(np.float32)) > 0) & look.about(discs.grid)
-    kept &= (discs.largest((reasons != 0).astype(np.float32)) == 0) & (found.nearness >= LEAST_NEARNESS)
+    kept &= (discs.largest((reasons != 0).astype(np.float32)) == 0) & (found.near >= LEAST_NEARNESS)
     cells = np.flatnonzero(kept)
     if not cells.size:
         return None
@@ -66,7 +68,7 @@ def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
     def truly(mask: Mask) -> Mask:
         return truth.on(discs.grid, truth.near(mask)).ravel()[some]
 
-    terms = np.stack([np.nan_to_num(found.near[t].ravel()[some]) for t in NEAR_TERMS], axis=1)
+    terms = np.stack([np.nan_to_num(found.terms[t].ravel()[some]) for t in NEAR_TERMS], axis=1)
     tilt = discs.coarse(np.nan_to_num(ndtr(found.tilt)).astype(np.float32)).ravel()[some]
     return NearSample(
         family_of(j.name), terms.astype(np.float64), tilt.astype(np.float64),
@@ -106,9 +108,10 @@ def fitted(samples: Sequence[NearSample]) -> dict[str, Rate]:
 def claimed(rates: dict[str, Rate], s: NearSample) -> F64:
     """P(safe) of the cells of a sample, without straight ridges (G7i), which no term holds."""
     values = {t: s.terms[:, k].astype(np.float32) for k, t in enumerate(NEAR_TERMS)}
-    obstacle, ground = (np.exp(rates[what].log_rate(values)) for what in WHAT)
-    obstacle, ground = with_floors(obstacle, ground, values)
-    return np.asarray(s.tilt * np.exp(-obstacle - ground), np.float64)
+    values |= {FloorTerm.UNLIKE: unlike_ground(values), FloorTerm.RIDGE: np.zeros(len(s.terms), np.float32)}
+    hazards = {what: np.exp(rates[what].log_rate(values)) for what in WHAT}
+    hazards = with_floors(hazards, values, {"all": 1.0, "heights": 1.0})
+    return np.asarray(s.tilt * np.exp(-hazards["obstacle"] - hazards["ground"]), np.float64)
 
 
 def line(name: str, p: F64, safe: Mask) -> str:
@@ -149,7 +152,7 @@ def main() -> None:
         print("seeds that nothing is fitted to", *report(fresh, [claimed(rates, s) for s in fresh]), sep="\n")
     worlds = f"looks from 4 to 10 m in {len(samples)} simulated worlds; {len(families)} families of scenes. {version()}"
     for what, rate in rates.items():
-        write_table(f"near_{what}_rate", rate_bytes(rate), {"Fitted on": worlds})
+        write_table(f"near_{what}_rate", rate.to_bytes(), {"Fitted on": worlds})
 
 
 if __name__ == "__main__":

@@ -27,7 +27,8 @@ from scipy.special import ndtr
 
 from alight.arrays import F32, F64, I64, Mask
 from alight.hazards.assessment import evidence
-from alight.learned import Rate, rate_bytes
+from alight.hazards.touchdown import Inputs
+from alight.learned import Rate
 from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
 from alight.settings import Settings
 from alight.terrain.classify import Tables
@@ -51,9 +52,8 @@ class Sample:
 
     name: str
     family: str
-    obstacle: dict[str, F32]
+    terms: dict[str, F32]
     hidden: F32  # share of the obstacles above the limit that the heights would not show
-    ground: dict[str, F32]
     tilt: F32  # P that the tilt keeps its limit
     kept: Mask  # the map shows no limit that is broken
     truly_even: Mask  # or within 0.3 m of it
@@ -89,7 +89,7 @@ class Rows:
 def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = SOME) -> Sample:
     """Draw cells of one map, or those about the place of a look, and look up the truth."""
     s = Settings().stages()
-    found, reasons = evidence(j.elevation, cover_of(j, tables), s.lander, s.hazards)
+    found, reasons = evidence(Inputs(j.elevation, cover_of(j, tables), s.lander, s.hazards))
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     seen = discs.largest(j.seen.astype(np.float32)) > 0
     cells = np.flatnonzero(seen if about is None else seen & about.about(discs.grid))
@@ -99,9 +99,7 @@ def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = 
         return truth.on(discs.grid, mask).ravel()[some]
 
     return Sample(
-        j.name, family_of(j.name),
-        {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.hidden.ravel()[some],
-        {k: v.ravel()[some] for k, v in found.ground.items()},
+        j.name, family_of(j.name), {k: v.ravel()[some] for k, v in found.terms.items()}, found.hidden.ravel()[some],
         discs.coarse(np.nan_to_num(ndtr(found.tilt))).ravel()[some],
         discs.largest((reasons != 0).astype(np.float32)).ravel()[some] == 0,
         truly(truth.near(truth.even)), truly(truth.near(truth.bears)), truly(truth.safe), truly(truth.near(truth.safe)),
@@ -142,7 +140,7 @@ def rows(samples: Sequence[Sample], what: str, families: list[str]) -> Rows:
     weight = np.concatenate([np.full(use.sum(), 1 / use.sum() / count[s.family]) for s, use in kept])
 
     def part(terms: tuple[str, ...], hidden: bool) -> Part:
-        values = [np.stack([getattr(s, what)[t][use] for t in terms], axis=1) for s, use in kept]
+        values = [np.stack([s.terms[t][use] for t in terms], axis=1) for s, use in kept]
         share = [s.hidden[use] if hidden else np.ones(use.sum()) for s, use in kept]
         return Part(
             terms, np.nan_to_num(np.concatenate(values)).astype(np.float64), np.concatenate(share).astype(np.float64)
@@ -283,8 +281,8 @@ def left_out(samples: list[Sample], strange: list[Sample], what: str) -> tuple[R
 
 def claimed(s: Sample, obstacle: Sequence[Rate], ground: Sequence[Rate]) -> F32:
     """P(safe) of the cells of one map."""
-    relief, density = (np.exp(rate.log_rate(s.obstacle)) for rate in obstacle)
-    bad = relief + s.hidden * density + np.exp(ground[0].log_rate(s.ground))
+    relief, density = (np.exp(rate.log_rate(s.terms)) for rate in obstacle)
+    bad = relief + s.hidden * density + np.exp(ground[0].log_rate(s.terms))
     return np.where(s.kept, s.tilt * np.exp(-bad), np.float32(0)).astype(np.float32)
 
 
@@ -339,7 +337,7 @@ def main() -> None:
         print(f"{what}: the worst family left out asks for {caution(rate, r):.1f} times these rates")
         rates[what] = fit(rows(samples, what, families), EAGER[what])
         for name, k in zip(names, rates[what], strict=True):
-            write_table(name, rate_bytes(k), {"Fitted on": fitted})
+            write_table(name, k.to_bytes(), {"Fitted on": fitted})
     print("\n".join(table(samples, lambda s: claimed(s, rates["obstacle"], rates["ground"]))))
 
 

@@ -20,8 +20,8 @@ from rasterio.windows import Window
 from alight.geometry import Pose, quaternion_from_matrix
 from alight.records import Frame, ImuSample, NavSample, OutputError, Pixels, Rig, RigCamera, Terrain
 from alight_sim.flight import SimulatedFlight
+from alight_sim.rasters import EARTH_RADIUS
 
-EARTH_RADIUS = 6371008.8  # metres, mean
 BAND = 512  # rows of a raster at a time: a multiple of its tiles
 JPEG_QUALITY = 90  # of small cameras
 LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # of a pixel on the disk, at least: plain ground in haze

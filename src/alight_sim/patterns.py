@@ -25,7 +25,7 @@ class FlightPlan(Section):
     """Plan of a flight; `height: 40` alone is enough."""
 
     pattern: Pattern = Field("transect", description="what to fly; `waypoints` where those are given")
-    height: float = Field(40.0, gt=0, le=10_000, description="metres above what `above` says, at the start")
+    height: float = Field(40.0, gt=0, le=10_000, description="metres above what `above` names, at the start")
     above: Literal["ground", "origin"] = Field(
         "ground", description="heights count from the ground under the start, or from the world's origin"
     )

@@ -10,9 +10,8 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Pose
+from alight_sim.vehicle import GRAVITY, UPWARDS
 
-_GRAVITY = 9.80665  # m/s^2
-_LIFT = np.array([0.0, 0.0, _GRAVITY])
 _REACTION = 0.25  # s, in which a wanted velocity is reached where the limits allow it
 _APPROACH = 0.9  # 1/s, speed per metre that is left
 _BRAKING = 0.7  # share of the acceleration that is planned for braking
@@ -95,7 +94,7 @@ class PointMass:
     @property
     def imu(self) -> tuple[F64, F64]:
         """(3,) rad/s and (3,) m/s^2 in the body, as gyroscope and accelerometer measure them."""
-        return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + _LIFT))
+        return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + UPWARDS))
 
     def step(self, dt: float, wanted: Wanted | None) -> None:
         """Move for `dt` seconds; None: the motors stand still."""
@@ -111,25 +110,25 @@ class PointMass:
 
     def _fly(self, dt: float, wanted: Wanted) -> None:
         most = self.limits.acceleration
-        asked = (self._wanted_velocity(wanted) - self.velocity) / _REACTION
-        asked *= min(1.0, most / max(float(np.linalg.norm(asked)), 1e-9))
+        commanded = (self._wanted_velocity(wanted) - self.velocity) / _REACTION
+        commanded *= min(1.0, most / max(float(np.linalg.norm(commanded)), 1e-9))
         decay = math.exp(-dt / 2.0)
         self._gust = decay * self._gust + math.sqrt(1 - decay**2) * self.gusts * self._rng.standard_normal(3)
-        self._follow(dt, asked + self._gust + self.push_world)
+        self._follow(dt, commanded + self._gust + self.push_world)
         self.position = self.position + self.velocity * dt + 0.5 * self._acceleration * dt**2
         self.velocity = self.velocity + self._acceleration * dt
         if wanted.heading is not None:
             left = math.remainder(wanted.heading - self.heading, 2 * math.pi)
             self.heading += max(-self.limits.turn * dt, min(self.limits.turn * dt, left))
 
-    def _follow(self, dt: float, asked: F64) -> None:
+    def _follow(self, dt: float, commanded: F64) -> None:
         """Follow the commanded acceleration with two lags in series: attitude and turn rate are continuous."""
         keep = math.exp(-dt / self.limits.lag) if self.limits.lag > 0 else 0.0
-        self._thrust = asked + keep * (self._thrust - asked)
+        self._thrust = commanded + keep * (self._thrust - commanded)
         self._acceleration = self._thrust + keep * (self._acceleration - self._thrust)
 
     def _fall(self, dt: float) -> None:
-        self._acceleration = np.zeros(3) if self.stands else np.array([0.0, 0.0, -_GRAVITY])
+        self._acceleration = np.zeros(3) if self.stands else np.array([0.0, 0.0, -GRAVITY])
         self.position = self.position + self.velocity * dt
         self.velocity = np.zeros(3) if self.stands else self.velocity + self._acceleration * dt
 
@@ -157,7 +156,7 @@ class PointMass:
 
     def _attitude(self) -> F64:
         """(3, 3) rotation, world from body: z along the thrust, x towards the heading."""
-        push = self._acceleration + self.limits.drag * (self.velocity - self.wind_world) + _LIFT
+        push = self._acceleration + self.limits.drag * (self.velocity - self.wind_world) + UPWARDS
         if self.stands or push[2] < 1.0:
             push = np.array([0.0, 0.0, 1.0])
         zx, zy, zz = (float(v) for v in push / math.sqrt(float(push @ push)))

@@ -102,7 +102,7 @@ def _opened(path: Path, what: str) -> Iterator[Any]:
         with rasterio.open(path) as dataset:
             if dataset.crs is None:
                 raise InputError(
-                    f"{path}: the {what} has no coordinate system; give it one, with gdal_edit.py -a_srs say"
+                    f"{path}: the {what} has no coordinate system; give it one, for example with gdal_edit.py -a_srs"
                 )
             yield dataset
     except UNREADABLE as e:

@@ -54,7 +54,7 @@ class SceneGround(Section):
 
     size: tuple[Side, Side] = Field((120.0, 120.0), description="[east, north] metres about the origin, with truth")
     cell: float = Field(0.1, ge=0.05, le=0.2, description="metres")
-    cover: CoverName = Field("short_grass", description="class of the ground where no layer says otherwise")
+    cover: CoverName = Field("short_grass", description="class of the ground where no layer has another")
     look: LookName = Field(Look.BY_CLASS, description="look of that ground; without it that of its class")
     tint: Tint = Field(UNTINTED, description="factor on its reflectance: a number or [red, green, blue]")
     slope_deg: float = Field(0.0, ge=0.0, le=60.0, description="of the whole ground")
@@ -92,7 +92,7 @@ class Scene(Section):
     faults: Faults = Field(Faults(), description="what goes wrong between shutter and log")
     flight: FlightPlan = Field(FlightPlan(), description="where to fly, and with what")
     sensors: Sensors = Field(Sensors(), description="GPS/INS and IMU")
-    lander: TrueLander = Field(TrueLander(), description="for whom the truth says what is safe")
+    lander: TrueLander = Field(TrueLander(), description="for whom the truth is judged")
 
 
 def built_in() -> dict[str, Path]:
@@ -156,8 +156,8 @@ def explain(error: ValidationError) -> str:
 def _tag(problem: Any) -> str:
     context = problem.get("ctx", {})
     names = context.get("expected_tags") or ", ".join(f"'{k}'" for k in things())
-    said = f"no thing is called {context['tag']!r}" if "tag" in context else "a layer needs `thing: name`"
-    return f"{said}; use one of: {str(names).replace(chr(39), '')}"
+    why = f"no thing is called {context['tag']!r}" if "tag" in context else "a layer needs `thing: name`"
+    return f"{why}; use one of: {str(names).replace(chr(39), '')}"
 
 
 def _known(loc: tuple[int | str, ...]) -> str:

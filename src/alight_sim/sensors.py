@@ -52,7 +52,7 @@ class NavErrors(Section):
     rate_white_deg: float = Field(0.573, ge=0, description="degrees a second")
     yaw_start_deg: float = Field(0.0, description="degrees clockwise that the heading is wrong at the start, unclaimed")
     yaw_tau: float | None = Field(None, gt=0, description="s in which that error fades to a third; never without it")
-    latency: float = Field(0.0, ge=0, le=0.9, description="s: a row tells what was true so long before its stamp")
+    latency: float = Field(0.0, ge=0, le=0.9, description="s: a row holds what was true so long before its stamp")
     jumps: tuple[Jump, ...] = Field((), description="steps of the position, unclaimed")
     outages: tuple[Outage, ...] = Field((), description="times without position or rows")
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.elevation.levels import double_fields, halve_fields
-from alight.elevation.tiles import FIELDS, Fields, Key, TileLayer, TileStore, is_seen
+from alight.elevation.tiles import FIELDS, Fields, Key, TileCounts, TileLayer, TileStore, is_seen
 from alight.geometry import Grid, box_of
 from alight.records import ElevationMap, Heights, is_trusted
 from alight.settings.tuning import ElevationTuning
@@ -45,6 +45,12 @@ class TiledElevation:
         self._layers = {0: TileLayer(0, cell, side, self._far)}
 
     # -- rasters
+
+    @property
+    def tiles(self) -> TileCounts:
+        """Number of tiles in memory, and of those that are packed, of all levels."""
+        each = [layer.tiles for layer in self._layers.values()]
+        return TileCounts(sum(t.near for t in each), sum(t.packed for t in each))
 
     def cell_at(self, level: int) -> float:
         """Cell size of a level, metres."""
@@ -84,11 +90,8 @@ class TiledElevation:
     def add(self, heights: Heights, replace_all: bool = False) -> None:
         """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new height wherever seen)."""
         layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
-        take = (
-            is_seen(new["flags"])
-            if replace_all
-            else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
-        )
+        seen = is_seen(new["flags"])
+        take = seen if replace_all else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
         r, c = box_of(take)
         if r.stop > r.start:
             grid = heights.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
@@ -106,7 +109,7 @@ class TiledElevation:
         coarser.write(above, means, is_seen(means["flags"]))
         return above
 
-    def _known(self, layer: TileLayer, grid: Grid, inflation: float = 1.0) -> Fields:
+    def _known(self, layer: TileLayer, grid: Grid, inflation: float) -> Fields:
         """Return the layer's cells; where it has none, those of the next coarser layer, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
@@ -118,12 +121,8 @@ class TiledElevation:
         coarse = self._known(coarser, coarser.cells(*around), inflation)
         if not is_seen(coarse["flags"]).any():
             return out
-        from_coarse, r, c = (
-            double_fields(coarse, np.float32(inflation)),
-            2 * around[1] + 1 - north,
-            west - 2 * around[2],
-        )
-        for k, v in from_coarse.items():
+        r, c = 2 * around[1] + 1 - north, west - 2 * around[2]
+        for k, v in double_fields(coarse, np.float32(inflation)).items():
             out[k][~seen] = v[r : r + grid.rows, c : c + grid.cols][~seen]
         return out
 
@@ -134,12 +133,14 @@ class TiledElevation:
 
     def read(self, grid: Grid) -> ElevationMap:
         """Return a copy of the best heights on a grid of whole cells of any level."""
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
+        return self._map(grid, 1.0)
 
     def start(self, grid: Grid) -> ElevationMap:
         """Return the start of a step: as `read`, with sigma inflated where only coarser levels have seen a cell."""
-        known = self._known(self._layer_of(grid.cell), grid, self._tuning.less_sure)
-        return ElevationMap(grid, **known)  # type: ignore[arg-type]
+        return self._map(grid, self._tuning.less_sure)
+
+    def _map(self, grid: Grid, inflation: float) -> ElevationMap:
+        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, inflation))  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory does not grow with the flight."""

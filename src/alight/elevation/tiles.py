@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, MutableMapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import lz4.frame
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Grid, box_of, plane_on
-from alight.records import Flag
+from alight.records import Flag, is_flagged
 
 Key = tuple[int, int]  # (row, column) of a tile; rows count north
 Name = tuple[int, int, int]  # level, row, column
@@ -57,13 +57,20 @@ def unpack_tile(packed: bytes, side: int) -> Fields:
 
 def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
     """True for cells that were seen."""
-    return np.asarray((flags & np.uint16(Flag.UNSEEN)) == 0)
+    return ~is_flagged(flags, Flag.UNSEEN)
 
 
 def _extent(tile: Fields) -> tuple[Part, int]:
     """Bounding box and number of the seen cells."""
     seen = is_seen(tile["flags"])
     return box_of(seen), int(seen.sum())
+
+
+class TileCounts(NamedTuple):
+    """Number of tiles."""
+
+    near: int  # in memory
+    packed: int
 
 
 class NullStore(dict[Name, bytes]):
@@ -169,6 +176,11 @@ class TileLayer:
         self._far[name] = pack_tile(tile)
         if name in self._far:
             self._left[key] = _extent(tile)
+
+    @property
+    def tiles(self) -> TileCounts:
+        """Number of tiles in memory, and of those that are packed."""
+        return TileCounts(len(self._near), len(self._left))
 
     @property
     def keys(self) -> list[Key]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs.reading import Run, read_bands
 from alight.raster import clearance_of, gradient
-from alight.records import Flag, Hazard, InputError, Terrain, is_site
+from alight.records import Flag, Hazard, InputError, Terrain, is_flagged, is_site
 from alight.runner.opening import open_source
 from alight.settings import Lander, Settings
 from alight.sources.source import Trajectory
@@ -27,8 +27,6 @@ from alight_sim.truth import safe_mask
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE)
 BAD = 0.5  # metres: a height with a larger error must be flagged
-_REGISTRATIONS, _REWEIGHINGS = 6, 8
-_LEAST_TO_REGISTER = 100  # ground cells
 ROOM = 1.0  # metres of clearance: such truly safe ground should not be refused
 NEAR = 0.3  # metres: a claim this near to truly safe ground is an inexact edge, not a mistake
 
@@ -68,44 +66,89 @@ def read_flight_truth(folder: Path) -> FlightTruth:
     return FlightTruth(dem.astype(np.float32), label, grid)
 
 
-def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, suffix: str = "") -> None:
-    """Compare heights, sigma and acceptance by class; the map is first moved back by `offset`, (3,) metres."""
-    if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
-        out.put(f"heights{suffix}", "the run has no dem.tif")
-        return
-    e, n = np.meshgrid(*run.grid.xy())
-    true = truth.grid.nearest_at(truth.dem, e - offset[0], n - offset[1])
-    kind = truth.grid.nearest_at(truth.label, e - offset[0], n - offset[1])
-    seen = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(true)
-    given = np.isfinite(run.height) & seen
-    error = run.height - offset[2] - true
-    ground = np.isin(kind, GROUND)
-    g = error[given & ground]
-    if not g.size:
-        out.put(f"heights{suffix}", "no ground cell of the truth was measured")
-        return
-    above = float(run.info.get("height_above_ground_m") or np.nan)
-    middle = float(np.median(g))
-    sigma = run.sigma[given & ground]
-    total = np.hypot(sigma, tilted(run, e[given & ground], n[given & ground]))
-    wrong = given & (np.abs(error - middle) > BAD)
-    rows = {
-        "ground NMAD, m": nmad(g),
-        "ground NMAD, % of height": 100 * nmad(g) / above,
-        "ground offset (median), m": middle,
-        "ground P95 of |error|, m": float(np.percentile(np.abs(g), 95)),
-        "ground P95 of |error - offset|, m": float(np.percentile(np.abs(g - middle), 95)),
-        "ground accepted of seen, %": share(given & ground, seen & ground),
-        "ground within 1 sigma, %": 100 * float(np.mean(np.abs(g - middle) < sigma)),
-        "ground within 1.96 sigma, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * sigma)),
-        "ground within 1.96 sigma and common tilt, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * total)),
-        f"given out and off by more than {BAD} m, % of given out": share(wrong, given),
-    }
-    for t in (Terrain.WATER, Terrain.TREE, Terrain.TALL_VEGETATION):
-        name = f"  of these on {t.name.lower().replace('_', ' ')}, % of given out"
-        rows[name] = share(wrong & (kind == t), given)
-    for name, value in rows.items():
-        out.put(name + suffix, value)
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """A run beside the truth, its map and places first moved back by an offset."""
+
+    run: Run
+    truth: FlightTruth
+    safe: NDArray[np.uint8]  # cells of the truth on which a touchdown is safe
+    out: Evaluation
+    offset: F64  # (3,) metres
+    suffix: str = ""  # of the names of all numbers
+
+    def put(self, name: str, value: float | str) -> None:
+        self.out.put(name + self.suffix, value)
+
+    def at(self, raster: NDArray[Any], grid: Grid) -> NDArray[Any]:
+        """A raster of the truth at the cells of the run's map."""
+        east, north = np.meshgrid(*grid.xy())
+        return self.truth.grid.nearest_at(raster, east - self.offset[0], north - self.offset[1])
+
+    def heights(self) -> None:
+        """Compare heights, sigma and acceptance by class."""
+        run = self.run
+        if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
+            self.put("heights", "the run has no dem.tif")
+            return
+        true, kind = self.at(self.truth.dem, run.grid), self.at(self.truth.label, run.grid)
+        seen = ~is_flagged(run.flags, Flag.UNSEEN) & np.isfinite(true)
+        given, ground = np.isfinite(run.height) & seen, np.isin(kind, GROUND)
+        error = run.height - self.offset[2] - true
+        g = error[given & ground]
+        if not g.size:
+            self.put("heights", "no ground cell of the truth was measured")
+            return
+        above, middle = float(run.info.get("height_above_ground_m") or np.nan), float(np.median(g))
+        sigma, (east, north) = run.sigma[given & ground], np.meshgrid(*run.grid.xy())
+        total = np.hypot(sigma, tilted(run, east[given & ground], north[given & ground]))
+        wrong = given & (np.abs(error - middle) > BAD)
+        rows = {
+            "ground NMAD, m": nmad(g),
+            "ground NMAD, % of height": 100 * nmad(g) / above,
+            "ground offset (median), m": middle,
+            "ground P95 of |error|, m": float(np.percentile(np.abs(g), 95)),
+            "ground P95 of |error - offset|, m": float(np.percentile(np.abs(g - middle), 95)),
+            "ground accepted of seen, %": share(given & ground, seen & ground),
+            "ground within 1 sigma, %": 100 * float(np.mean(np.abs(g - middle) < sigma)),
+            "ground within 1.96 sigma, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * sigma)),
+            "ground within 1.96 sigma and common tilt, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * total)),
+            f"given out and off by more than {BAD} m, % of given out": share(wrong, given),
+        }
+        for t in (Terrain.WATER, Terrain.TREE, Terrain.TALL_VEGETATION):
+            name = f"  of these on {t.name.lower().replace('_', ' ')}, % of given out"
+            rows[name] = share(wrong & (kind == t), given)
+        for name, value in rows.items():
+            self.put(name, value)
+
+    def decision(self) -> None:
+        """Compare the listed places and the cells that are claimed safe with the truly safe cells."""
+        run, grid = self.run, self.truth.grid
+        sites, candidates = (places_of(run, kind) - self.offset[:2] for kind in ("sites", "candidates"))
+        good, maybe = (grid.nearest_at(self.safe, *p.T).astype(bool).tolist() for p in (sites, candidates))
+        if good:
+            self.put("best site truly safe", "yes" if good[0] else "NO")
+        self.put("sites truly safe", f"{sum(good)} of {len(good)}")
+        on = grid.nearest_at(self.truth.label, *sites.T)
+        self.put("sites centred on water, plants or structures", float(np.isin(on, NEVER).sum()))
+        self.put("candidates truly safe", f"{sum(maybe)} of {len(maybe)}")
+        if maybe and not good:
+            self.put("first candidate truly safe", "yes" if maybe[0] else "NO")
+        if run.safe is None or run.grid is None:
+            return
+        good_cells = self.at(self.safe, run.grid) > 0
+        known = np.isfinite(self.at(self.truth.dem, run.grid))
+        claimed = is_site(run.safe, run.settings.hazards.p_safe) & known
+        near = dilated(good_cells, NEAR / run.grid.cell)
+        self.put(f"declared safe and not within {NEAR} m of truly safe, %", share(claimed & ~near, claimed))
+        self.put("truly safe cells found, %", share(claimed & good_cells, good_cells))
+        if run.reasons is None or run.flags is None:
+            return
+        roomy = (clearance_of(self.safe > 0, grid.cell) >= ROOM).astype(np.uint8)
+        open_cells = (self.at(roomy, run.grid) > 0) & ~is_flagged(run.flags, Flag.UNSEEN)
+        kept = (run.reasons & ~np.uint16(Hazard.DOUBT)) == 0
+        name = f"seen and truly safe with {ROOM:g} m of clearance, and not refused, %"
+        self.put(name, share(kept & open_cells, open_cells))
 
 
 def tilted(run: Run, east: F64, north: F64) -> F64:
@@ -128,12 +171,12 @@ def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
         return offset
     e, n = np.meshgrid(*run.grid.xy())
     south, east = (np.asarray(rise) for rise in gradient(run.height.astype(np.float64), run.grid.cell))
-    known = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(east) & np.isfinite(south)
-    for _ in range(_REGISTRATIONS):
+    known = ~is_flagged(run.flags, Flag.UNSEEN) & np.isfinite(east) & np.isfinite(south)
+    for _ in range(6):
         error = run.height - offset[2] - truth.grid.nearest_at(truth.dem, e - offset[0], n - offset[1])
         kind = truth.grid.nearest_at(truth.label, e - offset[0], n - offset[1])
         use = known & np.isfinite(error) & np.isin(kind, GROUND)
-        if use.sum() < _LEAST_TO_REGISTER:
+        if use.sum() < 100:
             return offset
         offset = np.add(offset, robust(np.column_stack([-east[use], south[use], np.ones(use.sum())]), error[use]))
     return offset
@@ -143,7 +186,7 @@ def robust(A: F64, y: F64) -> F64:
     """Solve A x = y by least squares with Cauchy weights at twice the NMAD."""
     x: F64 = np.zeros(A.shape[1])
     weight: F64 = np.ones(len(y))
-    for _ in range(_REWEIGHINGS):
+    for _ in range(8):
         x = np.asarray(np.linalg.lstsq(A * weight[:, None], y * weight, rcond=None)[0])
         left = y - A @ x
         weight = 1.0 / np.sqrt(1.0 + (left / max(2.0 * nmad(left), 1e-6)) ** 2)
@@ -153,52 +196,6 @@ def robust(A: F64, y: F64) -> F64:
 def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
     """Number of cells of `part` in percent of the number of cells of `whole`."""
     return 100 * float(part.sum() / max(whole.sum(), 1))
-
-
-def decision(
-    run: Run, truth: FlightTruth, safe: NDArray[np.uint8], out: Evaluation, offset: F64, suffix: str = ""
-) -> None:
-    """Compare the listed places and the cells that are claimed safe with the truly safe cells `safe`.
-
-    Places and map are first moved back by `offset`, (3,) metres.
-    """
-    good = [_truly_safe(places_of(run, kind) - offset[:2], truth, safe) for kind in ("sites", "candidates")]
-    places = places_of(run, "sites") - offset[:2]
-    on = truth.grid.nearest_at(truth.label, places[:, 0], places[:, 1])
-    if good[0]:
-        out.put(f"best site truly safe{suffix}", "yes" if good[0][0] else "NO")
-    out.put(f"sites truly safe{suffix}", f"{sum(good[0])} of {len(good[0])}")
-    out.put(f"sites centred on water, plants or structures{suffix}", float(np.isin(on, NEVER).sum()))
-    out.put(f"candidates truly safe{suffix}", f"{sum(good[1])} of {len(good[1])}")
-    if good[1] and not good[0]:
-        out.put(f"first candidate truly safe{suffix}", "yes" if good[1][0] else "NO")
-    if run.safe is None or run.grid is None:
-        return
-    e, n = np.meshgrid(*run.grid.xy())
-    e, n = e - offset[0], n - offset[1]
-    good_cells = truth.grid.nearest_at(safe, e, n) > 0
-    known = np.isfinite(truth.grid.nearest_at(truth.dem, e, n))
-    claimed = is_site(run.safe, run.settings.hazards.p_safe) & known
-    near = dilated(good_cells, NEAR / run.grid.cell)
-    out.put(f"declared safe and not within {NEAR} m of truly safe, %{suffix}", share(claimed & ~near, claimed))
-    out.put(f"truly safe cells found, %{suffix}", share(claimed & good_cells, good_cells))
-    if run.reasons is None or run.flags is None:
-        return
-    open_cells = truth.grid.nearest_at(with_room(safe, truth.grid.cell), e, n) > 0
-    open_cells &= (run.flags & np.uint16(Flag.UNSEEN)) == 0
-    kept = (run.reasons & ~np.uint16(Hazard.DOUBT)) == 0
-    name = f"seen and truly safe with {ROOM:g} m of clearance, and not refused, %"
-    out.put(f"{name}{suffix}", share(kept & open_cells, open_cells))
-
-
-def _truly_safe(places: F64, truth: FlightTruth, safe: NDArray[np.uint8]) -> list[bool]:
-    """Return whether each place, (N, 2) metres, lies on a cell of the truth that is `safe`."""
-    return [bool(v) for v in truth.grid.nearest_at(safe, places[:, 0], places[:, 1])]
-
-
-def with_room(safe: NDArray[np.uint8], cell: float) -> NDArray[np.uint8]:
-    """Return the safe cells with a clearance of `ROOM` or more."""
-    return (clearance_of(safe > 0, cell) >= ROOM).astype(np.uint8)
 
 
 def lander_of(run: Run) -> Lander:
@@ -213,7 +210,7 @@ def lander_of(run: Run) -> Lander:
         raise InputError(f"{run.folder / 'run.json'}: of another version of Alight; run again") from e
 
 
-def places_of(run: Run, kind: Literal["sites", "candidates"]) -> F64:
+def places_of(run: Run, kind: str) -> F64:
     """East and north of the sites or of the candidates, (N, 2) metres."""
     places = run.info["answer"][kind]
     return np.array([[s["east_m"], s["north_m"]] for s in places], dtype=np.float64).reshape(-1, 2)
@@ -265,21 +262,23 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
     truth = read_flight_truth(folder)
     if run.grid is not None and not np.isfinite(truth.grid.nearest_on(run.grid, truth.dem)).any():
         raise InputError(
-            f"{folder / 'truth' / 'dem.tif'}: knows no height on the run's map; name the flight that was run"
+            f"{folder / 'truth' / 'dem.tif'}: has no height on the run's map; name the flight that was run"
         )
     safe = truth.safe(lander_of(run))
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
-    compare_heights(run, truth, out, np.zeros(3))
-    out.put("sites", float(len(places_of(run, "sites"))))
-    out.put("candidates", float(len(places_of(run, "candidates"))))
-    decision(run, truth, safe, out, np.zeros(3))
+    compared = _Comparison(run, truth, safe, out, np.zeros(3))
+    compared.heights()
+    for kind in ("sites", "candidates"):
+        out.put(kind, float(len(places_of(run, kind))))
+    compared.decision()
     if flight.truth_trajectory is not None:
         d, r = position_errors(run, flight.truth_trajectory)
         if len(d):
             trajectory(d, r, out)
-            compare_heights(run, truth, out, d.mean(0), ", registered")
-            decision(run, truth, safe, out, d.mean(0), ", registered")
+            registered = replace(compared, offset=d.mean(0), suffix=", registered")
+            registered.heights()
+            registered.decision()
             offset = placed(run, truth, d.mean(0))
             out.put("offset of the map (east, north, up), m", " ".join(f"{v:.3f}" for v in offset))
-            compare_heights(run, truth, out, offset, ", registered by its heights")
+            replace(compared, offset=offset, suffix=", registered by its heights").heights()
     return out

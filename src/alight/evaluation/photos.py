@@ -18,11 +18,10 @@ from alight.geometry import Grid, LocalFrame, world_up
 from alight.learned import arrays_of
 from alight.outputs.reading import Run
 from alight.raster import ellipse
-from alight.records import Flag, InputError
+from alight.records import Flag, InputError, is_flagged
 from alight.sources.tum import read_tum
 from alight.spread import nmad
 
-LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: limits of the reference points that are used
 # names and shapes: -1 is the number of points, -2 that of the photos
 REFERENCE = {
     "origin_llh": (3,),
@@ -32,10 +31,6 @@ REFERENCE = {
     "centers_enu": (-2, 3),
 }
 SLAB = {"points": (-1, 3), "inlier": (-1,)}
-FAR = 20_000.0  # metres between the origins of a run and of its reference, at most
-BAD_SHARE = 0.01  # of the height above ground
-
-LARGEST_REFERENCE = 4_000_000_000  # bytes
 
 
 def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
@@ -86,11 +81,11 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the reference")
     ref = read_arrays(folder / "sfm_reference.npz", REFERENCE)
     frame = LocalFrame(*ref["origin_llh"])
-    if np.linalg.norm(run.local.to_enu(frame.latitude, frame.longitude, frame.height)) > FAR:
+    if np.linalg.norm(run.local.to_enu(frame.latitude, frame.longitude, frame.height)) > 20_000.0:
         raise InputError(f"{folder}: the reference of another place; name the one of the photos that were run")
     out = Evaluation(f"{run.folder} against the reference of {folder}")
-    believed = (ref["points_track"] >= LEAST_TRACK) & (ref["points_err"] < MOST_ERROR)
-    points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][believed]))
+    used = (ref["points_track"] >= 3) & (ref["points_err"] < 1.0)  # photos, px
+    points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][used]))
     _heights(run, points, out)
     if (folder / "slab_plane.npz").exists():
         slab = read_arrays(folder / "slab_plane.npz", SLAB)
@@ -106,7 +101,8 @@ def read_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, 
         InputError: the file cannot be read or lacks one of the arrays, or an array has another shape or is not numeric.
     """
     try:
-        arrays = arrays_of(read_bytes(path, LARGEST_REFERENCE), largest=LARGEST_REFERENCE)
+        largest = 4_000_000_000  # bytes
+        arrays = arrays_of(read_bytes(path, largest), largest)
         found, sizes = {name: arrays[name] for name in shapes}, dict[int, int]()
         for name, shape in shapes.items():
             values = found[name]
@@ -141,14 +137,14 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     out.put("P95 of |error| less a plane, m", float(np.percentile(np.abs(left), 95)))
     out.put("bias (median), m", float(np.median(error[given])))
     out.put("tilt, mrad", float(1e3 * np.hypot(*plane[:2])))
-    off = float((np.abs(left) > BAD_SHARE * above).sum() / len(points))
+    off = float((np.abs(left) > 0.01 * above).sum() / len(points))
     out.put(
         "off by more than 1 % of height and given out, % of all points", 100 * off if np.isfinite(above) else np.nan
     )
     out.put(
         "within 1.96 sigma (points' own 0.028 m added), %", 100 * float(np.mean(np.abs(left[known]) < 1.96 * total))
     )
-    seen = (run.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
+    seen = ~is_flagged(run.flags, Flag.UNSEEN | Flag.FEW)
     out.put("accepted of cells seen by three photos or more, %", 100 * float(np.isfinite(run.height)[seen].mean()))
 
 
@@ -174,7 +170,7 @@ def _centres(run: Run, centres: F64, out: Evaluation) -> None:
     own = np.array([p.translation for p in read_tum(path, run.local)[1]])  # a photo's body is its camera
     distance, index = cKDTree(centres).query(own)
     if len(set(index.tolist())) < len(own):
-        out.put("camera centres", "cannot be told apart: two are nearest to the same reference")
+        out.put("camera centres", "cannot be distinguished: two are nearest to the same reference")
         return
     out.put("camera centres compared", f"{len(own)} of {len(centres)}")
     out.put("camera centres RMS, m", rms(distance))

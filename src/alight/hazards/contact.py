@@ -1,4 +1,4 @@
-"""Contact geometry of a touchdown at every cell: footprint plane and rotor (G1 to G3, G6); gear is in `gear`."""
+"""The ground under the footprint disc about every cell: plane, deviations and steps (G1 to G3)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32
 from alight.hazards import footprint_kernels as kernels
-from alight.hazards.footprint import padded_spans
 from alight.raster import disc_mask, disc_spans
-from alight.settings import Lander
-
-STRIP = 512  # rows whose running sums are held at once
-CERTAIN = np.float32(40.0)  # sigmas; a limit is kept, or broken, for sure
-NO_NOISE = 1e-9  # metres; a smaller sigma is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +45,21 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     return Footprint(unknown, level, grad_c, grad_r, slope, rough, rise, scatter, count)
 
 
-def _planes(height: F32, spans: NDArray[np.int64]) -> list[F32]:
+def _planes(height: F32, spans: NDArray[np.int64], strip: int = 512) -> list[F32]:
     """Known cells, the plane's level and rise per column and per row, and the squared deviations from it; (R, C) each.
 
     By strips of rows, as the running sums take twelve times the memory of the heights.
     """
     rows, cols = height.shape
     reach, out = spans.size // 2, [np.empty_like(height) for _ in range(5)]
-    for top in range(0, rows, STRIP):
-        first, bottom = max(top - reach, 0), min(top + STRIP, rows)
+    for top in range(0, rows, strip):
+        first, bottom = max(top - reach, 0), min(top + strip, rows)
         part = np.ascontiguousarray(height[first : bottom + reach])
         sums, found = np.empty((len(part), 6, cols + 1 + 2 * reach)), [np.empty_like(part) for _ in out]
         kernels.row_sums(part, reach, sums)
         kernels.fit_planes(sums, spans, *found)
-        for whole, strip in zip(out, found, strict=True):
-            whole[top:bottom] = strip[top - first : bottom - first]
+        for whole, some in zip(out, found, strict=True):
+            whole[top:bottom] = some[top - first : bottom - first]
     return out
 
 
@@ -78,22 +72,3 @@ def step_of(height: F32, radius: float, cell: float) -> F32:
         np.where(np.isnan(step), np.float32(-1), step), disc, borderType=cv2.BORDER_CONSTANT, borderValue=-1
     )
     return np.where(worst >= 0, worst, np.float32(np.nan))
-
-
-def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:
-    """Least margin below the rotor between the footprint's rim and its own, (R, C) in sigmas of the heights (G6, G8c).
-
-    Args:
-        height: (R, C) metres, NaN = unknown.
-        sigma: (R, C) metres, of each height.
-        footprint: its planes; the ground under the rotor may rise above them by at most `rotor_rise`.
-        lander: its rotor.
-        cell: metres.
-    """
-    assert lander.rotor_radius is not None
-    outer = disc_spans(lander.rotor_radius / cell)
-    inner = padded_spans(disc_spans(lander.radius / cell), outer.size // 2)
-    margin, weight = np.empty_like(height), 1 / np.fmax(sigma, np.float32(NO_NOISE))
-    limit = footprint.level + np.float32(lander.rotor_rise)
-    kernels.least_margin(height, weight, limit, footprint.grad_c, footprint.grad_r, inner, outer, margin)
-    return margin.clip(-CERTAIN, CERTAIN)

@@ -17,8 +17,6 @@ from alight.learned import arrays_of, table_path
 WIDE = 2.0  # width of an obstacle over its height: half a ball
 STEEP = 3.0  # exponent of the number of obstacles by width: twice as wide ones are an eighth as many
 LARGEST = 4.0  # widths of the smallest that matters, up to which obstacles count
-STEPS = 24  # of the integral over widths
-MOST_WIDE = 60.0  # pixels: wider obstacles are found in any case
 RATIOS = np.geomspace(0.02, 4.0, 60)  # sample over the height of the smallest that matters
 
 
@@ -46,17 +44,18 @@ class Detection:
     @cached_property
     def _unseen(self) -> F64:
         """Unseen share at the `RATIOS` of the sampling (rows) and of the pixel (columns): lengths over the limit."""
-        width = WIDE * np.geomspace(1, LARGEST, STEPS)
+        width = WIDE * np.geomspace(1, LARGEST, 24)
         missed = self.missed(width[None, None], RATIOS[:, None, None], RATIOS[None, :, None])
         return np.asarray(np.average(missed, axis=-1, weights=width ** (1 - STEEP)))
 
     def smallest_found(self, share: float, sampling: F32, pixel: F32) -> F32:
         """Height of the smallest obstacle that is found with a probability of `share`, metres."""
         ratios = np.geomspace(0.25, 32.0, 43)  # a sample of the heights over a pixel
-        widths = np.geomspace(0.5, MOST_WIDE, 200)[:, None]  # over a pixel
+        widest = 60.0  # over a pixel: wider obstacles are found in any case
+        widths = np.geomspace(0.5, widest, 200)[:, None]
         missed = self.missed(widths, ratios, np.ones_like(ratios))
         first = np.argmax(missed <= 1 - share, axis=0)
-        found = np.where((missed <= 1 - share).any(axis=0), widths[first, 0], MOST_WIDE)
+        found = np.where((missed <= 1 - share).any(axis=0), widths[first, 0], widest)
         ratio = np.log((sampling / np.maximum(pixel, np.float32(1e-6))).clip(ratios[0], ratios[-1]))
         return np.asarray(pixel * np.interp(ratio, np.log(ratios), found) / WIDE, np.float32)
 

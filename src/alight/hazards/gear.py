@@ -1,48 +1,166 @@
-"""Contact of feet or skids with the ground at every cell, and of the belly (G4, G5)."""
+"""Feet or skids on the ground at every cell: the cells that they touch, their contact, and the belly (G4, G5)."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.arrays import F32, Mask
+from alight.arrays import F32, F64, I64, Mask
 from alight.hazards import contact_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
 from alight.hazards.contact import Footprint
-from alight.hazards.footprint import block_starts, feet_of, skids_of
 from alight.raster import disc_spans
+from alight.raster.disc import RIM
 from alight.settings import Lander
+
+COARSE = 3.0  # cells between the rails, or the ends of one, below which rounding to cells spoils the tilt
+
+
+def directions(headings: int) -> F64:
+    """Unit vectors (column, row) forward, of evenly spread headings from north, clockwise; (headings, 2)."""
+    angle = 2 * math.pi * np.arange(headings) / headings
+    return np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+
+
+def unlike_directions(headings: int, points: F64) -> F64:
+    """`directions`, without those that only exchange the points (n, 2) (forward, left), metres, of an earlier one.
+
+    A lander that looks the same after a turn, as a square one does after a quarter, need not be judged twice.
+    """
+    kept: dict[bytes, F64] = {}
+    for ahead in directions(headings):
+        at = np.rint(1e6 * (points[:, :1] * ahead + points[:, 1:] * [ahead[1], -ahead[0]])) + 0.0
+        kept.setdefault(at[np.lexsort(at.T)].tobytes(), ahead)
+    return np.array(list(kept.values()))
+
+
+def block_starts(spans: I64, side: int) -> I64:
+    """(b, 2) (row, column) offsets of the blocks of `side` cells a side that cover the disc, the middle ones first."""
+    reach = spans.size // 2
+    rows = range(-reach, reach + 1, side)
+    widest = [max(int(spans[i + reach]) for i in range(r, min(r + side, reach + 1))) for r in rows]
+    starts = np.array([(r, c) for r, w in zip(rows, widest, strict=True) for c in range(-w, w + 1, side)])
+    nearest_first = np.argsort(np.hypot(*(starts + (side - 1) / 2).T), kind="stable")
+    return starts[nearest_first].astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class _Ground:
-    """Input of the contact kernels, heights in cells."""
+class Feet:
+    """The cells under each foot at each heading."""
 
-    ground: F32  # (R, C), +inf where unknown
-    body: F32  # (R + 2 pad, C + 2 pad), -inf where unknown and off the map
-    tops: F32  # like `body`: highest cell of the block that starts there
-    own: F32  # (4, R, C) the footprint's plane and the highest ground above it
-    spans: NDArray[np.int64]
-    blocks: NDArray[np.int64]
+    xy: F64  # (headings, feet, 2) contact of a foot: (column, row) offset in cells, the centroid of those under it
+    offsets: I64  # (n, 2) (row, column) of all those cells
+    starts: I64  # (headings, feet + 1) index at which each foot's cells begin
+    triples: I64  # (t, 3) feet that can carry the lander together
+    solve: F64  # (headings, t, 3, 3) from the heights of those three to their plane (level, per column, per row)
+    coarse: bool  # at some heading the cells do not separate three of them
 
 
-def _ground_of(height: F32, footprint: Footprint, lander: Lander, cell: float) -> _Ground:
-    scale = np.float32(1 / cell)
-    known = np.isfinite(height)
-    spans = disc_spans(lander.radius / cell)
-    pad = spans.size // 2 + BLOCK
-    body = np.pad(np.where(known, height * scale, np.float32(-np.inf)), pad, constant_values=-np.inf)
-    block = np.ones((BLOCK, BLOCK), np.uint8)
-    tops = cv2.dilate(body, block, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
-    own = np.stack(
-        [footprint.level * scale, footprint.grad_c * scale, footprint.grad_r * scale, footprint.rise * scale]
-    )
-    ground = np.where(known, height * scale, np.float32(np.inf))
-    return _Ground(ground, body, np.asarray(tops), own, spans, block_starts(spans, BLOCK))
+@dataclass(frozen=True, eq=False)
+class Skids:
+    """The cells under each rail at each heading."""
+
+    axes: F64  # (headings, 2) forward, unit (column, row)
+    offsets: I64  # (headings, 2, n, 2) (row, column) under the left and the right rail
+    along: F64  # (headings, n) position along the rail, cells, evenly spread over the length of those cells
+    gauge: F64  # (headings,) between those cells, cells
+
+
+def _cells_within(centre: F64, radius_cells: float) -> I64:
+    """Return (n, 2) (row, column) of the cells with centres within the radius of (column, row); the nearest if none."""
+    near = np.round(centre)
+    reach = math.ceil(radius_cells) + 1
+    grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2) + near
+    inside = grid[np.hypot(*(grid - centre).T) <= radius_cells + RIM]
+    return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
+
+
+def _holds_centre(corners: F64) -> bool:
+    """True if the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
+    weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
+    return bool((weights >= -1e-6).all())
+
+
+def _double_areas(points: F64, triples: I64) -> F64:
+    """(t,) twice the areas between every three of the points (n, 2)."""
+    u, v = (points[triples[:, k]] - points[triples[:, 0]] for k in (1, 2))
+    return np.asarray(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
+
+
+def _triples(feet: F64, any_three: bool) -> I64:
+    """Every three feet that can carry: no thinner than a tenth of the largest triangle, the lander's centre within."""
+    every = list(combinations(range(len(feet)), 3))
+    area = _double_areas(feet, np.array(every))
+    thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
+    held = [t for t in thick if _holds_centre(feet[list(t)])]
+    return np.array(thick if any_three or not held else held, dtype=np.int64)
+
+
+def _solves(xy: F64, triples: I64) -> F64:
+    """(headings, t, 3, 3): matrices from three heights to the plane through them."""
+    corners = xy[:, triples]  # (headings, t, 3, 2)
+    return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
+
+
+def is_coarse(lander: Lander, cell: float) -> bool:
+    """True if cells of this size (metres) are too coarse to separate the contacts of the gear (G5a)."""
+    if lander.skids is not None:
+        return min(lander.skids) < COARSE * cell
+    return lander.feet is not None and feet_of(lander, cell).coarse
+
+
+def feet_of(lander: Lander, cell: float) -> Feet:
+    """Lay the lander's feet on the grid, every heading.
+
+    Where the cells under three feet lie nearly in a line, all feet count at their exact place: so there is a plane.
+    """
+    assert lander.feet is not None
+    body = np.array(lander.feet) / cell  # forward, left
+    triples = _triples(body, lander.support == "any")
+    xy: list[F64] = []
+    offsets: list[I64] = []
+    starts: list[I64] = []
+    begin, coarse = 0, False
+    for ahead in unlike_directions(lander.headings, np.array(lander.feet)):
+        left = np.array([ahead[1], -ahead[0]])
+        at = body[:, :1] * ahead + body[:, 1:] * left
+        cells = [_cells_within(foot, lander.foot_radius / cell) for foot in at]
+        ends = np.cumsum([len(c) for c in cells])
+        starts.append(begin + np.concatenate([[0], ends]))
+        begin += int(ends[-1])
+        offsets += cells
+        centroids = np.array([c[:, ::-1].mean(axis=0) for c in cells])
+        apart = bool((_double_areas(centroids, triples) >= 0.25 * _double_areas(at, triples)).all())
+        xy.append(centroids if apart else at)
+        coarse |= not apart
+    centres, begins = np.array(xy), np.array(starts, dtype=np.int64)
+    return Feet(centres, np.concatenate(offsets), begins, triples, _solves(centres, triples), coarse)
+
+
+def skids_of(lander: Lander, cell: float) -> Skids:
+    """Lay the lander's skids on the grid, every heading, one sample a cell of length and both ends.
+
+    Length and gauge are those of the cells under the rails: so a plane gives its own tilt to 3 %, or more. On cells too
+    coarse for that (G5a) they are the lander's.
+    """
+    assert lander.skids is not None
+    length, gauge = lander.skids[0] / cell, lander.skids[1] / cell
+    along = np.linspace(-length / 2, length / 2, max(3, 2 * math.ceil(length / 2) + 1))
+    corners = 0.5 * np.array([(f, g) for f in (-1, 1) for g in (-1, 1)]) * lander.skids
+    axes = unlike_directions(lander.headings, corners)
+    left = np.stack([axes[:, 1], -axes[:, 0]], axis=1)
+    rails = [along[None, :, None] * axes[:, None] + side * gauge / 2 * left[:, None] for side in (1, -1)]
+    cells = np.round(np.stack(rails, axis=1))  # (headings, rail, n, 2) (column, row)
+    offsets = np.ascontiguousarray(cells.astype(np.int64)[..., ::-1])
+    if is_coarse(lander, cell):
+        return Skids(axes, offsets, np.tile(along, (len(axes), 1)), np.full(len(axes), gauge))
+    stretch = np.einsum("hrnx,hx,n->h", cells, axes, along) / (2 * along @ along)
+    apart = np.einsum("hnx,hx->h", cells[:, 0] - cells[:, 1], left) / along.size
+    return Skids(axes, offsets, stretch[:, None] * along, apart)
 
 
 def gear_contact(
@@ -63,17 +181,21 @@ def gear_contact(
         (exact within `spare` of the belly clearance, elsewhere only on which side). NaN where a foot or rail would
         stand on unknown ground, and where `skip` holds.
     """
-    g = _ground_of(height, footprint, lander, cell)
+    scale, known, spans = np.float32(1 / cell), np.isfinite(height), disc_spans(lander.radius / cell)
+    ground, low = (np.where(known, height * scale, np.float32(unknown)) for unknown in (np.inf, -np.inf))
+    body = np.pad(low, spans.size // 2 + BLOCK, constant_values=-np.inf)
+    block = np.ones((BLOCK, BLOCK), np.uint8)
+    tops = cv2.dilate(body, block, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
+    own = np.stack([a * scale for a in (footprint.level, footprint.grad_c, footprint.grad_r, footprint.rise)])
     clearance = math.inf if lander.belly_clearance is None else lander.belly_clearance
-    limits = ((clearance - spare) / cell, (clearance + spare) / cell)
+    about = (spans, block_starts(spans, BLOCK), ((clearance - spare) / cell, (clearance + spare) / cell))
     tilt, rise = np.empty_like(height), np.empty_like(height)
     if lander.feet is not None:
         f = feet_of(lander, cell)
-        feet = (f.xy, f.solve, f.offsets, f.starts, f.triples, g.spans, g.blocks, limits)
         how = (lander.foot_contact == "mean", lander.support == "any")
-        kernels.feet_contact(g.ground, g.body, g.tops, skip, g.own, *feet, *how, tilt, rise)
+        feet = (f.xy, f.solve, f.offsets, f.starts, f.triples)
+        kernels.feet_contact(ground, body, tops, skip, own, *feet, *about, *how, tilt, rise)
     else:
         s = skids_of(lander, cell)
-        skids = (s.axes, s.offsets, s.along, s.gauge, g.spans, g.blocks, limits)
-        kernels.skid_contact(g.ground, g.body, g.tops, skip, g.own, *skids, tilt, rise)
+        kernels.skid_contact(ground, body, tops, skip, own, s.axes, s.offsets, s.along, s.gauge, *about, tilt, rise)
     return np.arctan(tilt), rise * np.float32(cell)

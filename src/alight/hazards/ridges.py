@@ -12,11 +12,10 @@ import numpy as np
 from alight.arrays import F32, F64
 from alight.raster import block_mean, difference_of_gaussians, filled_surface, upsample, whole_blocks
 
-NARROW, WIDE = 0.1, 0.45  # metres, 1-sigma of the Gaussians between which the relief of a kerb lies
+BAND = 0.1, 0.45  # metres, 1-sigma of the Gaussians between which the relief of a kerb lies
 CELL = 0.12  # metres, about the cells on which lines are sought: the narrower Gaussian leaves no finer relief
 PART = 0.7  # metres, length of each of the three parts of a line
 DIRECTIONS = 24
-_SAMPLES = 4  # of a part, in a cell
 
 
 def straight_ridges(height: F32, cell: float) -> F32:
@@ -34,7 +33,7 @@ def straight_ridges(height: F32, cell: float) -> F32:
     """
     n = max(round(CELL / cell), 1)
     coarse = block_mean(whole_blocks(filled_surface(height), n), n)
-    relief = difference_of_gaussians(coarse, NARROW / cell / n, WIDE / cell / n)
+    relief = difference_of_gaussians(coarse, *(s / cell / n for s in BAND))
     out = np.zeros_like(relief)
     for parts in _directions(PART / cell / n):
         np.maximum(out, np.minimum.reduce([_mean(relief, part) for part in parts]), out=out)
@@ -63,7 +62,7 @@ def _part(along: F64, place: int) -> _Part:
     rest = place * along - (columns, rows)
     reach = math.ceil(0.5 * float(np.abs(along).max()) + 0.5) + 1
     out = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
-    for step in np.linspace(-0.5, 0.5, _SAMPLES * reach + 1):
+    for step in np.linspace(-0.5, 0.5, 4 * reach + 1):
         column, row = reach + rest + step * along
         c, r = int(column), int(row)
         across, down = column - c, row - r

@@ -26,7 +26,6 @@ log = logging.getLogger(__name__)
 HEIGHT_FLOOR = 0.001  # metres; least sigma of a cell
 ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
 UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes alternation from pixel to pixel
-_LAPLACE = np.array([[0, 1, 0], [1, -4, 1], [0, 1, 0]], np.float32)
 
 Operator = Callable[[F32], F32]
 
@@ -53,7 +52,7 @@ def coarsen(fine: F32, factor: int) -> F32:
     return np.ascontiguousarray(wide, dtype=np.float32)
 
 
-def _spread(cells: F32, factor: int) -> F32:
+def coarsen_transposed(cells: F32, factor: int) -> F32:
     """Transpose of `coarsen`, except at the rim, where it leaves out the repeated pixels."""
     weights, before = cell_weights(factor), _spans(factor)[0]
     rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
@@ -67,7 +66,7 @@ def _spread(cells: F32, factor: int) -> F32:
 
 
 def _laplacian(z: F32) -> F32:
-    out = np.asarray(cv2.filter2D(z, cv2.CV_32F, _LAPLACE, borderType=cv2.BORDER_CONSTANT))
+    out = np.asarray(cv2.Laplacian(z, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_CONSTANT))
     out[0] = out[-1] = out[:, 0] = out[:, -1] = 0
     return out
 
@@ -112,10 +111,10 @@ def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) ->
     def normal(x: F32) -> F32:
         gx, gy = gradients(x, scene.pixel)
         seen = weight * (dp * gx + dq * gy)
-        cells = _spread(scene.cell_weight * coarsen(x, scene.factor), scene.factor)
+        cells = coarsen_transposed(scene.cell_weight * coarsen(x, scene.factor), scene.factor)
         return np.asarray(cells + transposed(dp * seen, dq * seen) + _laplacian(stiff * _laplacian(x)))
 
-    right = _spread(scene.cell_weight * (scene.cells - coarsen(z, scene.factor)), scene.factor)
+    right = coarsen_transposed(scene.cell_weight * (scene.cells - coarsen(z, scene.factor)), scene.factor)
     right += transposed(weight * dp * off, weight * dq * off) - _laplacian(stiff * bend)
     share = (float((cell_weights(scene.factor) ** 2).sum()) / scene.factor) ** 2
     each = cv2.resize(scene.cell_weight, z.shape[::-1], interpolation=cv2.INTER_NEAREST)

@@ -13,8 +13,6 @@ from alight.hazards.footprint_kernels import cast_shadows
 from alight.spread import SIGMA_OF_MAD
 
 DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
-LEAST_SHADOW = 50  # pixels that must lie in a predicted shadow before its brightness is used
-LONGEST = 400  # cells that a shadow is followed
 
 
 def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
@@ -88,21 +86,21 @@ def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
     return Sunlight(x[:3], float(x[3]), SIGMA_OF_MAD * typical, explained)
 
 
-def in_shadow(height: F32, light: Sunlight, pixel: float) -> Mask:
-    """Pixels that the sun does not reach: turned away from it, or behind an object in its direction."""
+def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) -> Mask:
+    """Pixels that the sun does not reach: turned away from it, or behind an object up to `longest` cells away."""
     level = math.hypot(light.sun[0], light.sun[1])
     if level < 1e-6:
         return np.zeros(height.shape, dtype=np.bool_)
     towards = light.sun[:2] / level
     out = np.zeros(height.shape, dtype=np.bool_)
-    cast_shadows(height, float(towards[1]), float(towards[0]), math.tan(light.elevation) * pixel, LONGEST, out)
+    cast_shadows(height, float(towards[1]), float(towards[0]), math.tan(light.elevation) * pixel, longest, out)
     along, across = gradients(height, pixel)
     return out | (light.brightness(along, across)[0] < light.ambient)
 
 
 def shadow_level(image: F32, shadow: Mask) -> float:
-    """Grey level up to which a pixel may lie in shadow; -inf where no shadow is to be expected."""
+    """Grey level up to which a pixel may lie in shadow; -inf where fewer than 50 pixels should lie in one."""
     core = cv2.erode(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if core.sum() < LEAST_SHADOW:
+    if core.sum() < 50:
         return -math.inf
     return float(np.quantile(image[core], 0.95)) + 2.0

@@ -7,20 +7,14 @@ import numpy as np
 from alight.arrays import F32, Mask
 from alight.raster import close_mask, weighted_gaussian
 from alight.raster.smoothing import LEAST_SHARE
-from alight.records import ElevationMap, Flag
+from alight.records import ElevationMap, Flag, is_flagged
 from alight.settings import HazardsSettings, Lander
 
-_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or one that cannot be right
-ABOUT = 0.5  # metres, 1-sigma of the window of the trusted ground about a height
-_PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # no texture: an obstacle would stand out against it
 
-
-def _with_gaps(known: Mask, reach_cells: float) -> Mask:
-    """Known cells, and gaps between them that are narrower than twice the reach."""
-    n = int(reach_cells + 1e-6)
-    if n < 1:
-        return known
-    return close_mask(known, n)
+def _about(height: F32, known: Mask, sigma: float) -> F32:
+    """Gaussian mean of the known heights about every cell, NaN where none is near; `sigma` in cells."""
+    near = weighted_gaussian(height, known.astype(np.float32), sigma)
+    return np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
 
 
 def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
@@ -35,35 +29,32 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
     if not known.any():
         return np.full(elevation.grid.shape, np.nan, dtype=np.float32)
     height = elevation.height - np.float32(np.median(elevation.height[known]))
-    usable = np.isfinite(height) & ((elevation.flags & _NEVER) == 0)
-    plain = usable & ((elevation.flags & _PLAIN) != 0)
+    flags = elevation.flags
+    usable = np.isfinite(height) & ~is_flagged(flags, Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # these cannot be right
+    plain = is_flagged(flags, Flag.TEXTURE | Flag.SATURATED)  # an obstacle would stand out against it
     for reach, where in (
-        (settings.bridge, usable & ((elevation.flags & np.uint16(Flag.SATURATED)) == 0)),
-        (settings.bridge_plain, plain),
+        (settings.bridge, usable & ~is_flagged(flags, Flag.SATURATED)),
+        (settings.bridge_plain, usable & plain),
     ):
         cells = reach / elevation.grid.cell
         if cells >= 1:
-            gap = _with_gaps(known, cells) & ~known & where
-            near = weighted_gaussian(height, known.astype(np.float32), cells)
-            neighbours = np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
-            agrees = np.abs(height - neighbours) <= 0.5 * lander.tallest_obstacle
-            known = known | (gap & agrees)
+            gap = close_mask(known, int(cells + 1e-6)) & ~known & where
+            known = known | (gap & (np.abs(height - _about(height, known, cells)) <= 0.5 * lander.tallest_obstacle))
     return np.where(known, height, np.float32(np.nan))
 
 
 def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
     """Measured heights (R, C), doubtful ones as well, as evidence of obstacles, metres (G7f).
 
-    A vague one counts in full where it stands out by several of its sigmas from the trusted ground about it; else it
-    counts as one sigma nearer to that ground, and as not measured, NaN, within one sigma.
+    A vague one counts in full where it stands out by several of its sigmas from the trusted ground within 0.5 m; else
+    it is lowered by one sigma towards that ground, and counts as not measured, NaN, within one sigma.
     """
     vague = elevation.sigma > np.float32(settings.vague * lander.tallest_obstacle)
     known = elevation.trusted
     if not vague.any() or not known.any():
         return np.where(vague, np.float32(np.nan), elevation.height)
     middle = np.float32(np.median(elevation.height[known]))
-    ground = weighted_gaussian(elevation.height - middle, known.astype(np.float32), ABOUT / elevation.grid.cell)
-    about = np.where(ground.share > LEAST_SHARE, ground.mean + middle, np.float32(np.nan))
+    about = _about(elevation.height - middle, known, 0.5 / elevation.grid.cell) + middle
     off = elevation.height - about
     vague &= ~(np.abs(off) > np.float32(settings.stands_out) * elevation.sigma)
     above = np.abs(off) - elevation.sigma

@@ -11,8 +11,6 @@ from alight.arrays import F64
 from alight.records import NextView
 from alight.settings import SitesSettings
 
-_OVERHEAD = 1e-3  # metres: nearer than this the direction to the vehicle is undefined
-
 
 @dataclass(frozen=True, eq=False)
 class Observer:
@@ -53,4 +51,4 @@ def _towards(place: F64, vehicle: F64) -> F64:
     """Unit vector on the ground, (2,), from a place to the vehicle; north if the vehicle is overhead."""
     way = np.asarray(vehicle[:2] - place[:2], dtype=np.float64)
     distance = float(np.hypot(*way))
-    return way / distance if distance > _OVERHEAD else np.array([0.0, 1.0])
+    return way / distance if distance > 1e-3 else np.array([0.0, 1.0])

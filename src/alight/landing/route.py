@@ -17,9 +17,7 @@ from alight.raster import block_quantile, upsample
 from alight.records import ElevationMap, Route, Site, Waypoint, is_measured
 from alight.settings import RouteSettings
 
-BLOCK = 0.5  # metres: doubtful heights count by blocks of this size
 UNMAPPED = 0.05  # share of the ground beside the way that may be unmapped, as `executive.unmapped`
-ABOUT = 2.0  # metres: side of the blocks whose lowest heights, with those of their neighbours, are the ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +65,14 @@ class Obstructions:
     def of(cls, elevation: ElevationMap) -> Obstructions:
         """Trusted heights plus two sigma, and doubtful heights by blocks.
 
-        Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of a block,
-        because single ones are wrong, and their rise is kept.
+        Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of a block
+        of 0.5 m, because single ones are wrong. Their rise is kept, above the lowest heights of blocks of 2 m and of
+        the neighbours of these.
         """
         height = np.where(is_measured(elevation.flags), elevation.height, np.float32(np.nan))
-        size, shape = max(1, round(BLOCK / elevation.grid.cell)), height.shape
+        size, shape = max(1, round(0.5 / elevation.grid.cell)), height.shape
         about = upsample(block_quantile(height, size, 0.5), size, shape).astype(np.float64)
-        wide = max(1, round(ABOUT / elevation.grid.cell))
+        wide = max(1, round(2.0 / elevation.grid.cell))
         low = block_quantile(height, wide, 0.1)
         low = cv2.erode(np.where(np.isfinite(low), low, np.float32(np.inf)), np.ones((3, 3), np.uint8))
         rise = np.where(elevation.trusted, np.nan, about - upsample(low, wide, shape))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,11 +11,10 @@ from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid
 from alight.landing.next_view import Observer, next_view
 from alight.landing.reasons import why_no_site
-from alight.raster import clearance_of, disc_mean, disc_window
+from alight.raster import DiscWindow, clearance_of, disc_mean, disc_window
 from alight.records import Doubt, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap, keeps_margin
 from alight.settings import Lander, SitesSettings
 
-Term = tuple[float, F32]  # of Q: weight, and (R, C) values
 Cell = tuple[int, int]  # row, column
 RADII_APART = 4.0  # footprint radii between two listed places, at least: one hazard must not make both useless
 
@@ -28,7 +26,7 @@ def separation(settings: SitesSettings, lander: Lander) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """The arguments of `choose_sites`, and the scores of its cells."""
+    """The arguments of `choose_sites`: scores of cells, and the places at the best ones."""
 
     hazards: HazardMap
     land_cover: TerrainMap | None
@@ -36,7 +34,6 @@ class _Choice:
     settings: SitesSettings
     lander: Lander
     observer: Observer | None
-    extra: Sequence[Term]
 
     def score(self, allowed: Mask, clearance: F32) -> F64:
         """Score of every cell (G11): quality, room, doubt, nearness; -inf where a touchdown is not allowed."""
@@ -50,9 +47,6 @@ class _Choice:
             vehicle = self.observer.position
             distance = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
             score -= settings.distance_weight * distance
-        for weight, values in self.extra:
-            score -= weight * values
-            allowed &= np.isfinite(values)
         return np.where(allowed, score, -np.inf)
 
     def candidate_score(self, clearance: F32) -> F64:
@@ -65,59 +59,61 @@ class _Choice:
             return score
         return np.where(np.isfinite(score), np.floor(chance / step) + 0.99 * np.exp(score - best), -np.inf)
 
+    def place(self, rank: int, at: Cell, clearance: F32, candidate: bool) -> Site:
+        """The place at a cell; that of a candidate has its doubt, and the view that would settle it."""
+        hazards, grid, room = self.hazards, self.hazards.grid, float(clearance[at])
+        east, north = grid.east + at[1] * grid.cell, grid.north - at[0] * grid.cell
+        up, sigma = self._height_at(east, north)
+        factors: dict[Doubt, float] = {
+            "relief": float(hazards.p_relief[at]),
+            "obstacle": float(hazards.p_obstacle[at]),
+            "ground": float(hazards.p_ground[at]),
+        }
+        doubt: Doubt = min(factors, key=factors.__getitem__)
+        look = None
+        if candidate and self.observer is not None:
+            place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
+            look = next_view(place, settles_at, self.observer, self.settings)
+        return Site(
+            rank=rank, east=east, north=north, up=up, height_sigma=sigma, p_safe=float(hazards.p_safe[at]),
+            p_relief=factors["relief"], p_obstacle=factors["obstacle"], p_ground=factors["ground"],
+            resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]), slope=float(hazards.slope[at]),
+            roughness=float(hazards.roughness[at]), clearance=room, radius=self.lander.radius + room,
+            terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
+            doubt=doubt if candidate else None, look=look,
+        )  # fmt: skip
 
-def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: Sequence[Cell] = ()) -> list[Cell]:
-    """The best cells, best first, none within `apart` metres of a better one or of one that is taken."""
-    remaining = score.copy()
+    def _height_at(self, east: float, north: float) -> tuple[float, float]:
+        """Height of a place and its sigma, metres: of the footprint's trusted cells, else of any that have a height.
 
-    def take(cell: Cell) -> None:
-        rows, cols, disc = disc_window(remaining.shape, *cell, apart / grid.cell)
-        remaining[rows, cols][disc] = -np.inf
+        A small footprint may lie between trusted cells, on doubtful ones that agree with them (G0). On finer cells than
+        those of the hazards, its heights may lie just beyond it.
+        """
+        e = self.elevation
+        for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
+            rows, cols, disc = _footprint(e.grid, east, north, reach)
+            height, sigma = e.height[rows, cols], e.sigma[rows, cols].astype(np.float64)
+            known = disc & np.isfinite(height)
+            if known.any():
+                break
+        trusted = known & e.trusted[rows, cols]
+        here = trusted if trusted.any() else known
+        return float(height[here].mean()), float(np.sqrt(np.mean(sigma[here] ** 2)))
 
-    for cell in taken:
-        take(cell)
-    found: list[Cell] = []
-    while len(found) < count:
-        row, col = divmod(int(np.argmax(remaining)), remaining.shape[1])
-        if not np.isfinite(remaining[row, col]):
-            break
-        found.append((row, col))
-        take((row, col))
-    return found
+    def _landing_class(self, east: float, north: float) -> Terrain:
+        """The most frequent known class in the footprint."""
+        if self.land_cover is None:
+            return Terrain.UNKNOWN
+        rows, cols, disc = _footprint(self.land_cover.grid, east, north, self.lander.radius)
+        labels = self.land_cover.label[rows, cols][disc]
+        counts = np.bincount(labels[labels != Terrain.UNKNOWN], minlength=len(Terrain))
+        return Terrain(int(counts.argmax())) if counts.any() else Terrain.UNKNOWN
 
 
-def _footprint(grid: Grid, east: float, north: float, radius: float) -> tuple[slice, slice, Mask]:
-    """Rows, columns and mask of the disc about a place on any grid."""
+def _footprint(grid: Grid, east: float, north: float, radius: float) -> DiscWindow:
+    """The disc about a place on any grid."""
     row, col = (round(float(i)) for i in grid.index(np.array(east), np.array(north)))
     return disc_window(grid.shape, row, col, radius / grid.cell)
-
-
-def _height_at(c: _Choice, east: float, north: float) -> tuple[float, float]:
-    """Height of a place and its sigma, metres: of the trusted cells of the footprint, else of any that have a height.
-
-    A small footprint may lie between trusted cells, on doubtful ones that agree with them (G0). On finer cells than
-    those of the hazards, its heights may lie just beyond it.
-    """
-    e = c.elevation
-    for reach in (c.lander.radius, c.lander.radius + c.hazards.grid.cell):
-        rows, cols, disc = _footprint(e.grid, east, north, reach)
-        height, sigma = e.height[rows, cols], e.sigma[rows, cols].astype(np.float64)
-        known = disc & np.isfinite(height)
-        if known.any():
-            break
-    trusted = known & e.trusted[rows, cols]
-    here = trusted if trusted.any() else known
-    return float(height[here].mean()), float(np.sqrt(np.mean(sigma[here] ** 2)))
-
-
-def _landing_class(land_cover: TerrainMap | None, east: float, north: float, radius: float) -> Terrain:
-    """The most frequent known class in the footprint."""
-    if land_cover is None:
-        return Terrain.UNKNOWN
-    rows, cols, disc = _footprint(land_cover.grid, east, north, radius)
-    labels = land_cover.label[rows, cols][disc]
-    counts = np.bincount(labels[labels != Terrain.UNKNOWN], minlength=len(Terrain))
-    return Terrain(int(counts.argmax())) if counts.any() else Terrain.UNKNOWN
 
 
 def _heading(east: float, north: float, observer: Observer | None) -> float:
@@ -127,44 +123,23 @@ def _heading(east: float, north: float, observer: Observer | None) -> float:
     return math.atan2(east - observer.position[0], north - observer.position[1]) % (2 * math.pi)
 
 
-def _site(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
-    """The record of the place at one peak of the score."""
-    hazards, radius, grid = c.hazards, c.lander.radius, c.hazards.grid
-    east, north = grid.east + at[1] * grid.cell, grid.north - at[0] * grid.cell
-    up, sigma = _height_at(c, east, north)
-    return Site(
-        rank=rank,
-        east=east,
-        north=north,
-        up=up,
-        p_safe=float(hazards.p_safe[at]),
-        p_relief=float(hazards.p_relief[at]),
-        p_obstacle=float(hazards.p_obstacle[at]),
-        p_ground=float(hazards.p_ground[at]),
-        resolved=float(hazards.resolved[at]),
-        quality=float(hazards.quality[at]),
-        slope=float(hazards.slope[at]),
-        roughness=float(hazards.roughness[at]),
-        clearance=float(clearance[at]),
-        radius=radius + float(clearance[at]),
-        terrain=_landing_class(c.land_cover, east, north, radius),
-        heading=_heading(east, north, c.observer),
-        height_sigma=sigma,
-    )
+def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
+    """The best cells, best first, none within `apart` metres of a better one or of one that is taken."""
+    remaining, found = score.copy(), list[Cell]()
 
+    def take(cell: Cell) -> None:
+        rows, cols, disc = disc_window(remaining.shape, *cell, apart / grid.cell)
+        remaining[rows, cols][disc] = -np.inf
 
-def _doubt(site: Site) -> Doubt:
-    """The smallest factor of P(safe)."""
-    factors: dict[Doubt, float] = {"relief": site.p_relief, "obstacle": site.p_obstacle, "ground": site.p_ground}
-    return min(factors, key=factors.__getitem__)
-
-
-def _candidate(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
-    """The place at a peak, with its doubt and the view that would settle it."""
-    site = _site(c, rank, at, clearance)
-    place, settles_at = np.array([site.east, site.north, site.up]), float(c.hazards.settles_at[at])
-    look = None if c.observer is None else next_view(place, settles_at, c.observer, c.settings)
-    return replace(site, doubt=_doubt(site), look=look)
+    for cell in taken:
+        take(cell)
+    while len(found) < count:
+        row, col = divmod(int(np.argmax(remaining)), remaining.shape[1])
+        if not np.isfinite(remaining[row, col]):
+            break
+        found.append((row, col))
+        take((row, col))
+    return found
 
 
 def choose_sites(
@@ -174,7 +149,6 @@ def choose_sites(
     settings: SitesSettings,
     lander: Lander,
     observer: Observer | None = None,
-    extra: Sequence[Term] = (),
 ) -> Sites:
     """Rank the places where a touchdown is safe, then those that nothing refuses and whose P(safe) is below the limit.
 
@@ -187,18 +161,16 @@ def choose_sites(
         settings: number and least distance of places, and weights of the score.
         lander: its footprint.
         observer: the vehicle, for the heading of the approach and for the views of candidates; None if not known.
-        extra: further terms of Q (eq. 5), a weight and (R, C) values each, larger is worse: energy, wind, people. NaN
-            refuses the cell.
 
     Returns:
         Sites, then candidates in order of rank. Without a site, the reason is a sentence: an answer, not an error.
     """
-    c = _Choice(hazards, land_cover, elevation, settings, lander, observer, extra)
+    c = _Choice(hazards, land_cover, elevation, settings, lander, observer)
     apart, grid = separation(settings, lander), hazards.grid
-    safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart)
+    safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart, [])
     # the room of a candidate: to refused cells, not to undecided ones as well
     room = clearance_of((hazards.reasons & ~np.uint16(Hazard.DOUBT)) == 0, grid.cell)
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
-    sites = tuple(_site(c, i + 1, at, hazards.clearance) for i, at in enumerate(safe))
-    candidates = tuple(_candidate(c, len(safe) + i + 1, at, room) for i, at in enumerate(undecided))
+    sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
+    candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
     return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings, lander), candidates=candidates)

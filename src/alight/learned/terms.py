@@ -1,6 +1,6 @@
 """Identifiers of the terms of the fitted tables: the one list that stages and tables share.
 
-A table stores the identifiers that it was fitted on; `tables.read_net` refuses a table whose list is another.
+A table stores the identifiers that it was fitted on; `models.FittedTable.of` refuses a table whose list is another.
 """
 
 from __future__ import annotations
@@ -62,6 +62,13 @@ class NearTerm(StrEnum):
     GREEN = "green"  # excess green of the greenest spot as wide as an obstacle: a tuft on bare ground, however flat
 
 
+class FloorTerm(StrEnum):
+    """Evidence of floors alone (`floors.yaml`), besides the terms above."""
+
+    UNLIKE = "unlike"  # log odds of a patch that bears less over those of the ground about it
+    RIDGE = "ridge"  # metres of relief, the highest straight ridge
+
+
 class SurfaceTerm(StrEnum):
     """Evidence for the land cover from shape and matching over decimetres to metres (docs/method/land-cover.md, T1)."""
 
@@ -106,24 +113,20 @@ def band(octave: int) -> str:
     return f"light_{octave}"
 
 
-RELIEF_TERMS: tuple[str, ...] = tuple(t.value for t in ReliefTerm)
-DENSITY_TERMS: tuple[str, ...] = tuple(t.value for t in DensityTerm)
-GROUND_TERMS: tuple[str, ...] = tuple(t.value for t in GroundTerm)
+def _values(*kinds: type[StrEnum]) -> tuple[str, ...]:
+    return tuple(t.value for kind in kinds for t in kind)
+
+
+RELIEF_TERMS, DENSITY_TERMS, GROUND_TERMS = (_values(kind) for kind in (ReliefTerm, DensityTerm, GroundTerm))
 _FROM_AFAR = (ReliefTerm.ROUGHNESS_TREND, ReliefTerm.RESIDUAL_MEAN, DensityTerm.SPOT_AROUND, GroundTerm.AROUND)
-NEAR_TERMS: tuple[str, ...] = (
-    *(t for t in (*RELIEF_TERMS, *DENSITY_TERMS, *GROUND_TERMS) if t not in _FROM_AFAR),
-    *(t.value for t in NearTerm),
-)
-FRAME_TERMS: tuple[str, ...] = (  # their value less its median over the frame is a term as well
-    SurfaceTerm.ROUGH_02,
-    SurfaceTerm.ROUGH_05,
-    SurfaceTerm.RESIDUAL,
-    *(band(octave) for octave in range(BANDS)),
-    PictureTerm.DARK,
-    PictureTerm.BRIGHT,
+NEAR_TERMS = tuple(t for t in _values(ReliefTerm, DensityTerm, GroundTerm, NearTerm) if t not in _FROM_AFAR)
+_BANDS = tuple(band(octave) for octave in range(BANDS))
+FRAME_TERMS = (  # their value less its median over the frame is a term as well
+    SurfaceTerm.ROUGH_02, SurfaceTerm.ROUGH_05, SurfaceTerm.RESIDUAL, *_BANDS, PictureTerm.DARK, PictureTerm.BRIGHT,
     PictureTerm.TINT,
-)
-_PLAIN = (*(t.value for t in SurfaceTerm), *(band(octave) for octave in range(BANDS)), *(t.value for t in PictureTerm))
-LAND_COVER_TERMS: tuple[str, ...] = tuple(
-    name for plain in _PLAIN for name in ((plain, plain + RELATIVE) if plain in FRAME_TERMS else (plain,))
+)  # fmt: skip
+LAND_COVER_TERMS = tuple(
+    name
+    for plain in (*_values(SurfaceTerm), *_BANDS, *_values(PictureTerm))
+    for name in ((plain, plain + RELATIVE) if plain in FRAME_TERMS else (plain,))
 )

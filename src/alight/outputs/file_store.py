@@ -55,6 +55,11 @@ class FileStore(MutableMapping[Name, bytes]):
     def __len__(self) -> int:
         return len(self._size)
 
+    @property
+    def size(self) -> int:
+        """Bytes on the disk."""
+        return self._file.seek(0, 2)
+
     def close(self) -> None:
         """Free the space on the disk."""
         self._file.close()

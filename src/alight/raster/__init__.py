@@ -1,7 +1,7 @@
 """Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
 
 from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample, whole_blocks
-from alight.raster.brightness import BlockLight, block_green, block_light, log_brightness, log_levels
+from alight.raster.brightness import BlockGreen, BlockLight, block_green, block_light, log_brightness, log_levels
 from alight.raster.disc import (
     DiscWindow,
     disc_any,
@@ -27,6 +27,7 @@ from alight.raster.smoothing import (
 )
 
 __all__ = [
+    "BlockGreen",
     "BlockLight",
     "DiscWindow",
     "Rise",

@@ -36,6 +36,7 @@ from alight.records.surface import (
     PlaceSigma,
     Terrain,
     TerrainMap,
+    is_flagged,
     is_measured,
     is_trusted,
 )
@@ -114,6 +115,7 @@ __all__ = [
     "View",
     "Waypoint",
     "is_absolute",
+    "is_flagged",
     "is_measured",
     "is_site",
     "is_trusted",

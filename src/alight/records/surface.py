@@ -87,14 +87,19 @@ REFUSED = (
 )
 
 
+def is_flagged(flags: U16, bits: Flag) -> NDArray[np.bool_]:
+    """True where any of some bits is set."""
+    return np.asarray((flags & np.uint16(bits)) != 0)
+
+
 def is_measured(flags: U16) -> NDArray[np.bool_]:
     """True where there is a height, even a doubtful one."""
-    return np.asarray((flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0)
+    return ~is_flagged(flags, Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)
 
 
 def is_trusted(flags: U16) -> NDArray[np.bool_]:
     """True where no flag refuses the height."""
-    return np.asarray((flags & np.uint16(REFUSED)) == 0)
+    return ~is_flagged(flags, REFUSED)
 
 
 class Terrain(IntEnum):

@@ -8,9 +8,8 @@ import numpy as np
 
 from alight.arrays import F32, U8, Mask
 from alight.raster import block_mean, masked_gaussian, upsample
-from alight.records import ElevationMap, Flag
-
-PIXEL = 0.1  # metres: the finest detail that is used
+from alight.records import ElevationMap, Flag, is_flagged
+from alight.terrain.features import PIXEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +32,12 @@ def seen(elevation: ElevationMap) -> Mask:
         rows, cols = np.nonzero((elevation.views > 0) & ~pictured)
         (r, c), n = pictured.shape, elevation.finest[1]
         pictured[rows, cols] = elevation.fine.reshape(r, n, c, n, 3)[rows, :, cols].any(axis=(1, 2, 3))
-    return np.asarray((elevation.views > 0) & pictured)
+    return (elevation.views > 0) & pictured
 
 
 def black_ground(elevation: ElevationMap) -> Mask:
     """Cells that are black in the map, and plain in every view: other black cells have no colour yet."""
-    plain = (elevation.flags & np.uint16(Flag.SATURATED | Flag.TEXTURE)) != 0
-    return np.asarray((elevation.views > 0) & ~lit(elevation.rgb) & plain)
+    return (elevation.views > 0) & ~lit(elevation.rgb) & is_flagged(elevation.flags, Flag.SATURATED | Flag.TEXTURE)
 
 
 def lit(picture: U8) -> Mask:

@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.learned import KnownGround, Net, read_known, read_net, relu_net
+from alight.learned import KnownGround, Net, read_known, read_net
 from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap, is_measured
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import PIXEL, Appearance, appearance, black_ground, seen
+from alight.terrain.appearance import Appearance, appearance, black_ground, seen
 from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
-from alight.terrain.features import level_of
+from alight.terrain.features import PIXEL, level_of
 from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds
-SPECK = 0.1  # square metres: a smaller patch is left to the geometry
-TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this is too narrow to stand in
-APART = 3  # cells between those whose novelty is computed
 ANYTHING = 0.5  # probability of ground that no picture shows
 UNLIKE = 20.0  # its novelty: 1 % of a footprint refuses it
-PIT = 0.3  # metres: refused ground that is no wider is left to the geometry
-ROWS_AT_A_TIME = 64
-WATER = Terrain.WATER - 1
+WATER = KINDS.index(Terrain.WATER)
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
@@ -39,11 +35,6 @@ class Tables(NamedTuple):
 
     net: Net
     known: KnownGround
-
-
-def package_tables() -> Tables:
-    """Read the tables of the package."""
-    return Tables(read_net("land_cover"), read_known())
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Mask:
@@ -64,8 +55,8 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
 
 
 def without_pits(share: F32, cell: float) -> F32:
-    """P(landable), (R, C), with refused ground of up to `PIT` width raised to that about it; `cell` in metres."""
-    return fill_pits(share, int(PIT / cell + 1e-6) + 1)
+    """P(landable), (R, C), with refused ground of up to 0.3 m width raised to that about it; `cell` in metres."""
+    return fill_pits(share, int(0.3 / cell + 1e-6) + 1)
 
 
 def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
@@ -95,12 +86,15 @@ def _open_kind(colours: Appearance, leafy: float) -> U8:
 
 
 def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
-    """Log odds with standing water made certain, and gaps between tufts given to the tufts; in place."""
+    """Log odds with standing water made certain, and gaps between tufts given to the tufts; in place.
+
+    A patch of less than 0.1 m^2 is left to the geometry, and a gap of less than 1 m is too narrow to stand in.
+    """
     best = odds.max(axis=0)
     wet, tall = WATER, Terrain.TALL_VEGETATION - 1
     np.copyto(odds[wet], best + np.float32(settings.basin_odds), where=water)
     plants = odds[tall] >= odds.max(axis=0)
-    tufts = close_mask(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
+    tufts = close_mask(without_specks(plants, cell, 0.1), max(1, round(0.5 / cell))) & ~water
     np.copyto(odds[tall], best + 1, where=tufts)
     return odds
 
@@ -113,11 +107,11 @@ class _Shares(NamedTuple):
     water: F32
 
 
-def _shares(odds: F32) -> _Shares:
-    """Shares from log odds (8, R, C), some rows at a time: a map has millions of cells, each with 8 probabilities."""
+def _shares(odds: F32, strip: int = 64) -> _Shares:
+    """Shares from log odds (8, R, C), a strip of rows at a time: millions of cells have 8 probabilities each."""
     out = _Shares(*(np.empty(odds.shape[1:], np.float32) for _ in _Shares._fields))
-    for top in range(0, odds.shape[1], ROWS_AT_A_TIME):
-        rows = slice(top, top + ROWS_AT_A_TIME)
+    for top in range(0, odds.shape[1], strip):
+        rows = slice(top, top + strip)
         p = np.exp(log_softmax(odds[:, rows], axis=0))
         out.open[rows], out.bears[rows], out.water[rows] = p[OPEN].sum(axis=0), p[BEARS].sum(axis=0), p[WATER]
     return out
@@ -137,18 +131,7 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
     return np.where(landable >= 0.5, _open_kind(colours, settings.leafy), kind).astype(np.uint8)
 
 
-class _Found(NamedTuple):
-    """Result of `_classified`, (R, C) each."""
-
-    label: U8
-    landable: F32
-    bears: F32
-    water: F32
-    novelty: F32
-    coloured: bool
-
-
-def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> _Found:
+def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> TerrainMap:
     """Classify all cells of one map, seen or not."""
     cell = elevation.grid.cell
     colours = appearance(elevation)
@@ -157,7 +140,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     water = ponds(elevation, colours, shape, wet, settings)
     some: dict[str, F32] = {}
     terms = _kept(land_cover_terms(elevation, colours, shape), some)
-    odds = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
+    odds = _with_water_and_tufts(tables.net.outputs(terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
     each = [_shares(odds)]
     if added is not None:
@@ -174,14 +157,17 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     landable = surely([p.open for p in each])
     label = _labels(odds, landable, colours, shape, settings)
     novelty = _novelty(tables.known, some, landable.shape)
-    return _Found(label, landable, surely([p.bears for p in each]), each[0].water, novelty, colours.coloured)
+    bears, water_share = surely([p.bears for p in each]), each[0].water
+    return TerrainMap(
+        elevation.grid, label, landable, water_share, novelty=novelty, bears=bears, coloured=colours.coloured
+    )
 
 
-def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
-    """Pass terms on, and keep every `APART`-th cell of each."""
+def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:
+    """Pass terms on, and keep every third cell of each: for the novelty."""
     for name, values in terms:
-        first = [min(APART // 2, n - 1) for n in values.shape]
-        some[name] = values[first[0] :: APART, first[1] :: APART].copy()  # a view would keep the whole
+        first = [min(apart // 2, n - 1) for n in values.shape]
+        some[name] = values[first[0] :: apart, first[1] :: apart].copy()  # a view would keep the whole
         yield name, values
 
 
@@ -227,23 +213,21 @@ def classify(
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    found = _classified(elevation, settings, model, tables or package_tables())
+    found = _classified(elevation, settings, model, tables or Tables(read_net(), read_known()))
     known = seen(elevation)
     unpictured = (elevation.views > 0) & ~known
-    blank = black_ground(elevation) & unpictured
     surfaces = LevelSurfaces.of(elevation, settings)
 
-    def of_ground(values: F32, otherwise: float, where: Mask) -> F32:
-        return np.where(known, values, np.where(where, np.float32(otherwise), nothing))
+    def of_ground(values: F32 | None, otherwise: float, where: Mask) -> F32:
+        return np.where(known, np.asarray(values), np.where(where, np.float32(otherwise), nothing))
 
-    cover = TerrainMap(
-        elevation.grid,
-        np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        of_ground(found.landable, ANYTHING, blank),
-        water=np.where(known, found.water, nothing),
+    cover = replace(
+        found,
+        label=np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
+        landable=of_ground(found.landable, ANYTHING, black_ground(elevation) & unpictured),
+        water=of_ground(found.water, np.nan, unpictured),
         enclosed=surfaces.enclosed(),
         novelty=of_ground(found.novelty, UNLIKE, unpictured),
         bears=of_ground(found.bears, ANYTHING, unpictured),
-        coloured=found.coloured,
     )
     return cover.with_roofs(surfaces.raised())

@@ -19,7 +19,7 @@ from alight.records import ElevationMap
 from alight.settings import TerrainSettings
 from alight.terrain.relief import ground_under
 
-INNER, OUTER = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
+RIM = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
 ABOUT = 10  # blocks to which the rim of a roof reaches: beside a wall heights are in doubt
 
 
@@ -80,7 +80,7 @@ class LevelSurfaces:
         for number in numbers:
             part = self.parts == number
             out[part] = measure(np.pad(part, pad))
-        grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))
+        grown = cv2.dilate(out, np.ones((2 * RIM[0] + 1,) * 2, np.uint8))
         return upsample(np.asarray(grown, np.float32), self.size, self.elevation.grid.shape)
 
 
@@ -95,8 +95,8 @@ def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings)
     return count, parts.astype(np.int64)
 
 
-def _rim(part: Mask, outer: int = OUTER) -> Mask:
-    near, far = (cv2.dilate(part.astype(np.uint8), np.ones((2 * n + 1,) * 2, np.uint8)) > 0 for n in (INNER, outer))
+def _rim(part: Mask, outer: int = RIM[1]) -> Mask:
+    near, far = (cv2.dilate(part.astype(np.uint8), np.ones((2 * n + 1,) * 2, np.uint8)) > 0 for n in (RIM[0], outer))
     return np.asarray(far & ~near)
 
 

@@ -1,29 +1,42 @@
-"""Evidence for the land cover from the map itself: shape, matching and texture (docs/method/land-cover.md, T1).
+"""Evidence for the land cover from the map itself: shape, matching and detail (docs/method/land-cover.md, T1, T1b).
 
 No absolute colour and no library: this evidence holds where the pictures are unlike all known ground. The model of
 appearance may only add refusals to it. Widths are in metres, so that ground seen from far and from near compares.
+Exposure and white balance of a picture cancel. Detail that its pixels do not show is weak.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, pairwise
 
 import numpy as np
 
 from alight.arrays import F32
 from alight.learned.terms import FRAME_TERMS, RELATIVE, PictureTerm, SurfaceTerm, band
-from alight.raster import gaussian_mean, gradient, linear_ramp, local_max, log_at_least, log_offset, nearest_known
-from alight.records import REFUSED, ElevationMap, Flag, is_measured
+from alight.raster import (
+    block_light,
+    block_mean,
+    difference_of_gaussians,
+    gaussian_mean,
+    gradient,
+    linear_ramp,
+    local_max,
+    log_at_least,
+    log_levels,
+    log_offset,
+    nearest_known,
+)
+from alight.records import REFUSED, ElevationMap, Flag, is_flagged, is_measured
 from alight.terrain.appearance import Appearance, seen
-from alight.terrain.picture_bands import picture_bands
 from alight.terrain.relief import Relief
 
+Terms = Iterator[tuple[str, F32]]  # one after the other, (R, C) each: all terms of millions of cells are gigabytes
+
 NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma over which the strength of detail is gathered
-REACH = 0.5  # metres, radius of local maxima and minima
-BUMP = np.float32(0.03)  # metres, scale of the arsinh of heights
-FLOOR = np.float32(0.003)  # log brightness, added before the logarithm of a strength
-USUAL_SAMPLING, USUAL_PIXEL = 0.1, 0.05  # metres
+REACH = 0.5  # metres, radius of local maxima and minima of the heights
+SPOT_REACH = 0.4  # metres, radius within which dark and bright spots are sought
+WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands of log brightness lie between each and the next
 
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
@@ -34,10 +47,10 @@ def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
     return np.asarray(3.5 * texture + 3.0 * high + 2.0 * tone + 2.0 * moving - 5.0, np.float32)
 
 
-def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Iterator[tuple[str, F32]]:
-    """The evidence of every cell, (R, C) each, one after the other, with its identifier (T1)."""
+def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Terms:
+    """The evidence of every cell, with its identifier (T1)."""
     known = seen(elevation)
-    for name, values in chain(_let_go(surface_terms(elevation, colours, shape)), _pictured(elevation)):
+    for name, values in chain(_surface_terms(elevation, colours, shape), _picture_terms(elevation)):
         yield name, values
         if name in FRAME_TERMS:
             some = values[::4, ::4][known[::4, ::4]]
@@ -45,37 +58,53 @@ def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief
             yield name + RELATIVE, values - usual
 
 
-def _pictured(elevation: ElevationMap) -> Iterator[tuple[str, F32]]:
-    yield from _let_go(picture_terms(elevation))
-
-
-def _let_go(terms: dict[str, F32]) -> Iterator[tuple[str, F32]]:
-    """Yield each term once and release it: all terms of millions of cells are gigabytes."""
-    for name in list(terms):
-        yield name, terms.pop(name)
-
-
 def _strength(power: F32, cell: float, metres: float = NEAR) -> F32:
+    """Logarithm of the root mean square of detail about every cell."""
     near = np.maximum(gaussian_mean(power, metres / cell), 0)
-    return np.asarray(np.log(np.sqrt(near) + FLOOR), np.float32)
+    return np.asarray(np.log(np.sqrt(near) + np.float32(0.003)), np.float32)
 
 
-def picture_terms(elevation: ElevationMap) -> dict[str, F32]:
-    """Strength of the detail of the picture, by its width."""
-    cell, found = elevation.grid.cell, picture_bands(elevation)
-    out: dict[str, F32] = {band(k): _strength(power, cell) for k, power in enumerate(found.bands)}
-    return out | {
-        PictureTerm.BELOW: _strength(found.below, cell),
-        PictureTerm.DARK: found.dark,
-        PictureTerm.BRIGHT: found.bright,
-        PictureTerm.TINT: _strength(found.tint, cell),
-        PictureTerm.TINT_2M: _strength(found.tint, cell, WIDE),
-        PictureTerm.LOCAL: found.local,
-        PictureTerm.BROAD: found.broad,
-    }
+def _picture_terms(elevation: ElevationMap) -> Terms:
+    """Detail of the finest picture by its width, on pixels of about the narrowest width and wider (T1b)."""
+    rgb, factor = elevation.finest
+    cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
+    light, share, within = block_light(rgb, factor // halves, within=True)
+    yield PictureTerm.BELOW, _strength(block_mean(within, halves), cell)  # finer than all bands
+    pixel = cell / halves
+    light = _filled(light, share, 1.0 / pixel)
+    del share, within  # arrays as fine as the picture are large
+    spot = block_mean(_between(light, 0.07, 0.35, pixel), halves)
+    reach = max(1, round(SPOT_REACH / cell))
+    yield PictureTerm.DARK, local_max(-spot, reach)
+    yield PictureTerm.BRIGHT, local_max(spot, reach)
+    smooth = (gaussian_mean(light, s / pixel) if s / pixel > 0.3 else light for s in WIDTHS)
+    for k, (one, wider) in enumerate(pairwise(smooth)):
+        yield band(k), _strength(block_mean((one - wider) ** 2, halves), cell)
+    coarse = block_mean(light, halves)
+    del light
+    yield PictureTerm.LOCAL, _between(coarse, 0.15, 0.8, cell)
+    yield PictureTerm.BROAD, _between(coarse, 0.8, 3.2, cell)
+    r, g, b = (log_levels(elevation.rgb[..., k]) for k in range(3))
+    tint = _between(r - g, 0.1, 0.8, cell) ** 2 + _between(b - g, 0.1, 0.8, cell) ** 2
+    yield PictureTerm.TINT, _strength(tint, cell)
+    yield PictureTerm.TINT_2M, _strength(tint, cell, WIDE)
 
 
-def surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> dict[str, F32]:
+def _filled(light: F32, share: F32, sigma: float) -> F32:
+    """Log brightness, unseen pixels filled from their surroundings; `share` of a pixel that was seen."""
+    if share.min() > 0.999:
+        return light
+    about = np.maximum(gaussian_mean(share, sigma), np.float32(1e-3))
+    around = gaussian_mean(np.where(share > 0, light, np.float32(0)), sigma) / about
+    return np.where(share > 0.999, light, around)
+
+
+def _between(values: F32, narrow: float, wide: float, pixel: float) -> F32:
+    """Detail wider than one Gaussian and narrower than another, (R, C); widths 1-sigma, metres."""
+    return difference_of_gaussians(values, narrow / pixel, wide / pixel)
+
+
+def _surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Terms:
     """Roughness, height, residual, flags over some decimetres to metres."""
     cell = elevation.grid.cell
     height = nearest_known(elevation.height, np.isfinite(elevation.height))
@@ -89,38 +118,37 @@ def surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -
         off = height - means[metres]
         return log_offset(np.sqrt(np.maximum(near(off * off, NEAR), 0)), 0.005)
 
-    def flagged(flags: int) -> F32:
-        return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
+    def flagged(bits: Flag, metres: float) -> F32:
+        return near(is_flagged(elevation.flags, bits).astype(np.float32), metres)
 
     standing = np.where(is_measured(elevation.flags), elevation.height - shape.ground, np.float32(0))
-    moving, residual = flagged(Flag.MOVING | Flag.INCONSISTENT), np.nan_to_num(elevation.residual)
+    restless, residual = Flag.MOVING | Flag.INCONSISTENT, np.nan_to_num(elevation.residual)
     reach = max(1, round(REACH / cell))
     north, east = gradient(means[0.5] / np.float32(cell))
     local = means[0.2] - means[1.0]
-    return {
-        SurfaceTerm.ROUGH_02: rough(0.2),
-        SurfaceTerm.ROUGH_05: rough(0.5),
-        SurfaceTerm.ROUGH_15: rough(1.5),
-        SurfaceTerm.HEIGHT_ABOVE_GROUND: np.nan_to_num(shape.height_above).clip(-1, 6),
-        SurfaceTerm.HEIGHT_ABOVE_BED: near(standing, 0.3).clip(-2, 8),
-        SurfaceTerm.HEIGHT_LOCAL: _squashed(local),
-        SurfaceTerm.HEIGHT_BROAD: _squashed(means[1.0] - means[4.0]),
-        SurfaceTerm.HIGHEST_NEAR: _squashed(local_max(local, reach)),
-        SurfaceTerm.LOWEST_NEAR: _squashed(local_max(-local, reach)),
-        SurfaceTerm.STEEP: np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32),
-        SurfaceTerm.RESIDUAL: log_offset(near(residual, 0.5), 0.02),
-        SurfaceTerm.RESIDUAL_2M: log_offset(near(residual, WIDE), 0.02),
-        SurfaceTerm.SIGMA: log_offset(near(elevation.sigma, 0.5), 0.005),
-        SurfaceTerm.MOVING: near(moving, 0.3),
-        SurfaceTerm.MOVING_2M: near(moving, WIDE),
-        SurfaceTerm.UNSURE: near(flagged(Flag.UNSURE), 0.5),
-        SurfaceTerm.REFUSED_2M: near(flagged(REFUSED), WIDE),
-        SurfaceTerm.TEXTURELESS: near(flagged(Flag.TEXTURE), 0.5),
-        SurfaceTerm.SATURATED: near(flagged(Flag.SATURATED), 0.5),
-        SurfaceTerm.PLANTS: plants(colours, shape, near(moving, 0.3)),
-        SurfaceTerm.SAMPLING: _log_ratio(elevation.sampling, USUAL_SAMPLING),
-        SurfaceTerm.PIXEL: _log_ratio(elevation.picture_sampling, USUAL_PIXEL),
-    }
+    yield SurfaceTerm.ROUGH_02, rough(0.2)
+    yield SurfaceTerm.ROUGH_05, rough(0.5)
+    yield SurfaceTerm.ROUGH_15, rough(1.5)
+    yield SurfaceTerm.HEIGHT_ABOVE_GROUND, np.nan_to_num(shape.height_above).clip(-1, 6)
+    yield SurfaceTerm.HEIGHT_ABOVE_BED, near(standing, 0.3).clip(-2, 8)
+    yield SurfaceTerm.HEIGHT_LOCAL, _squashed(local)
+    yield SurfaceTerm.HEIGHT_BROAD, _squashed(means[1.0] - means[4.0])
+    yield SurfaceTerm.HIGHEST_NEAR, _squashed(local_max(local, reach))
+    yield SurfaceTerm.LOWEST_NEAR, _squashed(local_max(-local, reach))
+    yield SurfaceTerm.STEEP, np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
+    yield SurfaceTerm.RESIDUAL, log_offset(near(residual, 0.5), 0.02)
+    yield SurfaceTerm.RESIDUAL_2M, log_offset(near(residual, WIDE), 0.02)
+    yield SurfaceTerm.SIGMA, log_offset(near(elevation.sigma, 0.5), 0.005)
+    moving = flagged(restless, 0.3)
+    yield SurfaceTerm.MOVING, moving
+    yield SurfaceTerm.MOVING_2M, flagged(restless, WIDE)
+    yield SurfaceTerm.UNSURE, flagged(Flag.UNSURE, 0.5)
+    yield SurfaceTerm.REFUSED_2M, flagged(REFUSED, WIDE)
+    yield SurfaceTerm.TEXTURELESS, flagged(Flag.TEXTURE, 0.5)
+    yield SurfaceTerm.SATURATED, flagged(Flag.SATURATED, 0.5)
+    yield SurfaceTerm.PLANTS, plants(colours, shape, moving)
+    yield SurfaceTerm.SAMPLING, _log_ratio(elevation.sampling, 0.1)  # over usual widths, metres
+    yield SurfaceTerm.PIXEL, _log_ratio(elevation.picture_sampling, 0.05)
 
 
 def _log_ratio(values: F32, usual: float) -> F32:
@@ -129,4 +157,4 @@ def _log_ratio(values: F32, usual: float) -> F32:
 
 
 def _squashed(metres: F32) -> F32:
-    return np.asarray(np.arcsinh(metres / BUMP), np.float32)
+    return np.asarray(np.arcsinh(metres / np.float32(0.03)), np.float32)

@@ -7,7 +7,7 @@ correlation. None is a colour, because colour depends on the camera and the seas
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,22 +22,13 @@ WINDOW = 0.8  # metres, Gaussian 1-sigma over which detail is averaged
 BLOCK = 4  # pixels a side of a block, which has one set of numbers
 STRETCH = 1.35  # largest factor by which a picture is enlarged to reach a level
 DARK = 4.0  # grey levels added, so that noise in the dark is no contrast
-NOISE = np.float32(1e-5)  # log brightness squared: below 0.3 % there is no detail
-TINT = np.float32(1e-6)  # squared log ratio of two colours: below it there is no detail
 
 
-@dataclass(frozen=True, eq=False)
-class AppearanceFeatures:
+class AppearanceFeatures(NamedTuple):
     """Features of every block of a picture."""
 
     level: int
     values: F32  # (r, c, F) as `names(level)`; NaN where less than half of the window was seen
-    scale: tuple[float, float]  # blocks a cell of the picture, rows and columns
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """(r, c): True for blocks that have features."""
-        return np.isfinite(self.values[..., 0])
 
 
 def names(level: int) -> tuple[str, ...]:
@@ -95,12 +86,13 @@ class _Means:
 def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
     """Features of one octave of log brightness, log red over green and log blue over green."""
     power, tint = mean(light * light), mean(blue * blue)
+    noise, shade = np.float32(1e-5), np.float32(1e-6)  # log ratios squared: below these there is no detail
     return {
-        "detail": 0.5 * np.log(power + NOISE),
-        "blue shade": mean(light * blue) / np.sqrt((power + NOISE) * (tint + TINT)),
-        "red tint": 0.5 * np.log(mean(red * red) + TINT),
-        "blue tint": 0.5 * np.log(tint + TINT),
-        "evenness": mean(np.abs(light)) / np.sqrt(power + NOISE),
+        "detail": 0.5 * np.log(power + noise),
+        "blue shade": mean(light * blue) / np.sqrt((power + noise) * (tint + shade)),
+        "red tint": 0.5 * np.log(mean(red * red) + shade),
+        "blue tint": 0.5 * np.log(tint + shade),
+        "evenness": mean(np.abs(light)) / np.sqrt(power + noise),
     }
 
 
@@ -120,8 +112,7 @@ def _octaves(signals: list[F32], level: int, mean: _Means) -> dict[str, F32]:
     """Features of all octaves by name; overwrites the signals."""
     found: dict[str, F32] = {}
     for n in range(level, BANDS):
-        sigma = 2.0 ** (n + 1 - level)
-        coarser = [_blur(s, sigma) for s in signals]
+        coarser = [_blur(s, 2.0 ** (n + 1 - level)) for s in signals]
         for s, c in zip(signals, coarser, strict=True):  # in place: arrays as fine as the picture are large
             s -= c
         light, red, blue = signals
@@ -152,7 +143,7 @@ def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None
     parts = [found[k.removesuffix(" against the frame")] for k in names(level)]
     values = np.stack(parts, axis=-1).astype(np.float32)
     values[mean.share < 0.5] = np.nan
-    return AppearanceFeatures(level, values, (values.shape[0] / rgb.shape[0], values.shape[1] / rgb.shape[1]))
+    return AppearanceFeatures(level, values)
 
 
 def frame_of(values: F32, level: int) -> F32:

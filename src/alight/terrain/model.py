@@ -6,7 +6,7 @@ A linear classifier on few numbers (docs/method/land-cover.md, T4): 1,400 labell
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,14 +44,18 @@ class Model:
 
 def standardised(head: Head, features: F32) -> F32:
     """Features (N, F) without unit."""
-    z: F32 = np.clip((features - head.mean) / head.spread, -CLIP, CLIP).astype(np.float32)
-    return z
+    return np.asarray(np.clip((features - head.mean) / head.spread, -CLIP, CLIP), np.float32)
+
+
+def to_nearest(z: NDArray[Real], centres: NDArray[Any], metric: NDArray[Any]) -> NDArray[Any]:
+    """Squared distance of features (N, F) to the nearest of some centres, (N,)."""
+    each = [np.einsum("nf,fg,ng->n", z - c, metric, z - c, optimize=True) for c in centres]
+    return np.asarray(np.min(each, axis=0))
 
 
 def distance(head: Head, z: F32) -> F32:
-    """Squared distance a feature to the nearest class, (N,), 1 at the usual distance."""
-    each = [np.einsum("nf,fg,ng->n", z - c, head.metric, z - c, optimize=True) for c in head.centres]
-    return np.asarray(np.min(each, axis=0) / head.reach, dtype=np.float32)
+    """Squared distance of features (N, F) to the nearest class, (N,), 1 at the usual distance."""
+    return np.asarray(to_nearest(z, head.centres, head.metric) / head.reach, dtype=np.float32)
 
 
 def scores(head: Head, features: F32) -> F32:

@@ -10,41 +10,33 @@ from scipy.ndimage import median
 
 from alight.arrays import F32, Mask
 from alight.raster import linear_ramp, masked_gaussian, without_specks
-from alight.records import ElevationMap, Flag, Terrain, TerrainMap
+from alight.records import ElevationMap, Flag, Terrain, TerrainMap, is_flagged
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
-DRY = 0.2  # likeness to water, below which ground is dry
-CONTRADICTED = 2.0  # times the area of a pond, of dry ground that lies lower and is not shut off from it
-LOWER = 0.5  # metres, by which it must lie lower: more than the errors of heights
-RESTLESS = 0.5  # share of a pond that moves, from which its heights are no evidence of drainage
-STILL = 0.2  # share that moves, below which the shape alone decides
-SHALLOW = 0.25  # of the depth of a basin: ground with less water than that lies outside
-MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
-
 
 def _moving(elevation: ElevationMap) -> F32:
     """Share of nearby cells flagged as moving or inconsistent: water and swaying plants."""
-    weight = seen(elevation).astype(np.float32)
-    moving = (elevation.flags & np.uint16(Flag.MOVING | Flag.INCONSISTENT)) != 0
-    share: F32 = np.nan_to_num(masked_gaussian(moving.astype(np.float32), weight, 0.5 / elevation.grid.cell))
-    return share
+    return _near(is_flagged(elevation.flags, Flag.MOVING | Flag.INCONSISTENT).astype(np.float32), elevation)
 
 
 def water_likeness(colours: Appearance) -> F32:
     """Likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green. A car park has it too."""
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
     tone = linear_ramp(colours.cool, -0.075, -0.04) * (1 - linear_ramp(colours.green, 0.11, 0.16))
-    out: F32 = plain * tone * np.float32(colours.coloured)
-    return out
+    return np.asarray(plain * tone * np.float32(colours.coloured))
 
 
 def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
     """Mean likeness to water of the surroundings of a cell, 0 to 1."""
+    return _near(np.nan_to_num(water_likeness(colours)), elevation)
+
+
+def _near(values: F32, elevation: ElevationMap) -> F32:
+    """Mean of the seen cells within about half a metre, 0 where there are none."""
     weight = seen(elevation).astype(np.float32)
-    out: F32 = np.nan_to_num(masked_gaussian(np.nan_to_num(water_likeness(colours)), weight, 0.5 / elevation.grid.cell))
-    return out
+    return np.asarray(np.nan_to_num(masked_gaussian(values, weight, 0.5 / elevation.grid.cell)))
 
 
 def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSettings) -> F32:
@@ -55,8 +47,7 @@ def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSe
     d = settings.basin_depth
     basin = linear_ramp(depth, d / 2, 1.5 * d)
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
-    odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving).astype(np.float32)
-    return odds
+    return np.asarray(-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving, np.float32)
 
 
 def _grown(seed: Mask, into: Mask) -> Mask:
@@ -82,8 +73,9 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
     The first step adds connected cells that look like water. The second adds connected lower cells, because the surface
     of a pond is level: this closes gaps where the bed looks like the shore. It is left out where it would more than
-    double the water. A still patch that would run out over dry ground is no water at all. A still patch that lies
-    mostly outside of any basin only looks like water: there the rim of the map closes no basin.
+    double the water. A patch that would run out over dry ground, and of which less than half moves, is no water at all.
+    A patch that lies mostly outside of any basin, and of which less than a fifth moves, only looks like water: there
+    the rim of the map closes no basin.
 
     Args:
         signs: of water.
@@ -97,7 +89,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
     for i in range(1, count):
         pond = labels == i
         known, moving = pond & np.isfinite(signs.bed), signs.moving[pond].mean()
-        if known.any() and moving < STILL and signs.outside[known].mean() > 0.5:
+        if known.any() and moving < 0.2 and signs.outside[known].mean() > 0.5:
             out |= pond & walled
             continue
         if seed[pond].mean() < least_share:  # a slab with a wet corner is no pond
@@ -106,7 +98,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
         if not known.any():
             out |= pond
             continue
-        if moving < RESTLESS and _drains(known, signs.wet, signs.bed):
+        if moving < 0.5 and _drains(known, signs.wet, signs.bed):
             continue
         lower = _grown(pond, signs.bed <= np.percentile(signs.bed[known], 95))
         out |= lower if lower.sum() <= 2 * pond.sum() else pond
@@ -114,10 +106,13 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
 
 def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
-    """True if half of a patch lies above much connected dry ground: a car park on a slope, shade on a plain."""
+    """Whether half of a patch lies above twice its area of connected dry ground: a slope, or shade on a plain.
+
+    That ground lies lower by 0.5 m, more than the errors of heights.
+    """
     level = np.median(bed[pond])
-    dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < DRY) & (bed < level - LOWER)
-    return bool(dry.sum() > CONTRADICTED * pond.sum())
+    dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < 0.2) & (bed < level - 0.5)
+    return bool(dry.sum() > 2 * pond.sum())
 
 
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
@@ -127,12 +122,12 @@ def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32,
         masked_gaussian(water_odds(colours, depth, moving, settings), weight, 0.2 / cell)
         for depth in (shape.depth, shape.walled)
     )
-    outside = shape.depth < SHALLOW * settings.basin_depth
+    outside = shape.depth < 0.25 * settings.basin_depth
     return flooded(WaterSigns(odds, walled, wet, moving, shape.level - shape.depth, outside), cell, settings.pond_share)
 
 
 def open_water(land_cover: TerrainMap) -> Mask:
-    """(R, C): whole patches labelled water with a median P(water) of at least `MIN_MEDIAN`.
+    """(R, C): whole patches labelled water with a median P(water) of at least 0.5; the sample's pond has 0.98.
 
     A cell that may not be landed on takes the name of its likeliest hazard, even an improbable one: a shadow beside a
     bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
@@ -142,4 +137,4 @@ def open_water(land_cover: TerrainMap) -> Mask:
         return wet
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
     middle = median(land_cover.water[wet], patches[wet], np.arange(1, count))
-    return np.asarray(np.concatenate([[False], middle >= MIN_MEDIAN])[patches])
+    return np.asarray(np.concatenate([[False], middle >= 0.5])[patches])

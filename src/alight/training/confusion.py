@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from alight.arrays import F64, U8
 from alight.records import LANDABLE, Terrain
 
-MOST = 0.05  # requested limit of the share of hazards that are called safe
-
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
@@ -28,7 +26,7 @@ class Confusion:
         return Confusion(self.kinds[rows], self.sites[rows], self.classes, self.log_p[rows])
 
     @property
-    def said(self) -> U8:
+    def predicted(self) -> U8:
         """(N,) the most probable class."""
         return np.asarray(self.classes[self.log_p.argmax(axis=1)])
 
@@ -44,11 +42,11 @@ class Confusion:
 
     def accuracy(self) -> float:
         """Share of the predicted classes that are right."""
-        return float((self.said == self.kinds).mean())
+        return float((self.predicted == self.kinds).mean())
 
     def macro_recall(self) -> float:
         """Mean over the true classes of the share with the right prediction."""
-        return float(np.mean([(self.said == k)[self.kinds == k].mean() for k in np.unique(self.kinds)]))
+        return float(np.mean([(self.predicted == k)[self.kinds == k].mean() for k in np.unique(self.kinds)]))
 
     def hazards_called_safe(self, least: float) -> float:
         """Share of the hazards with a P(landable) of at least `least`."""
@@ -72,9 +70,9 @@ def _table(c: Confusion) -> Iterator[str]:
     columns = [Terrain(k).name.lower() for k in c.classes]
     yield f"{'true, patches':<24}" + "".join(f"{n[:9]:>10}" for n in columns)
     for k in np.unique(c.kinds):
-        said = c.said[c.kinds == k]
-        yield f"{f'{Terrain(k).name.lower()}, {len(said)}':<24}" + "".join(
-            f"{(said == n).sum():10d}" for n in c.classes
+        predicted = c.predicted[c.kinds == k]
+        yield f"{f'{Terrain(k).name.lower()}, {len(predicted)}':<24}" + "".join(
+            f"{(predicted == n).sum():10d}" for n in c.classes
         )
 
 
@@ -95,7 +93,7 @@ def lines_of(c: Confusion) -> Iterator[str]:
     yield f"accuracy {c.accuracy():.2f}, mean recall of the classes {c.macro_recall():.2f}"
     yield from _summary(c, 0.5)
     if not c.safe.all():
-        yield from _summary(c, c.least_for(MOST))
+        yield from _summary(c, c.least_for(0.05))
 
 
 def _summary(c: Confusion, least: float) -> Iterator[str]:

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 from alight.arrays import F32, I64, U8
 from alight.terrain.features import PIXEL, STRETCH, against, appearance_features, frame_of, names
 
-VARIANTS = 3  # of each patch: the original and two as by other cameras
-PLACES = 3  # along each side of a patch, at which its features are measured
-
-Tell = Callable[[float], None]
+Report = Callable[[float], None]
 
 
 def quiet(share: float) -> None:
@@ -60,7 +57,7 @@ def another_camera(rgb: U8, rng: np.random.Generator) -> U8:
 
 
 def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
-    """Measure features at a few places of a patch, (P, F); none if it is too coarse or too small for the level."""
+    """Measure features at three by three places of a patch, (P, F); none if too coarse or small for the level."""
     pixel = PIXEL * 2**level
     if patch.sampling > STRETCH * pixel:
         return np.empty((0, len(names(level))), np.float32)
@@ -68,12 +65,12 @@ def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     seen = appearance_features(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), max(patch.sampling, pixel))
     assert seen is not None
-    rows, cols = (np.unique((np.linspace(0.2, 0.8, PLACES) * n).astype(int)) for n in seen.values.shape[:2])
+    rows, cols = (np.unique((np.linspace(0.2, 0.8, 3) * n).astype(int)) for n in seen.values.shape[:2])
     return np.asarray(seen.values[np.ix_(rows, cols)].reshape(-1, seen.values.shape[2]))
 
 
 def measure_patches(
-    patches: list[LabelledPatch], level: int, tell: Tell = quiet, variants: int = VARIANTS, seed: int = 0
+    patches: list[LabelledPatch], level: int, report: Report = quiet, variants: int = 3, seed: int = 0
 ) -> Samples:
     """Measure features of all patches and their variants at one level, each relative to the frame of its site."""
     rng = np.random.default_rng(seed)
@@ -84,7 +81,7 @@ def measure_patches(
             parts.append(found)
             which += [i] * len(found)
             variant += [v] * len(found)
-        tell((i + 1) / len(patches))
+        report((i + 1) / len(patches))
     samples = Samples(np.concatenate(parts), np.array(which, np.int64), np.array(variant, np.int64))
     return _against_sites(samples, np.array([p.site for p in patches]), level)
 

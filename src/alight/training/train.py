@@ -13,21 +13,26 @@ from scipy.optimize import minimize, minimize_scalar
 from alight.arrays import F32, F64, I64, U8
 from alight.records import InputError, Terrain
 from alight.terrain.features import LEVELS, PIXEL, STRETCH
-from alight.terrain.model import CLIP, Head, Model, appearance_evidence, log_probability, log_softmax, scores
+from alight.terrain.model import (
+    CLIP,
+    Head,
+    Model,
+    appearance_evidence,
+    log_probability,
+    log_softmax,
+    scores,
+    to_nearest,
+)
 from alight.training.confusion import Confusion, lines_of
-from alight.training.patches import LabelledPatch, Samples, Tell, measure_patches, quiet
+from alight.training.patches import LabelledPatch, Report, Samples, measure_patches, quiet
 
-PENALTY = 1e-4  # of the squared weights
-SHRINKAGE = 0.3  # of the covariance within the classes towards a sphere
-TEMPERATURES = (0.5, 10.0)
 COARSEST = STRETCH * PIXEL * 2 ** (LEVELS - 1)  # metres, pixel
 UNTESTED = 3.0  # temperature of a model of one site: its accuracy on other sites is unknown
-FLOOR = np.float32(-7.0)  # log probability of one place: no single place decides on a patch
 
 
-def share_progress(tell: Tell, level: int) -> Tell:
+def share_of_levels(report: Report, level: int) -> Report:
     """Return a callback that converts the share done of one level into the share done of all levels."""
-    return lambda share: tell((level + share) / LEVELS)
+    return lambda share: report((level + share) / LEVELS)
 
 
 def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
@@ -56,7 +61,7 @@ def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tu
     return found[:, :-1].astype(np.float32), found[:, -1].astype(np.float32)
 
 
-def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PENALTY) -> Head:
+def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = 1e-4) -> Head:
     """Fit the classifier of one level, without a temperature."""
     mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
     z = np.clip((values - mean) / spread, -CLIP, CLIP)
@@ -64,10 +69,10 @@ def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PEN
     centres = np.stack([np.average(z[at == k], axis=0, weights=weight[at == k]) for k in range(count)])
     within = np.cov((z - centres[at]).T)
     round_one = np.eye(len(mean)) * np.trace(within) / len(mean)
-    metric = np.linalg.inv((1 - SHRINKAGE) * within + SHRINKAGE * round_one)
-    off = np.min([np.einsum("nf,fg,ng->n", z - c, metric, z - c, optimize=True) for c in centres], axis=0)
+    metric = np.linalg.inv(0.7 * within + 0.3 * round_one)  # shrunk towards a sphere
     plain = [np.asarray(a, np.float32) for a in (mean, spread, weights, bias, centres, metric)]
-    return Head(plain[0], plain[1], plain[2], plain[3], plain[4], plain[5], float(np.median(off)), 1.0)
+    reach = float(np.median(to_nearest(z, centres, metric)))
+    return Head(plain[0], plain[1], plain[2], plain[3], plain[4], plain[5], reach, temperature=1.0)
 
 
 def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, I64]:
@@ -92,13 +97,16 @@ def _temperature(scored: F32, at: I64) -> float:
     def surprise(log_t: float) -> float:
         return -float(log_softmax(values / np.float32(np.exp(log_t)))[np.arange(len(truth)), truth].mean())
 
-    return float(np.exp(minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded").x))
+    return float(np.exp(minimize_scalar(surprise, bounds=np.log((0.5, 10.0)), method="bounded").x))
 
 
 def patch_means(log_p: F32, patch: I64, count: int) -> F64:
-    """Mean log probability over the places of each patch, normalised, (count, K); NaN for patches without places."""
+    """Mean log probability over the places of each patch, normalised, (count, K); NaN for patches without places.
+
+    No single place decides on a patch: its log probability counts as -7 at least.
+    """
     n = np.bincount(patch, minlength=count)[:, None]
-    floor = np.maximum(log_p, FLOOR)
+    floor = np.maximum(log_p, np.float32(-7.0))
     total = np.stack([np.bincount(patch, weights=floor[:, k], minlength=count) for k in range(log_p.shape[1])], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(log_softmax(total / n))
@@ -133,7 +141,7 @@ def _known(patches: list[LabelledPatch]) -> tuple[U8, NDArray[np.str_]]:
     return np.array([p.kind for p in patches], np.uint8), np.array([p.site for p in patches])
 
 
-def train(patches: list[LabelledPatch], tell: Tell = quiet) -> tuple[Model, Confusion | None]:
+def train(patches: list[LabelledPatch], report: Report = quiet) -> tuple[Model, Confusion | None]:
     """Train a model; return it and the confusion of its finest level on sites left out (None with one site).
 
     Raises:
@@ -146,7 +154,7 @@ def train(patches: list[LabelledPatch], tell: Tell = quiet) -> tuple[Model, Conf
     heads: list[Head | None] = [None] * LEVELS
     first: Confusion | None = None
     for level in range(LEVELS):
-        s = measure_patches(patches, level, share_progress(tell, level))
+        s = measure_patches(patches, level, share_of_levels(report, level))
         if set(kinds[s.patch]) != set(kinds):
             continue
         at = np.searchsorted(classes, kinds[s.patch]).astype(np.int64)
@@ -169,7 +177,7 @@ def provenance(kinds: U8, sites: NDArray[np.str_], left_out: Confusion | None) -
     return "\n".join(lines)
 
 
-def elsewhere(patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
+def elsewhere(patches: list[LabelledPatch], report: Report = quiet) -> Confusion:
     """Every site judged by a model of the others, at the finest level that all classes and two sites can fill.
 
     Raises:
@@ -178,14 +186,14 @@ def elsewhere(patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
     """
     kinds, sites = _known(patches)
     for level in range(LEVELS):
-        s = measure_patches(patches, level, tell)
+        s = measure_patches(patches, level, report)
         enough = len(np.unique(sites[s.patch])) > 1 or level == LEVELS - 1
         if set(kinds[s.patch]) == set(kinds) and enough:
             return leave_sites_out(s, kinds, sites)[0]
     raise InputError(f"the pictures are too coarse: a pixel must be smaller than {COARSEST:.2f} m")
 
 
-def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
+def judge_patches(model: Model, patches: list[LabelledPatch], report: Report = quiet) -> Confusion:
     """Confusion of a given model on every patch, each at the finest level that it can fill.
 
     Raises:
@@ -195,7 +203,7 @@ def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet
     log_p = np.full((len(patches), len(model.classes)), np.nan)
     for level, head in enumerate(model.heads):
         if head is not None:
-            s = measure_patches(patches, level, share_progress(tell, level), variants=1)
+            s = measure_patches(patches, level, share_of_levels(report, level), variants=1)
             found = patch_means(log_probability(head, s.values), s.patch, len(patches))
             log_p = np.where(np.isnan(log_p), found, log_p)
     if np.isnan(log_p).all():
@@ -224,8 +232,8 @@ def judge_pixels(model: Model, pictures: Iterable[tuple[str, U8, U8]], sampling:
         log_p.append(found.reshape(-1, found.shape[2]).astype(np.float64))
     if not kinds:
         raise _too_coarse(model)
-    kind, said = np.concatenate(kinds), np.concatenate(log_p)
+    kind, predicted = np.concatenate(kinds), np.concatenate(log_p)
     if not kind.any():
         raise InputError("no pixel of the labels has a class; give its code, 1 to 8")
-    said[kind == Terrain.UNKNOWN] = np.nan
-    return _confusion(kind, np.full(len(kind), "pictures"), model.classes, said)
+    predicted[kind == Terrain.UNKNOWN] = np.nan
+    return _confusion(kind, np.full(len(kind), "pictures"), model.classes, predicted)

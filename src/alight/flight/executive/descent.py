@@ -45,7 +45,9 @@ class Descent:
     def begin(self, t: float) -> None:
         """Begin a landing, at a time in seconds."""
         self._begun = t
-        self._taken = deque([t] * self._keys.sure, self._keys.sure)  # s, newest exposures of the last verdicts
+        self._taken = deque(
+            [t] * self._keys.refusals_to_abort, self._keys.refusals_to_abort
+        )  # s, newest exposures of the last verdicts
         self._flown, self._high = deque[tuple[float, float]](), 0.0  # s, and metres above the place; the most of them
         self._low_at: float | None = None  # s, when it was first too low to break off
         self._over = False  # the vehicle is over the place, and comes down
@@ -73,7 +75,7 @@ class Descent:
             return self._unseen >= self._keys.unseen
         self._unseen = 0
         self._p.append(said.p_safe)
-        return len(self._p) == self._p.maxlen and median(self._p) < self._keys.doubted
+        return len(self._p) == self._p.maxlen and median(self._p) < self._keys.abort_median
 
     def too_long(self, t: float, left: float) -> str:
         """Reason, in words, if the landing takes too long, or the newest verdict is too old; empty: neither."""
@@ -89,7 +91,7 @@ class Descent:
         return f"for {waited:.0f} s on the last metres" if waited > self._keys.hold else ""
 
     def _is_checked(self, left: float) -> bool:
-        """True if the last `sure` verdicts saw the place from no more than `unchecked` metres above this height.
+        """Whether the last verdicts, as many as end a landing, saw the place from `unchecked` metres above or lower.
 
         So whoever comes to the place while the vehicle is more than that above `abort_height` is seen in time, however
         slow the verdicts are.

@@ -202,7 +202,7 @@ class Executive:
     def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert self.target is not None
         said = self._opinion(now) if self._keys.look_again else None
-        if said is not None and self._refusals >= self._keys.sure:
+        if said is not None and self._refusals >= self._keys.refusals_to_abort:
             judged = self.state is S.COMMIT and said.standing is not Standing.NOT_SEEN
             fallen = f"P(safe) has fallen to {p_safe_text(said.p_safe)}" if judged else ""
             return E.REFUSED, ": ".join(filter(None, (fallen, said.why)))
@@ -212,7 +212,9 @@ class Executive:
         if said is not None:
             self._crowded = [*self._crowded, now.t] if self._beside(now) else []
         where = "the way down" if self.state is S.COMMIT else "every way across it"
-        if len(self._crowded) >= self._keys.sure or (self._crowded and now.t - self._crowded[0] > self._keys.wait):
+        if len(self._crowded) >= self._keys.refusals_to_abort or (
+            self._crowded and now.t - self._crowded[0] > self._keys.wait
+        ):
             return E.REFUSED, f"something stands beside {where}"
         if self.state is S.COMMIT or self._crowded:
             return None, ""
@@ -252,7 +254,7 @@ class Executive:
             self._leg_done = None
             self._plan(self._leg(now))  # once more, from the other side
             return None, ""
-        if said.standing is Standing.REFUSED and self._refusals < self._keys.sure:
+        if said.standing is Standing.REFUSED and self._refusals < self._keys.refusals_to_abort:
             return None, ""
         return E.REFUSED, f"{said.standing.value} from {self._height:.1f} m: {said.why}"
 
@@ -264,12 +266,12 @@ class Executive:
         self._judged = seen.number
         low = self.state is S.COMMIT
         same = self._keys.same_spot if low else max(self._keys.same_place, self._keys.beside * self._height)
-        least = self._keys.fallen if low else self._keys.hopeless
+        least = self._keys.abort_p_safe if low else self._keys.hopeless
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
         said = opinion(self.target, seen, same, least, may, self._margin)
         if low and self._descent.judged(seen.t, said, self._left):
-            self._refusals = self._keys.sure
+            self._refusals = self._keys.refusals_to_abort
         elif said.standing is not Standing.NOT_SEEN:
             fallen = said.standing is Standing.REFUSED or (low and said.p_safe < least)
             self._refusals = self._refusals + 1 if fallen else 0

@@ -27,8 +27,10 @@ class ExecutiveTuning(FrozenModel):
     same_spot: Positive = Field(
         0.5, description="The same once the landing has begun: it comes down without a swerve, m"
     )
-    fallen: Fraction = Field(0.8, description="P(safe) below which a verdict on a landing under way refuses its place")
-    doubted: Fraction = Field(0.9, description="The same for the median of the last verdicts on it")
+    abort_p_safe: Fraction = Field(
+        0.8, description="P(safe) below which a verdict on a landing under way refuses its place"
+    )
+    abort_median: Fraction = Field(0.9, description="The same for the median of the last verdicts on it")
     last_verdicts: int = Field(5, ge=1, description="So many of them")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
     plain: Fraction = Field(
@@ -37,7 +39,7 @@ class ExecutiveTuning(FrozenModel):
     nearest: Positive = Field(
         4.0, description="Height of one more look at a place that is in doubt from the height to commit from, m"
     )
-    sure: int = Field(
+    refusals_to_abort: int = Field(
         2, ge=1, description="Verdicts in a row that refuse a place before a look, a descent or a landing ends"
     )
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
@@ -58,7 +60,8 @@ class ExecutiveTuning(FrozenModel):
     )
     unjudged: Positive = Field(5.0, description="Age of what the newest verdict saw that breaks a landing off, s")
     unchecked: Positive = Field(
-        2.0, description="Way down at most below the height from which the last `sure` verdicts saw the place, m"
+        2.0,
+        description="Way down at most below the height from which so many verdicts saw the place, m",
     )
     recovered: NonNegative = Field(1.0, description="Time with motion and pictures after which a hold ends, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")

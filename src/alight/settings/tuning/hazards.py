@@ -88,7 +88,7 @@ class HazardsTuning(FrozenModel):
     surely_sigmas: NonNegative = Field(4.0, description="The same for single heights, sigmas")
     vague: Positive = Field(
         1.5,
-        description="Sigma over the limit of roughness from which a height counts as a sigma nearer to the ground",
+        description="Sigma over the limit of roughness from which a height is lowered by one sigma towards the ground",
     )
     stands_out: Positive = Field(
         3.0, description="Sigmas from the trusted ground about it, beyond which it counts in full all the same"

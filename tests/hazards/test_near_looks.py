@@ -11,7 +11,7 @@ from ground import ground
 from numpy.testing import assert_allclose
 
 from alight.hazards import assess
-from alight.hazards.evidence import FAR_PIXEL, FAR_SAMPLING, NEAR_PIXEL, NEAR_SAMPLING, nearness
+from alight.hazards.evidence import NEAR_PIXELS, NEAR_SAMPLES, nearness
 from alight.records import ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -24,9 +24,9 @@ def near(sampling: float, pixel: float) -> float:
 
 
 def test_a_footprint_is_seen_from_near_by_where_samples_and_pixels_both_are_fine() -> None:
-    fine, coarse = (0.9 * NEAR_SAMPLING * LIMIT, 0.9 * NEAR_PIXEL * LIMIT), (FAR_SAMPLING * LIMIT, FAR_PIXEL * LIMIT)
-    assert near(*fine) == 1.0
-    assert near(fine[0], 1.01 * coarse[1]) == near(1.01 * coarse[0], fine[1]) == 0.0
+    (sample, far_sample), (pixel, far_pixel) = (LIMIT * np.array(v) for v in (NEAR_SAMPLES, NEAR_PIXELS))
+    assert near(0.9 * sample, 0.9 * pixel) == 1.0
+    assert near(0.9 * sample, 1.01 * far_pixel) == near(1.01 * far_sample, 0.9 * pixel) == 0.0
 
 
 def test_nearness_falls_with_the_pixel() -> None:
@@ -34,7 +34,7 @@ def test_nearness_falls_with_the_pixel() -> None:
     assert (np.diff(shares) <= 0).all()
     assert shares[0] == 1.0
     assert shares[-1] == 0.0
-    assert_allclose(near(0.01, LIMIT * float(np.sqrt(NEAR_PIXEL * FAR_PIXEL))), 0.5, atol=1e-5)
+    assert_allclose(near(0.01, LIMIT * float(np.sqrt(np.prod(NEAR_PIXELS)))), 0.5, atol=1e-5)
 
 
 def rough_ground(height: float) -> np.ndarray:

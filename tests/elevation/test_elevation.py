@@ -61,11 +61,6 @@ def fused(*steps: Heights) -> float:
     return float(e.read(steps[0].grid).height[0, 0])
 
 
-def held(e: TiledElevation) -> int:
-    """Number of tiles in memory."""
-    return sum(len(layer._near) for layer in e._layers.values())
-
-
 # -- the raster
 
 index = st.integers(-70, 70)
@@ -198,11 +193,11 @@ def test_rolling_packs_and_unpacks_without_loss() -> None:
     for e in (rolled, still):
         e.add(rough)
     rolled.roll((0.0, 0.0), 5.0)
-    assert 0 < held(rolled) < held(still)  # some are packed, those near the vehicle are not
+    assert 0 < rolled.tiles.near < still.tiles.near  # some are packed, those near the vehicle are not
     same(rolled.read(grid), still.read(grid))
     rolled.roll((1e4, 1e4), 5.0)
-    assert not held(rolled)
-    assert len(rolled._far) == held(still)
+    assert not rolled.tiles.near
+    assert rolled.tiles.packed == still.tiles.near
     same(rolled.read(grid), still.read(grid))
     a, b = rolled.snapshot(), still.snapshot()
     assert a is not None
@@ -219,7 +214,7 @@ def test_a_packed_tile_takes_new_heights() -> None:
     e.roll((1e3, 0.0), 1.0)
     e.add(new)
     same(e.read(grid), new)
-    assert not e._far  # one truth: a tile is near or packed, never both
+    assert not e.tiles.packed  # one truth: a tile is near or packed, never both
 
 
 def test_a_reading_is_a_copy() -> None:
@@ -421,9 +416,9 @@ def test_forgotten_tiles_are_gone_and_memory_is_bounded() -> None:
     for k in range(60):
         e.add(slanted(aligned(8 * k, 8, 16, 16)))
         e.roll(((8 * k + 8) * CELL, 0.0), 2 * SPAN)
-        most.append(held(e))
+        most.append(e.tiles.near)
     assert max(most[30:]) <= max(most[:30])
-    assert all(not layer._left for layer in e._layers.values())
+    assert not e.tiles.packed
     assert not e.read(aligned(0, 8, 8, 8)).trusted.any()
     assert e.read(aligned(8 * 59, 8, 8, 8)).trusted.all()
 
@@ -438,8 +433,8 @@ def test_a_spilled_map_is_the_map(tmp_path: Path) -> None:
             e.roll((1e4, 0.0), 5.0)
             e.add(more)
             e.roll((1e4, 0.0), 5.0)
-        assert len(far) == held(kept) + len(kept._far) > 30
-        assert not held(spilled)
+        assert len(far) == sum(kept.tiles) > 30
+        assert not spilled.tiles.near
         same(spilled.read(grid), kept.read(grid))
     assert not list(tmp_path.iterdir())  # nameless: nothing is left, however a run ends
 
@@ -453,4 +448,4 @@ def test_a_spill_is_a_mapping_and_takes_no_room_twice(tmp_path: Path) -> None:
             assert far.pop((0, -1, 2)) == bytes([7]) * 50
         assert list(far) == [(0, 1, 2)]
         assert (0, -1, 2) not in far
-        assert far._file.seek(0, 2) == 100 + 50 + 120
+        assert far.size == 100 + 50 + 120

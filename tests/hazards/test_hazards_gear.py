@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
 from alight.hazards import assess
-from alight.hazards.footprint import feet_of, is_coarse
+from alight.hazards.gear import feet_of, is_coarse
 from alight.hazards.usable_heights import measured_height, usable_height
 from alight.records import Flag, Hazard, HazardMap, Terrain
 from alight.settings import HazardsSettings, Lander

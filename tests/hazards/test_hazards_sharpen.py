@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.hazards.footprint_kernels import cast_shadows
-from alight.hazards.sharpen import _spread, coarsen, sharpen
+from alight.hazards.sharpen import coarsen, coarsen_transposed, sharpen
 from alight.hazards.sunlight import find_light, gradients, in_shadow, shadow_level
 from alight.records import Flag
 from alight.settings import HazardsSettings, Lander
@@ -66,7 +66,7 @@ def test_spreading_is_the_transpose_of_coarsening(factor: int) -> None:
     fine, cells = rng.normal(size=(8 * factor, 9 * factor)), rng.normal(size=(8, 9))
     fine[:factor] = fine[-factor:] = fine[:, :factor] = fine[:, -factor:] = 0  # without the continued rim
     a, b = fine.astype(np.float32), cells.astype(np.float32)
-    assert_allclose(np.vdot(coarsen(a, factor), b), np.vdot(a, _spread(b, factor)), rtol=1e-4)
+    assert_allclose(np.vdot(coarsen(a, factor), b), np.vdot(a, coarsen_transposed(b, factor)), rtol=1e-4)
 
 
 def test_a_wall_casts_its_shadow_as_far_as_the_sun_says() -> None:

@@ -295,20 +295,6 @@ def test_reserve_sites_that_the_newer_map_does_not_see_are_kept_behind_those_tha
     assert [s.rank for s in both.sites] == [1, 2, 3, 4]
 
 
-def test_terms_that_a_user_adds_move_the_choice_and_their_gaps_refuse() -> None:
-    e = ground(np.zeros((101, 151)))
-    h = assess(e, None, LANDER, EXACT)
-    east = np.broadcast_to(np.linspace(0, 1, 151, dtype=np.float32), (101, 151)).copy()
-
-    def first(values: np.ndarray) -> float:
-        found = sites.choose_sites(h, None, e, SitesSettings(), LANDER, extra=[(100.0, values)]).sites
-        return found[0].east if found else math.nan
-
-    assert first(east) < 3.0
-    assert first(-east) > 12.0
-    assert math.isnan(first(np.full_like(east, np.nan)))
-
-
 def test_a_small_footprint_on_doubtful_ground_has_a_height() -> None:
     """A plain gap between trusted cells is bridged (G0); the footprint of a small lander may lie in it."""
     e, lander = ground(np.full((41, 41), 2.0), sigma=0.01), Lander(radius=0.3)

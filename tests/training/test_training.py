@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from alight.learned import relu_net
 from alight.learned.terms import LAND_COVER_TERMS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +27,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_draws_are_by_weight_and_each_flight_is_shifted_as_one() -> None:
-    from draws import SHIFT, rounds_of
+    from land_cover import SHIFT, rounds_of
 
     weight = np.r_[np.full(5000, 0.9 / 5000), np.full(5000, 0.1 / 5000)]
     flight = np.repeat(np.arange(100), 100)
@@ -61,7 +60,7 @@ def test_the_land_cover_net_learns_classes_that_its_terms_tell_apart() -> None:
     flight = rng.integers(0, 20, count)
     net = fit_net(Rows(LAND_COVER_TERMS, values, kind, np.full(count, 1 / count), flight))
     found = {name: values[None, :, i] for i, name in enumerate(LAND_COVER_TERMS)}
-    assert (relu_net(net, found.items())[:, 0].argmax(axis=0) == kind).mean() > 0.9
+    assert (net.outputs(found.items())[:, 0].argmax(axis=0) == kind).mean() > 0.9
 
 
 def test_rates_are_monotone_and_learn_the_terms_that_matter() -> None:

@@ -10,7 +10,7 @@ from ground import ground
 from numpy.testing import assert_allclose
 
 from alight.hazards import assess
-from alight.hazards.assessment import _smoothed_roughness
+from alight.hazards.touchdown import smoothed_roughness
 from alight.landing.sites import choose_sites
 from alight.records import Hazard, HazardMap
 from alight.runner.judge import for_surveyed_heights, judge_ground
@@ -58,7 +58,7 @@ def test_heights_averaged_over_blocks_still_give_a_plane_for_a_small_footprint()
     z = ground(np.zeros((41, 41))).height
     z[20, 20] = 0.5
     for radius in (0.15, 0.3, 0.4):
-        found = _smoothed_roughness(z, radius, 0.1, 0.2)
+        found = smoothed_roughness(z, radius, 0.1, 0.2)
         assert np.isfinite(found[5:-5, 5:-5]).all()
         assert found[20, 20] > 0.002
 

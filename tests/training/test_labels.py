@@ -20,7 +20,7 @@ from alight.geometry import Camera, Grid, LocalFrame, Pose
 from alight.outputs.reading import Run
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "training"))
 import label as tool  # noqa: E402
 

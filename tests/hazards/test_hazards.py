@@ -17,9 +17,9 @@ from scipy.special import logit
 from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.evidence import ground_odds
-from alight.hazards.factors import deviation_hazards
 from alight.hazards.picture_spots import green_spots, picture_spots
 from alight.hazards.usable_heights import measured_height
+from alight.learned import read_floors
 from alight.learned.terms import NearTerm
 from alight.raster import clearance_of
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
@@ -512,7 +512,8 @@ def test_a_broad_deviation_counts_at_the_limit_and_a_narrow_one_from_half_of_it(
     over = np.array([0.3, 0.67, 0.8, 0.9, 1.0, 1.1, 2.0], np.float32)
 
     def expected(narrow: float) -> np.ndarray:
-        return deviation_hazards({NearTerm.RISE: np.log(over), NearTerm.NARROW: np.full_like(over, narrow)})
+        terms = {NearTerm.RISE: np.log(over), NearTerm.NARROW: np.full_like(over, narrow)}
+        return read_floors()["deviation"].expected(terms)
 
     assert_allclose(expected(0.2), [0, 0, 0, 0, 0.39, 0.78, 0.78], atol=1e-6)
     assert_allclose(expected(1.0)[[0, 2, -1]], [0, 0.39, 0.78], atol=1e-6)

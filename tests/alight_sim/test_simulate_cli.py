@@ -193,14 +193,14 @@ def test_every_key_is_written_down(capsys: pytest.CaptureFixture[str]) -> None:
     told = capsys.readouterr().out
     assert told.startswith("# Keys of a scene file\n")
     assert "### `ground.relief`" in told
-    assert "| `height` | `40` | metres above what `above` says, at the start |" in told
+    assert "| `height` | `40` | metres above what `above` names, at the start |" in told
     for name, kind in things().items():
         assert f"### `thing: {name}`" in told
         assert all(f"| `{key}` |" in told for key in kind.model_fields if key != "thing")
 
 
 def test_the_scenes_of_the_documentation_are_scenes() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "simulator.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text(encoding="utf-8")
     blocks_of_yaml = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     scenes = [parse_scene(yaml.safe_load(b), "docs/simulator.md") for b in blocks_of_yaml]
     assert len(scenes) >= 3

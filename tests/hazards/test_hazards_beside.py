@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
 from alight.hazards import assess
-from alight.hazards.beside import ring_share
+from alight.hazards.touchdown import ring_share
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 

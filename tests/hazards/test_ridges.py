@@ -11,12 +11,15 @@ import pytest
 from ground import ground
 
 from alight.hazards import assess
-from alight.hazards.factors import RIDGE, ridge_hazards
 from alight.hazards.ridges import straight_ridges
+from alight.learned import read_floors
+from alight.learned.terms import FloorTerm
 from alight.records import Flag, HazardMap
 from alight.settings import HazardsSettings, Lander
 
 N, MID = 121, (60, 60)
+FLOOR = read_floors()["straight_ridge"]
+RIDGE = FLOOR.products[0][FloorTerm.RIDGE][0]  # metres of relief: no hazard, and all of it
 KERB = 0.11  # metres high, 0.2 m wide
 
 
@@ -91,7 +94,7 @@ def test_a_kerb_counts_the_less_the_coarser_its_heights_are() -> None:
 
 
 def test_the_hazards_of_a_ridge_rise_with_it() -> None:
-    at = ridge_hazards(np.linspace(0, 0.1, 50, dtype=np.float32))
+    at = FLOOR.expected({FloorTerm.RIDGE: np.linspace(0, 0.1, 50, dtype=np.float32)})
     assert (np.diff(at) >= 0).all()
     assert at[0] == 0.0
     assert at[-1] == pytest.approx(0.7)

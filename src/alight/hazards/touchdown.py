@@ -1,0 +1,206 @@
+"""Measure a touchdown at every cell: the ground under the lander and beside it (docs/method/hazards.md, G1 to G6a)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from alight.arrays import F32, I64, Mask
+from alight.hazards.contact import Footprint, footprint_of, step_of
+from alight.hazards.footprint_kernels import least_margin
+from alight.hazards.usable_heights import measured_height, smoothed_height, usable_height
+from alight.raster import (
+    block_quantile,
+    disc_any,
+    disc_crosses_edge,
+    disc_mask,
+    disc_mean,
+    disc_share,
+    disc_spans,
+    upsample,
+)
+from alight.records import ElevationMap, Flag, Terrain, TerrainMap, is_flagged, is_measured
+from alight.settings import HazardsSettings, Lander
+
+ROUNDING = 1e-4  # of a share, or of a number of cells
+CERTAIN = np.float32(40.0)  # sigmas; a limit is kept, or broken, for sure
+NO_NOISE = 1e-9  # metres, or rad; a smaller sigma is none
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """The map to assess, and for whom."""
+
+    elevation: ElevationMap
+    land_cover: TerrainMap | None  # None: not known
+    lander: Lander
+    settings: HazardsSettings
+
+    @property
+    def cell(self) -> float:
+        """Cell size, metres."""
+        return self.elevation.grid.cell
+
+    @property
+    def common_tilt(self) -> float:
+        """1-sigma of the tilt that all cells share, rad: from the poses of the map, and the user's setting besides."""
+        poses = 0.0 if self.elevation.gauge is None else self.elevation.gauge.tilt_sigma
+        return float(np.hypot(poses, self.settings.tilt_sigma))
+
+
+@dataclass(frozen=True, eq=False)
+class Touchdowns:
+    """A touchdown centred on every cell, (R, C) each."""
+
+    footprint: Footprint
+    sigma: F32  # metres, root mean square of the heights under the lander
+    slope: F32  # rad, of the footprint, or the worst tilt of feet or skids
+    rise: F32 | None  # metres, of the ground under the belly above the worst contact plane; None: not judged
+    rotor: F32 | None  # sigmas, the least margin of the ground beside the footprint below the rotors; None: none there
+    step: F32  # metres
+    smooth_roughness: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
+    trend_roughness: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
+    measured: F32  # metres, the measured heights of the cells, doubtful ones as well
+    measured_roughness: F32  # metres, largest deviation of these
+    unmeasured: F32  # share of the footprint without any
+    edge: Mask  # the footprint, gear or rotors leave the map
+    unknown: Mask
+    blocked: Mask  # the ground reaches into the belly's or the rotor's clearance
+    vetoed: Mask  # the land cover may not be landed on, or rises into the rotors
+
+
+def measure(on: Inputs) -> Touchdowns:
+    """Measure a touchdown centred on every cell."""
+    e, lander, settings, cell = on.elevation, on.lander, on.settings, on.cell
+    height, measured = (of(e, lander, settings) for of in (usable_height, measured_height))
+    footprint, beyond = footprint_of(height, lander.radius, cell), lander.ground_reach > lander.radius
+    if beyond:  # gear stands on the noise beside the footprint
+        footprint = replace(footprint, scatter=footprint_of(height, lander.ground_reach, cell).scatter)
+    variance = np.where(np.isfinite(height), e.sigma**2, np.float32(np.nan))
+    sigma = np.sqrt(disc_mean(variance, lander.ground_reach, cell))
+    edge, unknown = _edge_and_unknown(height, footprint, on)
+    rotor, vetoed = _rotor(height, footprint, on), _vetoed(height, on)
+    slope, rise, blocked = footprint.slope, None, np.zeros_like(edge) if rotor is None else rotor < 0
+    if lander.has_gear:
+        from alight.hazards.gear import gear_contact, is_coarse
+
+        known = sigma[np.isfinite(sigma)]
+        exact = 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0  # 5 sigma about the belly's clearance
+        slope, above = gear_contact(height, footprint, edge | unknown, lander, cell, exact)
+        unknown |= np.isnan(slope) & ~edge
+        if lander.belly_clearance is not None:
+            rise = above
+            blocked |= above > lander.belly_clearance
+        slope = np.maximum(slope, footprint.slope) if is_coarse(lander, cell) else slope
+    smooth = trend = footprint.roughness
+    every = footprint
+    if settings.smoothed:
+        smooth, trend = (
+            smoothed_roughness(height, lander.radius, cell, s) for s in (settings.even_length, settings.broad_length)
+        )
+        every = footprint_of(measured, lander.radius, cell)
+    return Touchdowns(
+        footprint, sigma, slope, rise, rotor, step_of(height, lander.radius, cell), smooth, trend, measured,
+        every.roughness, every.unknown, edge, unknown, blocked, vetoed,
+    )  # fmt: skip
+
+
+def smoothed_roughness(height: F32, radius: float, cell: float, length: float) -> F32:
+    """Largest deviation of heights smoothed by `length`, metres; on wider cells if that and the radius allow it."""
+    smooth = smoothed_height(height, cell, length)
+    if length / cell + ROUNDING < 2 or radius < 4 * cell:  # a smaller footprint holds too few blocks for a plane
+        return footprint_of(smooth, radius, cell).roughness
+    wide = block_quantile(smooth, 2, 0.5)
+    return upsample(footprint_of(wide, radius, 2 * cell).roughness, 2, height.shape)
+
+
+def _edge_and_unknown(height: F32, footprint: Footprint, on: Inputs) -> tuple[Mask, Mask]:
+    """Touchdowns that leave the map, and those with too much unseen ground or too many doubtful heights (G6a)."""
+    lander, settings, cell, radius = on.lander, on.settings, on.cell, on.lander.radius
+    unseen = np.isnan(on.elevation.height) | is_flagged(on.elevation.flags, Flag.UNSEEN)
+    no_height = np.isnan(height)
+    doubtful = settings.doubtful_share if settings.smoothed else settings.unknown_share
+    edge = disc_crosses_edge(height.shape, radius, cell)
+    unknown = np.isnan(footprint.level) | (footprint.unknown > doubtful) | (unseen if settings.smoothed else no_height)
+    unknown |= disc_share(unseen, radius, cell) > settings.unknown_share + ROUNDING
+    for reach in {lander.ground_reach, lander.reach} - {radius}:
+        edge |= disc_crosses_edge(height.shape, reach, cell)
+        for mask, most in ((unseen, settings.unknown_share), (no_height, doubtful)):
+            unknown |= ring_share(mask, radius, reach, cell) > most + ROUNDING
+    return edge, unknown
+
+
+def ring_share(mask: Mask, inner: float, outer: float, cell: float) -> F32:
+    """Share of the ring between two radii (metres) about every cell where the mask holds; 0 where it has no cells."""
+    spans = disc_spans(outer / cell)
+    ring = disc_mask(spans) - disc_mask(padded_spans(disc_spans(inner / cell), spans.size // 2))
+    kernel = ring.astype(np.float32) / max(float(ring.sum()), 1.0)
+    share = cv2.filter2D(mask.astype(np.float32), cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(share, np.float32)
+
+
+def padded_spans(spans: I64, reach: int) -> I64:
+    """Spans of a disc padded with -1 to the rows of a larger one, so that both fit the same loops."""
+    return np.pad(spans, reach - spans.size // 2, constant_values=-1)
+
+
+def _vetoed(height: F32, on: Inputs) -> Mask:
+    """Touchdowns on land cover that may not be landed on, or beside what rises into the rotors; (R, C).
+
+    A cell without a class is not refused.
+    """
+    cover, lander, cell = on.land_cover, on.lander, on.cell
+    if cover is None:
+        return np.zeros(height.shape, np.bool_)
+    vetoed = disc_any(cover.landable < on.settings.min_landable, lander.ground_reach, cell)
+    if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
+        plants = (cover.label == Terrain.TALL_VEGETATION) & np.isnan(height)
+        standing = plants | np.isin(cover.label, (Terrain.TREE, Terrain.STRUCTURE))
+        vetoed |= disc_any(standing, lander.rotor_radius, cell)
+    return vetoed
+
+
+def _rotor(height: F32, footprint: Footprint, on: Inputs) -> F32 | None:
+    """Margin of the ground beside every footprint below the rotors, (R, C) sigmas; None: they lie within it."""
+    e, lander = on.elevation, on.lander
+    if lander.rotor_radius is None or lander.rotor_radius <= lander.radius:
+        return None
+    tops = np.where(np.isfinite(height), height, _supported(e, height))
+    most = np.float32(0.5 * lander.rotor_rise)  # largest sigma that a doubtful height counts with
+    return rotor_margin(tops, np.where(e.trusted, e.sigma, np.fmin(e.sigma, most)), footprint, lander, on.cell)
+
+
+def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:
+    """Least margin below the rotor between the footprint's rim and its own, (R, C) in sigmas of the heights (G6, G8c).
+
+    Args:
+        height: (R, C) metres, NaN = unknown.
+        sigma: (R, C) metres, of each height.
+        footprint: its planes; the ground under the rotor may rise above them by at most `rotor_rise`.
+        lander: its rotor.
+        cell: metres.
+    """
+    assert lander.rotor_radius is not None
+    outer = disc_spans(lander.rotor_radius / cell)
+    inner = padded_spans(disc_spans(lander.radius / cell), outer.size // 2)
+    margin, weight = np.empty_like(height), 1 / np.fmax(sigma, np.float32(NO_NOISE))
+    limit = footprint.level + np.float32(lander.rotor_rise)
+    least_margin(height, weight, limit, footprint.grad_c, footprint.grad_r, inner, outer, margin)
+    return margin.clip(-CERTAIN, CERTAIN)
+
+
+def _supported(elevation: ElevationMap, height: F32) -> F32:
+    """Measured heights (R, C), opened by a square (erosion, then dilation); metres on the level of `height`.
+
+    A single doubtful height is a wrong match. Several as high in a square of 0.15 m are an object. NaN where not all
+    are known.
+    """
+    side, at = max(2, round(0.15 / elevation.grid.cell)), int(np.isfinite(height).argmax())
+    level = elevation.height.flat[at] - height.flat[at]
+    tops = np.where(is_measured(elevation.flags), elevation.height - level, np.float32(np.nan))
+    square = np.ones((side, side), np.uint8)
+    low = cv2.erode(np.where(np.isfinite(tops), tops, np.float32(-np.inf)), square, anchor=(0, 0))
+    opened = cv2.dilate(low, square, anchor=(side - 1, side - 1))
+    return np.where(np.isfinite(opened), opened, np.float32(np.nan)).astype(np.float32)

@@ -1,0 +1,236 @@
+"""What the fitted tables hold: a net, the known kinds of ground, rates of hazards, and floors under these."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from alight.arrays import F16, F32, F64
+from alight.learned.tables import arrays_of, table_path
+from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, LAND_COVER_TERMS, NEAR_TERMS, RELIEF_TERMS
+
+CELLS_AT_A_TIME = 8192  # whose hidden units, or distances, stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTable:
+    """Fitted numbers over terms; the fields are the arrays of the file."""
+
+    terms: tuple[str, ...]  # identifiers (`terms`)
+
+    stored: ClassVar[dict[str, type]] = {}  # types of arrays in the file, where not 32 bit floats
+    used: ClassVar[type] = np.float32  # type of arrays in memory
+
+    @classmethod
+    def of(cls, content: bytes, terms: tuple[str, ...]) -> Self:
+        """Read a table from the bytes of its file, and check it against the terms that this version computes.
+
+        Raises:
+            ValueError: it is damaged, or was fitted on other terms; its shapes do not fit; a number is not allowed.
+        """
+        arrays, names = arrays_of(content), [f.name for f in fields(cls)]
+        if missing := [k for k in names if k not in arrays]:
+            raise ValueError(f"the table has no {', '.join(missing)}")
+        if tuple(map(str, arrays.pop("terms"))) != terms:
+            raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
+        numbers: dict[str, Any] = {k: arrays[k].astype(cls.used) for k in names[1:]}
+        table = cls(terms, **{k: v if v.ndim else float(v) for k, v in numbers.items()})
+        if any(numbers[k].shape != shape for k, shape in table._shapes().items()):
+            raise ValueError("the shapes of the table do not fit its terms")
+        if not all(np.isfinite(v).all() for v in numbers.values()) or not table._is_sound():
+            raise ValueError("the table holds numbers that are not finite, or not allowed")
+        return table
+
+    def to_bytes(self) -> bytes:
+        """Content of the file (.npz)."""
+        out, names = io.BytesIO(), [f.name for f in fields(self)][1:]
+        numbers: dict[str, Any] = {k: np.asarray(getattr(self, k), self.stored.get(k, np.float32)) for k in names}
+        np.savez_compressed(out, terms=np.array(self.terms), **numbers)
+        return out.getvalue()
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes that the arrays must have."""
+        raise NotImplementedError
+
+    def _is_sound(self) -> bool:
+        """Whether finite numbers of these shapes make a table."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Net(FittedTable):
+    """A net over standardised terms, with one hidden layer of rectified units."""
+
+    usual: F32  # (T,) mean of each term
+    spread: F32  # (T,) standard deviation of each term
+    hidden_weights: F32  # (T, U)
+    hidden_bias: F32  # (U,)
+    output_weights: F32  # (U, outputs)
+    output_bias: F32  # (outputs,)
+
+    clip: ClassVar = np.float32(4.0)  # spreads; a term further from the training data counts no further
+    stored: ClassVar = dict.fromkeys(("hidden_weights", "hidden_bias", "output_weights", "output_bias"), np.float16)
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        count, units, outputs = (len(self.terms),), self.hidden_bias.shape, self.output_bias.shape
+        return {"usual": count, "spread": count, "hidden_weights": count + units, "output_weights": units + outputs}
+
+    def _is_sound(self) -> bool:
+        return bool((self.spread > 0).all())
+
+    def standardised(self, found: Iterable[tuple[str, F32]]) -> F16:
+        """Terms (R, C) in spreads about their mean and clipped, (terms, R, C) in the order of the net.
+
+        A term is freed before the next one is computed, and the terms are kept to a thousandth: tens of them, of
+        millions of cells, are gigabytes.
+
+        Raises:
+            ValueError: not every term of the net was given, each once.
+        """
+        left = {name: i for i, name in enumerate(self.terms)}
+        out = np.zeros((0, 0, 0), np.float16)
+        for name, values in found:
+            if name not in left:
+                raise ValueError(f"terms that the net was not fitted on, or that are doubled: {name}")
+            if len(left) == len(self.terms):
+                out = np.empty((len(left), *values.shape), np.float16)
+            i = left.pop(name)
+            np.clip((values - self.usual[i]) / self.spread[i], -self.clip, self.clip, out=out[i])
+        if left:
+            raise ValueError(f"terms of the net that are missing: {', '.join(sorted(left))}")
+        return out
+
+    def outputs(self, found: Iterable[tuple[str, F32]]) -> F32:
+        """Outputs (outputs, R, C) of terms (R, C) each.
+
+        Raises:
+            ValueError: not every term of the net was given, each once.
+        """
+        terms = self.standardised(found)
+        x, hidden, output = terms.reshape(len(terms), -1), self.hidden_weights.T, self.output_weights.T
+        out = np.empty((len(output), x.shape[1]), np.float32)
+        for begin in range(0, x.shape[1], CELLS_AT_A_TIME):
+            some = slice(begin, begin + CELLS_AT_A_TIME)
+            units = hidden @ x[:, some].astype(np.float32) + self.hidden_bias[:, None]
+            out[:, some] = output @ np.maximum(units, 0, out=units) + self.output_bias[:, None]
+        return out.reshape(-1, *terms.shape[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class KnownGround(FittedTable):
+    """Means of the kinds of ground in the training data, and the spread about them (docs/method/land-cover.md, T6)."""
+
+    usual: F32  # (T,) mean of each term
+    spread: F32  # (T,) standard deviation of each term
+    means: F32  # (K, T) standardised
+    whitening: F32  # (T, T): the length of a row vector times it is the distance of Mahalanobis
+    limit: float  # squared distance within which 95 of 100 cells lie of families of scenes left out
+
+    clip: ClassVar = np.float32(8.0)  # spreads
+    stored: ClassVar = {"means": np.float16, "limit": np.float64}
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        count = len(self.terms)
+        return {"usual": (count,), "spread": (count,), "means": (len(self.means), count), "whitening": (count, count)}
+
+    def _is_sound(self) -> bool:
+        return bool((self.spread > 0).all())
+
+    def novelty(self, values: F32) -> F32:
+        """Squared distance to the nearest kind over the limit, (N,), of terms (N, T): above 1 no kind is similar."""
+        centres, out = self.means @ self.whitening, np.empty(len(values), np.float32)
+        for first in range(0, len(values), CELLS_AT_A_TIME):
+            some = slice(first, first + CELLS_AT_A_TIME)
+            z = ((values[some] - self.usual) / self.spread).clip(-self.clip, self.clip) @ self.whitening
+            square = (z * z).sum(axis=1)[:, None] - 2 * z @ centres.T + (centres * centres).sum(axis=1)
+            out[some] = np.maximum(square.min(axis=1), 0) / np.float32(self.limit)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Rate(FittedTable):
+    """Expected number of hazards: its logarithm is a sum of piecewise linear curves, none of which falls."""
+
+    knots: F64  # (T, K) values of each term, ascending; a curve is level beyond its ends
+    heights: F64  # (T, K) of the curve at the knots, rising from 0
+    bias: float  # log of the rate where every curve is 0
+
+    stored: ClassVar = {"bias": np.float64}
+    used = np.float64
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        return dict.fromkeys(("knots", "heights"), (len(self.terms), self.knots.shape[-1]))
+
+    def _is_sound(self) -> bool:
+        return bool((np.diff(self.knots, axis=1) > 0).all() and (np.diff(self.heights, axis=1) >= 0).all())
+
+    def log_rate(self, found: Mapping[str, F32]) -> F32:
+        """Natural logarithm of the expected number of hazards, of the shape of the terms.
+
+        Raises:
+            KeyError: a term of the rate is missing.
+        """
+        total: F64 | float = self.bias
+        for name, at, height in zip(self.terms, self.knots, self.heights, strict=True):
+            total = total + np.interp(found[name], at, height)
+        return np.asarray(total, np.float32)
+
+
+class Floor(NamedTuple):
+    """Least expected hazards of a factor, by one kind of evidence alone: a sum of products of curves."""
+
+    factor: str
+    nearness: str  # by which it is weighted
+    products: tuple[dict[str, tuple[F64, F64]], ...]  # knots and heights of curves by the identifier of their term
+
+    def expected(self, found: Mapping[str, F32]) -> F32:
+        """Expected hazards, of the shape of the terms."""
+        each = (math.prod(np.interp(found[k], *curve) for k, curve in p.items()) for p in self.products)
+        return np.asarray(sum(each), np.float32)
+
+
+RATES = {
+    "relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS,
+    "near_obstacle_rate": NEAR_TERMS, "near_ground_rate": NEAR_TERMS,
+}  # fmt: skip
+
+
+@cache
+def read_rate(name: str) -> Rate:
+    """Read a rate of the package (one of `RATES`), once."""
+    return Rate.of(table_path(name).read_bytes(), RATES[name])
+
+
+@cache
+def read_net() -> Net:
+    """Read the net for the land cover, once."""
+    return Net.of(table_path("land_cover").read_bytes(), LAND_COVER_TERMS)
+
+
+@cache
+def read_known() -> KnownGround:
+    """Read the known ground of the package, once."""
+    return KnownGround.of(table_path("known_ground").read_bytes(), LAND_COVER_TERMS)
+
+
+@cache
+def read_floors() -> dict[str, Floor]:
+    """Read the floors of the package (`floors.yaml`), by name, once."""
+
+    def curve(heights: list[float], at: Sequence[float] = (), log_of: Sequence[float] = ()) -> tuple[F64, F64]:
+        knots: NDArray[Any] = np.array(at, np.float64) if at else np.log(log_of)
+        return knots, np.array(heights, np.float64)
+
+    floors = yaml.safe_load(table_path("floors").with_suffix(".yaml").read_text(encoding="utf-8"))
+    return {
+        name: Floor(f["factor"], f["nearness"], tuple({k: curve(**c) for k, c in p.items()} for p in f["sum"]))
+        for name, f in floors.items()
+    }
