@@ -5,8 +5,9 @@ from __future__ import annotations
 import jinja2
 
 from alight import __version__
+from alight.documents import printable
 from alight.records import PHOTO_COLUMNS, RunResult
-from alight.report import canvas, facts, figures, maps, words
+from alight.report import canvas, facts, figures, maps
 from alight.report.facts import warnings
 from alight.report.figures import Figure
 from alight.report.film import film
@@ -16,7 +17,7 @@ __all__ = ["render", "warnings"]
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("alight", "report"),
     autoescape=True,
-    finalize=lambda value: words.printable(value) if isinstance(value, str) else value,
+    finalize=lambda value: printable(value) if isinstance(value, str) else value,
     trim_blocks=True,
     lstrip_blocks=True,
     undefined=jinja2.StrictUndefined,

@@ -286,7 +286,7 @@ def test_the_page_of_settings_has_every_key() -> None:
 
 
 def test_the_page_of_tuned_constants_quotes_the_code() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "lab" / "tuning-constants.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "lab" / "tuning-constants.md").read_text(encoding="utf-8")
     quoted = re.findall(r"^\| `(tuning\.[\w.]+)` \| ([^|]+) \|", page, re.M)
     assert len(quoted) >= 20
     for key, value in quoted:

@@ -11,7 +11,6 @@ import yaml
 from damage import change_field, dji_tags, write_photo, write_yaml, xmp_packet
 from PIL import ExifTags, Image
 
-from alight.cli import app as cli_app
 from alight.cli import call
 from alight.pipeline.mapping.size import refuse_too_large
 from alight.records import SettingsError
@@ -163,10 +162,10 @@ def test_a_map_too_large_is_refused_with_the_cell_that_mends_it() -> None:
 def test_the_advice_where_memory_ends_fits_the_command(
     command: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def full(arguments: object) -> int:
+    def full(*_: object, **__: object) -> int:
         raise MemoryError
 
-    monkeypatch.setattr(cli_app, "_exit_code", full)
+    monkeypatch.setattr("typer.Typer.__call__", full)
     assert call([command, "x"]) == 2
     assert advice in capsys.readouterr().err
     assert call([command, "x", "--set", "tuning.terrain.cell=1e-4"]) == 2

@@ -11,7 +11,7 @@ import typer
 
 from alight.cli import app as application
 
-PAGE = (Path(__file__).parents[1] / "docs" / "usage.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "usage.md").read_text(encoding="utf-8")
 EVERYWHERE = {"--help", "--verbose", "-v", "--version"}
 
 
@@ -51,7 +51,7 @@ def test_a_section_names_no_option_that_no_command_has(name: str) -> None:
 
 
 def test_the_readme_names_every_command_and_no_other() -> None:
-    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     table = readme.split("## Commands")[1].split("\n\nWhat a run writes")[0]
     assert {name.split()[0] for name in commands()} - set(re.findall(r"`alight ([a-z]+)", table)) == set()
     assert set(re.findall(r"`alight ([a-z]+)", readme)) <= {name.split()[0] for name in commands()}

@@ -16,7 +16,7 @@ import rasterio
 from length import first, long
 from PIL import Image
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="every trial is a fork")
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("python", "your-camera")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 ARCHITECTURE = ROOT / "docs" / "architecture.md"
 METHOD = [p for p in sorted((ROOT / "docs" / "method").glob("*.md")) if p.name != "README.md"]
 TEN = {

@@ -20,6 +20,8 @@ import yaml
 from some_run import candidate, site, some_run
 
 from alight import __version__, cli
+from alight.cli.options import read_settings
+from alight.cli.terminal import progress_bar
 from alight.outputs import write_run
 from alight.records import InputError, Sites
 from alight.runner import replay
@@ -146,7 +148,7 @@ def test_tuned_constants_are_shown_when_asked_for(capsys: pytest.CaptureFixture[
 
 def test_set_wins_over_the_file(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("lander: {radius: 2.0, max_roughness: 0.1}")
-    lander = cli.read_settings(tmp_path / "mine.yaml", ["lander.radius=3"]).lander
+    lander = read_settings(tmp_path / "mine.yaml", ["lander.radius=3"]).lander
     assert (lander.radius, lander.max_roughness) == (3.0, 0.1)
 
 
@@ -312,7 +314,7 @@ cli.main()
 
 
 def test_ctrl_c_in_a_process_leaves_whole_files_and_no_traceback(tmp_path: Path) -> None:
-    paths = [str(Path(__file__).parent / "helpers"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(Path(__file__).parents[1] / "helpers"), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     command = [sys.executable, "-c", SLOW, "run", "any", "--out", str(tmp_path / "out")]
     pipe = subprocess.PIPE
@@ -363,9 +365,9 @@ def test_verbose_speaks_up(
 
 
 def test_progress_is_only_for_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    with cli.progress_bar() as tell:
-        tell("heights", 0.5)
-        tell("heights", 1.0)
+    with progress_bar() as report:
+        report("heights", 0.5)
+        report("heights", 1.0)
     assert capsys.readouterr() == ("", "")
 
 

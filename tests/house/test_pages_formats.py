@@ -27,7 +27,7 @@ from alight.records.campaign import (
 from alight.runner.opening import open_source
 from alight.settings import Settings
 
-PAGES = Path(__file__).parents[1] / "docs" / "formats"
+PAGES = Path(__file__).parents[2] / "docs" / "formats"
 LOG, OUTPUTS = ((PAGES / f"{name}.md").read_text(encoding="utf-8") for name in ("flight-log", "outputs"))
 TABLES = {  # header of a table: its place in a flight
     "#timestamp [ns],filename": "mav0/cam0/data.csv",

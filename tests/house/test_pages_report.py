@@ -11,7 +11,7 @@ import pytest
 from alight.records import Flag, Hazard
 from alight.report import words
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "reading-the-report.md").read_text(encoding="utf-8")
 SOURCES = [p for part in ("pipeline", "landing", "motion") for p in (ROOT / "src" / "alight" / part).rglob("*.py")]
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)

@@ -15,7 +15,7 @@ import pytest
 import alight
 from alight.compiled import kernel_sources
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "alight"
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 KERNELS = list(kernel_sources())

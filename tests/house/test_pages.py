@@ -18,7 +18,7 @@ import pytest
 
 from alight.settings import Settings
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 METHOD = sorted((DOCS / "method").glob("*.md"))
 GENERATED = {DOCS / "settings.md", DOCS / "scene-keys.md"}  # by `make pages`, where that was run
