@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from parsed import ROOT, name_of, nodes_of, text_of
 
 from alight.settings import Settings
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 METHOD = sorted((DOCS / "method").glob("*.md"))
 GENERATED = {DOCS / "settings.md", DOCS / "scene-keys.md"}  # by `make pages`, where that was run
@@ -29,11 +29,6 @@ MOST_WORDS, MOST_IN_SENTENCE = 1000, 30  # the latter of nine in ten sentences
 MOST_FOR_USERS = 25  # words of nine in ten sentences
 HEADING = "## Constants quoted here"
 Number = int | float
-
-
-def name_of(path: Path) -> str:
-    """Name of a test case: the path of the page in the project."""
-    return path.relative_to(ROOT).as_posix()
 
 
 def prose(text: str) -> str:
@@ -49,7 +44,7 @@ def sentences(text: str) -> list[int]:
 
 def quoted(page: Path) -> Iterator[tuple[str, str, str]]:
     """Yield (constant, value, where) of every row of the page's table of constants."""
-    text = page.read_text(encoding="utf-8")
+    text = text_of(page)
     assert text.count(HEADING) == 1, f"{page.name}: one table of constants"
     for row in text.split(HEADING)[1].strip().split("\n"):
         constant, value, where = (cell.strip() for cell in row.strip("|").split("|"))
@@ -65,8 +60,7 @@ def literals(module: str, function: str) -> set[Number]:
     spec = importlib.util.find_spec(module)
     assert spec is not None
     assert spec.origin is not None
-    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
-    body = next(n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == function)
+    body = next(n for n in nodes_of(Path(spec.origin)) if isinstance(n, ast.FunctionDef) and n.name == function)
     constants = (n.value for n in ast.walk(body) if isinstance(n, ast.Constant))
     return {c for c in constants if isinstance(c, int | float) and not isinstance(c, bool)}
 
@@ -111,36 +105,34 @@ def test_a_quoted_constant_is_that_of_the_code(constant: str, value: str, where:
 
 @pytest.mark.parametrize("page", METHOD, ids=name_of)
 def test_a_method_page_is_short_and_in_short_sentences(page: Path) -> None:
-    lengths = sorted(sentences(page.read_text(encoding="utf-8")))
+    lengths = sorted(sentences(text_of(page)))
     assert sum(lengths) <= MOST_WORDS
     assert lengths[int(0.9 * (len(lengths) - 1))] <= MOST_IN_SENTENCE
 
 
 @pytest.mark.parametrize("page", ["start", "your-camera", "python", "reading-the-report", "usage"])
 def test_a_page_for_users_is_in_short_sentences(page: str) -> None:
-    lengths = sorted(sentences((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")))
+    lengths = sorted(sentences(text_of(ROOT / "docs" / f"{page}.md")))
     assert lengths[int(0.9 * (len(lengths) - 1))] <= MOST_FOR_USERS
 
 
 @pytest.mark.parametrize("page", METHOD, ids=name_of)
 def test_a_method_page_has_one_drawn_figure(page: Path) -> None:
-    figures = re.findall(r"!\[[^\]]+\]\((figures/[^)]+\.svg)\)", page.read_text(encoding="utf-8"))
+    figures = re.findall(r"!\[[^\]]+\]\((figures/[^)]+\.svg)\)", text_of(page))
     assert len(figures) == 1
-    assert (page.parent / figures[0]).read_text(encoding="utf-8").startswith("<svg ")
+    assert text_of(page.parent / figures[0]).startswith("<svg ")
 
 
 def spoken(path: Path) -> str:
     """Return the comments and docstrings of a file."""
-    text = path.read_text(encoding="utf-8")
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    documented = [node for node in ast.walk(ast.parse(text)) if isinstance(node, kinds)]
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    documented = [node for node in nodes_of(path) if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
+    tokens = tokenize.generate_tokens(io.StringIO(text_of(path)).readline)
     comments = [token.string for token in tokens if token.type == tokenize.COMMENT]
     return "\n".join([*(ast.get_docstring(node) or "" for node in documented), *comments])
 
 
 def test_every_equation_that_the_code_cites_is_on_a_method_page() -> None:
-    pages = "\n".join(page.read_text(encoding="utf-8") for page in METHOD)
+    pages = "\n".join(text_of(page) for page in METHOD)
     code = "\n".join(spoken(ROOT / path) for path in TREE if path.startswith("src/"))
     labels = set(re.findall(r"\b[MGTS]\d{1,2}[a-z]?\b", code))
     numbers = set(re.findall(r"\beqs?\. (\d+[a-z]?)", code))
@@ -152,7 +144,7 @@ def test_every_equation_that_the_code_cites_is_on_a_method_page() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_to_files_and_headings_that_exist(page: Path) -> None:
-    text = re.sub(r"```.*?```|`[^`\n]*`", " ", page.read_text(encoding="utf-8"), flags=re.S)
+    text = re.sub(r"```.*?```|`[^`\n]*`", " ", text_of(page), flags=re.S)
     for target, heading in re.findall(r"\]\(([^)#:\s]*)(?:#([^)]*))?\)", text):
         linked = page.parent / target if target else page
         assert linked.exists(), f"{page.name}: {target}"
@@ -162,13 +154,13 @@ def test_links_lead_to_files_and_headings_that_exist(page: Path) -> None:
 
 def anchors(page: Path) -> set[str]:
     """Return the anchors of a page's headings, as links write them."""
-    titles = re.findall(r"^#+ +(.+)$", page.read_text(encoding="utf-8"), re.M)
+    titles = re.findall(r"^#+ +(.+)$", text_of(page), re.M)
     return {re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles}
 
 
 @pytest.mark.parametrize("page", PRESENT, ids=name_of)
 def test_a_python_file_that_a_page_names_is_there(page: Path) -> None:
-    for code in re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8")):
+    for code in re.findall(r"`([^`\n]+)`", text_of(page)):
         for named in re.findall(r"[\w./-]+\.py\b", code):
             assert any(f"/{path}".endswith(f"/{named.removeprefix('./')}") for path in TREE), f"{page.name}: {named}"
 
@@ -180,7 +172,7 @@ def test_every_page_can_be_reached_from_the_first_one() -> None:
         if page in reached or not page.exists():
             continue
         reached.add(page)
-        links = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+        links = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text_of(page))
         ahead += [target for t in links if (target := (page.parent / t).resolve()).suffix == ".md"]
         ahead += [page.parent / t / "README.md" for t in links if (page.parent / t).is_dir()]
     left = {p for p in PAGES if p.resolve() not in {r.resolve() for r in reached}}

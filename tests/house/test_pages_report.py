@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import ast
 import re
-from pathlib import Path
 
 import pytest
+from parsed import PACKAGE, ROOT, nodes_of, text_of
 
 from alight.records import Flag, Hazard
 from alight.report import words
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "reading-the-report.md").read_text(encoding="utf-8")
-SOURCES = [p for part in ("pipeline", "landing", "motion") for p in (ROOT / "src" / "alight" / part).rglob("*.py")]
-_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
+PAGE = text_of(ROOT / "docs" / "reading-the-report.md")
+STAGES = [p for part in ("pipeline", "landing", "motion") for p in (PACKAGE / part).rglob("*.py")]
 NO = re.compile(r"^(no [a-z]+[^.]{12,}|the aircraft hardly .*|the photos .*|there is no GPS.*)$", re.S)
 
 
 def sentences() -> list[str]:
     """Reasons for having no site, from the sources: the text of a string before the first number."""
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES]
-    docs = {ast.get_docstring(n, clean=False) for t in trees for n in ast.walk(t) if isinstance(n, _DOCUMENTED)}
-    found = {n.value for t in trees for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    nodes = [node for path in STAGES for node in nodes_of(path)]
+    documented = ast.Module | ast.ClassDef | ast.FunctionDef
+    docs = {ast.get_docstring(n, clean=False) for n in nodes if isinstance(n, documented)}
+    found = {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     return sorted(s.strip() for s in found - docs if NO.match(s.strip()))
 
 
 def shares() -> list[str]:
     """Texts about ground that a hazard refuses: the values of the table whose keys are hazards."""
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES if "landing" in path.parts]
-    tables = [n for t in trees for n in ast.walk(t) if isinstance(n, ast.Dict) and n.keys]
+    landing = [path for path in STAGES if "landing" in path.parts]
+    tables = [n for path in landing for n in nodes_of(path) if isinstance(n, ast.Dict) and n.keys]
     said = [v for d in tables if all(ast.unparse(k).startswith("Hazard.") for k in d.keys if k) for v in d.values]
     return [v.value for v in said if isinstance(v, ast.Constant) and isinstance(v.value, str)]
 
@@ -68,10 +67,7 @@ def errors() -> list[list[str]]:
 
 @pytest.mark.parametrize("pieces", errors(), ids=" ... ".join)
 def test_an_error_of_the_page_is_one_of_the_code(pieces: list[str]) -> None:
-    files = [
-        p
-        for part in ("sources", "outputs", "pipeline/mapping", "photos/reading", "runner")
-        for p in (ROOT / "src" / "alight" / part).glob("*.py")
-    ]
+    parts = ("sources", "outputs", "pipeline/mapping", "photos/reading", "runner")
+    files = [p for part in parts for p in (PACKAGE / part).glob("*.py")]
     said = re.compile(r"[^\n]*(?:\n[^\n]*)?".join(map(re.escape, pieces)))  # a message takes two lines at most
-    assert any(said.search(path.read_text(encoding="utf-8")) for path in files)
+    assert any(said.search(text_of(path)) for path in files)

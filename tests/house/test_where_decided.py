@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from parsed import PACKAGE, ROOT, text_of, tree_of
 
-ROOT = Path(__file__).parents[2]
 ARCHITECTURE = ROOT / "docs" / "architecture.md"
 METHOD = [p for p in sorted((ROOT / "docs" / "method").glob("*.md")) if p.name != "README.md"]
 TEN = {
@@ -20,7 +20,7 @@ PLACE = re.compile(r"`([\w/]+\.py):([\w.]+)`")
 
 def rows(page: Path, heading: str) -> Iterator[tuple[str, str, str]]:
     """Yield (decision, cell with its place, the rest of the row) of the table under a heading."""
-    text = page.read_text(encoding="utf-8")
+    text = text_of(page)
     assert text.count(f"\n{heading}\n") == 1, f"{page.name}: one table '{heading}'"
     for line in text.split(f"\n{heading}\n")[1].strip().split("\n")[2:]:
         if not line.startswith("|"):
@@ -56,7 +56,7 @@ NAMED = sorted(
 
 @pytest.mark.parametrize(("file", "path"), NAMED)
 def test_what_a_page_names_is_there(file: str, path: str) -> None:
-    body = ast.parse((ROOT / "src" / "alight" / file).read_text(encoding="utf-8")).body
+    body = tree_of(PACKAGE / file).body
     for name in path.split("."):
         found = defined(body, name)
         assert found is not None, f"{file} defines no {path}"
