@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from alight.arrays import F64, I64
-from alight.raster.disc import RIM
+from alight.raster import RIM
 from alight.settings import Lander
 
 COARSE = 3.0  # cells between the rails, or the ends of one, below which rounding to cells spoils the tilt

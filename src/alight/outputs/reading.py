@@ -15,7 +15,7 @@ from alight.arrays import F32, U8, U16
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text, validated
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
-from alight.raster.errors import UNREADABLE
+from alight.raster import unreadable
 from alight.records import InputError
 from alight.settings import Settings, settings_of_run
 
@@ -129,7 +129,7 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
                     f"{d.dtypes[0]}; it needs {least} of square cells with north up, of its own type; {mend}"
                 )
             return d.read(), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
-    except UNREADABLE as e:
+    except unreadable() as e:
         raise InputError(f"{path}: not a readable raster; {mend}") from e
 
 

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, U8, Mask
-from alight.checks.flow import LEAST_FEATURES, followed
+from alight.checks.features import LEAST_FEATURES, downscaled, followed
 
-BRIGHT, DARK = 250, 5  # grey values at which a pixel counts as saturated, and as black
-SMALL = 320  # px, longer side of the pictures in which dirt is sought
 STEP = 0.12  # of the longer side: the ground has moved by as much between two pictures that are compared
-FAR = 0.45  # of the longer side: too little overlap
-BLOCK = 40  # blocks along the longer side
-REACH = 17  # px, length of the line on which the width of an edge is measured
 
 
-@dataclass(frozen=True)
-class Brightness:
+class Brightness(NamedTuple):
     """Grey values of one picture."""
 
-    mean: float
     saturated: float  # share of the pixels
     black: float  # share of the pixels
     contrast: float  # 95th less 5th percentile
+    mean: float
 
 
 def brightness_of(image: U8) -> Brightness:
@@ -34,9 +29,7 @@ def brightness_of(image: U8) -> Brightness:
     part = image[::k, ::k]
     grey = part.mean(axis=2) if part.ndim == 3 else part.astype(np.float64)
     low, high = np.percentile(grey, [5.0, 95.0])
-    return Brightness(
-        float(grey.mean()), float((grey >= BRIGHT).mean()), float((grey <= DARK).mean()), float(high - low)
-    )
+    return Brightness(float((grey >= 250).mean()), float((grey <= 5).mean()), float(high - low), float(grey.mean()))
 
 
 def edge_widths(image: U8) -> F64:
@@ -51,30 +44,30 @@ def edge_widths(image: U8) -> F64:
     return np.array([_width(grey), _width(np.ascontiguousarray(grey.T))])
 
 
-def _width(grey: F32) -> float:
-    slope = cv2.dilate(np.abs(grey[:, 1:] - grey[:, :-1]), np.ones((1, REACH - 1), np.uint8))
-    line = np.ones((1, REACH), np.uint8)
+def _width(grey: F32, reach: int = 17) -> float:
+    """Width of the edges across a line of `reach` pixels."""
+    slope = cv2.dilate(np.abs(grey[:, 1:] - grey[:, :-1]), np.ones((1, reach - 1), np.uint8))
+    line = np.ones((1, reach), np.uint8)
     height = (cv2.dilate(grey, line) - cv2.erode(grey, line))[:, :-1]
     strong = height > max(20.0, float(np.percentile(height[::4, ::4], 99.0)))
     return float(np.percentile(height[strong] / slope[strong], 10.0)) if strong.sum() > 50 else float("nan")
 
 
-@dataclass(frozen=True)
-class Spot:
+class Spot(NamedTuple):
     """A part of the picture that does not show the ground; its sides as shares of the picture's width and height."""
 
     left: float
-    top: float
     right: float
+    top: float
     bottom: float
     what: str
 
     def words(self, width: int, height: int) -> str:
         """Return its position in words, in pixels of a picture of that size."""
-        u, v = (f"{a * n:.0f} to {b * n:.0f}" for a, b, n in (
-            (self.left, self.right, width), (self.top, self.bottom, height)
-        ))  # fmt: skip
-        return f"u {u}, v {v} px {self.what}"
+        return (
+            f"u {self.left * width:.0f} to {self.right * width:.0f}, "
+            f"v {self.top * height:.0f} to {self.bottom * height:.0f} px {self.what}"
+        )
 
 
 @dataclass
@@ -88,30 +81,26 @@ class StaticMap:
     pairs: int = 0
     _way: F64 = field(default_factory=lambda: np.zeros(2))
     _then: U8 | None = None
-    _shape: tuple[int, int] = (0, 0)
     _sums: list[F64] = field(default_factory=list)  # at the pixel, at the ground, contrast here, elsewhere, weight
 
-    def take(self, small: U8, shift: F64) -> None:
-        """Take the next grey picture, and the motion (2,) of the ground in it, as shares of the longer side."""
+    def add(self, picture: U8, shift: F64) -> None:
+        """Add the next grey picture, and the motion (2,) of the ground in it, as shares of the longer side."""
         self._way = self._way + shift
-        k = -(-max(small.shape) // SMALL)
-        now = cv2.resize(small, (small.shape[1] // k, small.shape[0] // k), interpolation=cv2.INTER_AREA)
-        if self._then is None:
-            self._then, self._shape = now, now.shape
+        now = downscaled(picture, 320)[0]
+        then, self._then = self._then, self._then if self._then is not None else now
+        if then is None:
             self._sums = [np.zeros(now.shape) for _ in range(5)]
             return
         if float(np.linalg.norm(self._way)) < STEP:
             return
-        a, b = followed(self._then, now)
-        self._way = np.zeros(2)
+        self._way, self._then = np.zeros(2), now
+        a, b = followed(then, now)
         if len(a) < LEAST_FEATURES:
-            self._then = now
             return
         move = float(np.linalg.norm(np.median(b - a, axis=0))) / max(now.shape)
         H, inside = cv2.findHomography(a, b, cv2.RANSAC, 1.5)
-        if H is not None and inside.mean() > 0.5 and 0.7 * STEP < move < FAR:
-            self._compare(self._then, now, H)
-        self._then = now
+        if H is not None and inside.mean() > 0.5 and 0.7 * STEP < move < 0.45:  # farther there is too little overlap
+            self._compare(then, now, H)
 
     def _compare(self, then: U8, now: U8, H: F64) -> None:
         size = (now.shape[1], now.shape[0])
@@ -128,17 +117,17 @@ class StaticMap:
         """Return the parts of the picture that stand still, are blurred or are covered."""
         if not self.pairs:
             return []
-        side = max(2, max(self._shape) // BLOCK)
+        rows, cols = self._sums[0].shape
+        side = max(2, max(rows, cols) // 40)
         same, ground, here, elsewhere, weight = (cv2.boxFilter(s, -1, (side, side))[::side, ::side] for s in self._sums)
         seen = weight >= 3.0
         with np.errstate(divide="ignore", invalid="ignore"):
             same, ground, here, elsewhere = (x / weight for x in (same, ground, here, elsewhere))
             still = seen & (ground > 5.0) & (same < 0.55 * ground)
             dull = seen & (elsewhere > 4.0) & (here < 0.42 * elsewhere)
-        return [
-            *_boxes(still, side, self._shape, "stands still"),
-            *_boxes(dull & ~still, side, self._shape, "is blurred or covered"),
-        ]
+        return _boxes(still, side, (rows, cols), "stands still") + _boxes(
+            dull & ~still, side, (rows, cols), "is blurred or covered"
+        )
 
 
 def _fine(image: U8) -> F32:
@@ -148,11 +137,13 @@ def _fine(image: U8) -> F32:
 
 
 def _boxes(mask: Mask, side: int, shape: tuple[int, int], what: str) -> list[Spot]:
-    count, _, found, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    out = []
-    for left, top, width, height, area in found[1:count].tolist():
-        if area >= 3:
-            u, v = (np.array([[left, left + width], [top, top + height]]) * side).tolist()
-            across, down = shape[1], shape[0]
-            out.append(Spot(u[0] / across, v[0] / down, min(u[1] / across, 1.0), min(v[1] / down, 1.0), what))
-    return out
+    """Boxes about the connected blocks of `side` pixels in a picture of a shape."""
+    rows, cols = shape
+    found = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)[2][1:].tolist()
+    return [
+        Spot(
+            left * side / cols, min((left + width) * side / cols, 1.0),
+            top * side / rows, min((top + height) * side / rows, 1.0), what,
+        )
+        for left, top, width, height, area in found if area >= 3
+    ]  # fmt: skip
