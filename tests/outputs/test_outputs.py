@@ -75,9 +75,9 @@ def test_rasters_are_cloud_optimised_on_one_grid(out: Path, name: str) -> None:
 
 
 def test_large_rasters_have_overviews() -> None:
-    flat = outputs.rasters.RasterFile(np.zeros((1, 700, 900), np.float32), ("flat",))
     grid = outputs.rasters.Grid(0.0, 0.0, 0.1, 700, 900)
-    data = outputs.rasters.encode(flat, grid, rasterio.crs.CRS.from_string(LOCAL.crs))
+    flat = outputs.rasters.RasterFile(grid, np.zeros((1, 700, 900), np.float32), ("flat",))
+    data = outputs.rasters.encode(flat, rasterio.crs.CRS.from_string(LOCAL.crs))
     with rasterio.io.MemoryFile(data) as m, m.open() as d:
         assert d.overviews(1) == [2, 4]
 

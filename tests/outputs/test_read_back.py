@@ -14,8 +14,8 @@ from some_run import some_run
 
 from alight.cli import call
 from alight.outputs import folder, write_run
+from alight.outputs.folder import WORK
 from alight.outputs.recorder import Recorder
-from alight.outputs.work_folder import WORK
 from alight.photos.work import saved
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead
 from alight.runner.opening import open_source
@@ -257,7 +257,7 @@ def record(flight: Path, tmp_path: Path) -> Record:
         recorder = Recorder(tmp_path / "recording.mcap", head)
         for event in source.events():
             recorder.event(event)
-        recorder._put(topic, 1, [data])
+        recorder.put(topic, 1, [data])
         recorder.close()
         return tmp_path / "recording.mcap"
 

@@ -17,7 +17,7 @@ from some_run import CELL, GRID, candidate, elevation, hazards, site, some_run
 from alight.records import Flag, Hazard, NextView, RunResult, Sites, p_safe_text
 from alight.records.executive import FlightDiary, LookPicture, LookRecord
 from alight.report import canvas, facts, figures, maps, paint, render, words
-from alight.report.film import film
+from alight.report.maps import film
 from alight.settings import load_settings
 
 VOID = {"meta", "image", "circle", "line", "path"}

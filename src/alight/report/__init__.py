@@ -10,7 +10,6 @@ from alight.records import PHOTO_COLUMNS, RunResult
 from alight.report import canvas, facts, figures, maps
 from alight.report.facts import warnings
 from alight.report.figures import Figure
-from alight.report.film import film
 
 __all__ = ["render", "warnings"]
 
@@ -51,7 +50,7 @@ def render(result: RunResult) -> str:
         warnings=warnings(result),
         tables=facts.place_tables(result),
         diary=facts.diary_rows(result),
-        film=film(result),
+        film=maps.film(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
         photos=[row.cells for row in result.photos],
