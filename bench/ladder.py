@@ -44,10 +44,7 @@ GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))  # degrees: courses spread evenly howeve
 LOWEST, HIGHEST = 6, 100  # metres, of flights that change their height
 RISE, PUSH = 5.0, 3.5  # m/s up and down, m/s^2, in those
 QUICKER = 6  # times fewer exposures of them when quick
-TRIES, APART = (
-    200,
-    1.5,
-)  # places tried for the end of a descent; metres from one to the next, times the root of its number
+TRIES, APART = 200, 1.5  # places tried for the end of a descent; metres between, times the root of the number
 CLEAR = (4.0, 1.2)  # metres: within so far of that place nothing is higher than so much above the ground around
 _NAME = re.compile(r"([a-z0-9_]+)/(\d+)(?:([-+])(\d+))?m/(tuning|test)-(\d+)(-quick)?")
 
@@ -80,9 +77,8 @@ class Rung:
         """Exposures a second."""
         if self.end_height is None:
             return RATES[self.height]
-        return RATES[min(RATES, key=lambda h: abs(h - max(self.height, self.end_height or 0)))] / (
-            QUICKER if self.quick else 1
-        )
+        nearest = min(RATES, key=lambda h: abs(h - max(self.height, self.end_height or 0)))
+        return RATES[nearest] / (QUICKER if self.quick else 1)
 
     @property
     def speed(self) -> float:

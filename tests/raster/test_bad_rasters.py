@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from test_hazards_cli import write
+from written_raster import write
 
 from alight.cli import call
 from alight.geometry import LocalFrame

@@ -9,23 +9,12 @@ import numpy as np
 import pytest
 import rasterio
 from numpy.testing import assert_allclose
+from written_raster import write
 
 import alight
 from alight.cli import call
 from alight.records import Hazard, OutputError
 from alight.sources.raster import read_ground
-
-UTM = "EPSG:32610"
-
-
-def write(path: Path, bands: np.ndarray, cell: float = 0.1, crs: str | None = UTM, **more: object) -> Path:
-    """Write a GeoTIFF with its north-western corner at (550000, 4180000)."""
-    bands = np.atleast_3d(bands.T).T
-    profile = {"driver": "GTiff", "width": bands.shape[2], "height": bands.shape[1], "count": bands.shape[0]}
-    place = rasterio.Affine(cell, 0, 550000, 0, -cell, 4180000)
-    with rasterio.open(path, "w", dtype=bands.dtype.name, crs=crs, **{"transform": place, **profile, **more}) as d:
-        d.write(bands)
-    return path
 
 
 def rock(shape: tuple[int, int] = (81, 81)) -> np.ndarray:
