@@ -20,7 +20,6 @@ from alight.settings import Settings, StageSettings, load_settings
 from alight.sources import Source
 
 SECOND = 1_000_000_000
-SKIPPED = 5  # exposures at the start, when nothing is tracked yet
 
 
 @dataclass
@@ -158,4 +157,4 @@ def _timed(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> F64:
         cv2.calcOpticalFlowPyrLK(before, image, corners, None)
         out.append([*np.diff(at), time.thread_time() - start])
         before = image
-    return 1e3 * np.array(out[SKIPPED:])
+    return 1e3 * np.array(out[5:])  # at the start nothing is tracked yet
