@@ -9,7 +9,7 @@ import numpy as np
 from alight.checks.evidence import RigEvidence
 from alight.checks.navigation import attitude_readings, quarter_turns
 from alight.checks.predicted_flow import FOCAL, MOUNTING, OFFSET, BodyMotion, FlowFit, PredictedFlow, body_motion
-from alight.checks.result import CheckResult, Findings, Judged, bad, good, unknown
+from alight.checks.result import Check, CheckResult, Judged, bad, good, unknown
 from alight.checks.stereo import turn_words
 from alight.geometry import Pose
 
@@ -114,7 +114,7 @@ def _tilt(mounting: CheckResult, fits: list[CameraMotion]) -> CheckResult:
     """Check the mountings for errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
-    found, vague = Findings(mounting.name, [mounting.evidence]), False
+    found, vague = Check(mounting.name, [mounting.evidence]), False
     for f in fits:
         turn, sigma = f.fit.parameters[MOUNTING], f.fit.sigma[MOUNTING]
         pitch, yaw, roll = np.degrees(turn)

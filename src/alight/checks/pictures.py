@@ -7,12 +7,12 @@ import numpy as np
 from alight.arrays import F64
 from alight.checks.evidence import CameraEvidence, RigEvidence
 from alight.checks.picture_quality import Brightness
-from alight.checks.result import CheckResult, Findings, unknown
+from alight.checks.result import Check, CheckResult, unknown
 
 
 def check_exposure(evidence: RigEvidence) -> CheckResult:
     """Check for pictures that are saturated, black, flat, flickering, or unlike between the cameras."""
-    found = Findings("exposure")
+    found = Check("exposure")
     for cam, seen in evidence.by_camera:
         if not seen.brightness:
             continue
@@ -54,7 +54,7 @@ def _brightness_ratio(evidence: RigEvidence) -> float:
 
 def check_sharpness(evidence: RigEvidence) -> CheckResult:
     """Focus and motion blur, from the width of the sharpest edges: good pictures have 1.8 to 2.8 px."""
-    found = Findings("sharpness")
+    found = Check("sharpness")
     for cam, seen in evidence.by_camera:
         widths = np.array(seen.edges).reshape(-1, 2)
         widths = widths[np.isfinite(widths).all(axis=1)]
@@ -88,7 +88,7 @@ def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
 
 def check_lens(evidence: RigEvidence) -> CheckResult:
     """Check for dirt on the lens and parts of the aircraft in view, which stand still while the ground moves."""
-    found, dirty = Findings("lens and view"), False
+    found, dirty = Check("lens and view"), False
     for cam, seen in evidence.by_camera:
         pairs = seen.static.pairs
         if pairs < 3:
@@ -106,7 +106,7 @@ def check_lens(evidence: RigEvidence) -> CheckResult:
 
 def check_intrinsics(evidence: RigEvidence) -> CheckResult:
     """Check for intrinsics that no camera has."""
-    found = Findings("intrinsics")
+    found = Check("intrinsics")
     for cam in evidence.rig.cameras:
         lens = cam.camera
         found.measured.append(

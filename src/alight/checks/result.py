@@ -52,7 +52,7 @@ def unknown(name: str, why: str) -> CheckResult:
 
 
 @dataclass
-class Findings:
+class Check:
     """A check in progress: what was measured, and the remedies of the faults that this shows."""
 
     name: str

@@ -9,7 +9,7 @@ import numpy as np
 
 from alight.arrays import I64
 from alight.checks.evidence import RigEvidence
-from alight.checks.result import CheckResult, Findings, bad, unknown
+from alight.checks.result import Check, CheckResult, bad, unknown
 
 MISSING = 0.05  # share of exposures or partners that may be missing
 UNORDERED = 0.05  # share of samples that may be out of order
@@ -43,7 +43,7 @@ def sampling_of(t_ns: I64) -> Sampling:
 
 def check_frames(evidence: RigEvidence) -> CheckResult:
     """Rate of the exposures, gaps, and cameras without partner."""
-    found, count = Findings("pictures in time", separator=", "), len(evidence.frames_ns)
+    found, count = Check("pictures in time", separator=", "), len(evidence.frames_ns)
     if count < 3:
         return unknown(found.name, f"{count} exposures")
     s = sampling_of(evidence.frames_ns)
@@ -84,7 +84,7 @@ def check_rows(evidence: RigEvidence) -> list[CheckResult]:
 
 
 def _check_stream(what: str, t_ns: I64, least_rate: float, evidence: RigEvidence) -> CheckResult:
-    found, count = Findings(f"{what} in time", separator=", "), len(t_ns)
+    found, count = Check(f"{what} in time", separator=", "), len(t_ns)
     if count < 3:
         if what in evidence.promised:
             return bad(
@@ -113,7 +113,7 @@ def _check_stream(what: str, t_ns: I64, least_rate: float, evidence: RigEvidence
 
 
 def _check_sigmas(evidence: RigEvidence) -> CheckResult:
-    found, nav = Findings("sigmas of GPS/INS", separator=", "), evidence.nav
+    found, nav = Check("sigmas of GPS/INS", separator=", "), evidence.nav
     if len(nav.t_ns) < 3:
         return unknown(found.name, "no GPS/INS")
     for what, values, sigma, unit, least, most in (
