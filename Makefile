@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE  # else each process of the tests compiles all 
 PYTEST = $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures pages clean
+.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos train pictures pages clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -31,7 +31,7 @@ format: $(MADE)  ## put the source into its form
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 	$(BIN)/python bench/bench_steps.py
 
-bench-heights: $(MADE)  ## heights with true poses beside what they must show, and StereoSGBM; an hour of CPU, kept between runs
+bench-heights: $(MADE)  ## heights with true poses beside what they must show; an hour of CPU, kept between runs
 	$(BIN)/python bench/bench_heights.py
 
 fuzz: $(MADE)  ## damaged flights, photos, recordings, rasters, runs, scenes, models, settings and MAVLink for ten minutes; failures are kept in out/fuzz
@@ -58,11 +58,8 @@ train: $(MADE)  ## fit the land cover and P(safe) anew: src/alight/learned; hour
 bench-motion: $(MADE)  ## ego-motion: consistency, drift without GPS, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py
 
-bench-photos: $(MADE)  ## a card of photos: CPU a megapixel, memory, coverage, accuracy; half an hour, or --full by hand
+bench-photos: $(MADE)  ## a card of photos: CPU a megapixel, memory, coverage, accuracy; half an hour
 	$(BIN)/python bench/bench_photos.py
-
-bench-simulator: $(MADE)  ## the simulator: speed, time to make a world, a steered landing
-	$(BIN)/python bench/bench_simulator.py
 
 pictures: $(MADE)  ## the built-in scenes from 20 and 100 m: docs/scenes, and what `alight simulate --list` shows
 	$(BIN)/python bench/scene_pictures.py

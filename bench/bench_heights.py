@@ -1,10 +1,10 @@
 """Heights with true poses against their requirements: one table, a row a quantity, with must and aim beside it.
 
     python bench/bench_heights.py                                        # all of it, about an hour of CPU
-    python bench/bench_heights.py --rows sgbm,coverage --rungs meadow/40m/test-1
+    python bench/bench_heights.py --rows accuracy,coverage --rungs meadow/40m/test-1
     python bench/bench_heights.py --rows unflagged --seeds 1001
 
-`step`: CPU of a keyframe. `accuracy`, `sgbm`, `coverage`: rungs of the ladder. `unflagged`: wrong heights
+`step`: CPU of a keyframe. `accuracy`, `coverage`: rungs of the ladder. `unflagged`: wrong heights
 where none can be measured. Quantities that were measured with the same source before are not measured again
 (out/bench-heights). Heights from estimated poses: bench_coverage.py; of photos: bench_photos.py.
 """
@@ -21,10 +21,9 @@ from functools import lru_cache
 import heights_unflagged as unflagged
 import numpy as np
 from bench_steps import keyframe_rows
-from heights_points import METHODS, Answer, Points, Shots, claimless, compare, mapped, on_map, points_of
+from heights_points import METHODS, Shots, compare, mapped, on_map, points_of
 from ladder import exposures, rung
-from stereo import heights_at
-from tables import Row, at_least, kept, show
+from tables import Row, kept, show
 
 from alight_sim import SimulatedFlight
 
@@ -34,23 +33,7 @@ HEIGHTS = (20, 40, 60, 100, 150)
 SCENES = ("meadow", "farmland", "village", "quarry", "forest", "lakes", "desert", "yard")
 FEW = ("meadow", "farmland", "village", "quarry")  # at the other heights
 MUST = {10: (0.15, 0.12), 20: (0.12, 0.08)}  # % of height: must and aim
-PAIRS = 5
 Found = dict[str, dict[str, float]]  # a row of numbers a matcher
-
-
-def sgbm_motion(shots: Shots, points: Points) -> Answer:
-    """StereoSGBM on pairs half the window apart, median of the pairs."""
-    views, half = [s[0] for s in shots], len(shots) // 2
-    starts = range(0, len(views) - half, max(1, half // PAIRS))
-    return claimless(np.nanmedian([heights_at(views[i], views[i + half], points.xyz) for i in starts], axis=0))
-
-
-def sgbm_widest(shots: Shots, points: Points) -> Answer:
-    """StereoSGBM on the first and the last picture."""
-    return claimless(heights_at(shots[0][0], shots[-1][0], points.xyz))
-
-
-MOTION = {"SGBM, median": sgbm_motion, "SGBM, widest": sgbm_widest}
 
 
 @lru_cache(1)
@@ -68,7 +51,7 @@ def measure(name: str, count: int) -> Found:
         some = shots[start : start + count]
         points, left = points_of(flight, some), [s[:1] for s in some]
         ours = {m: on_map(mapped(left, m, 8), points) for m in METHODS}
-        return compare(ours | {name: match(some, points) for name, match in MOTION.items()}, points)
+        return compare(ours, points)
 
     return kept(f"{name} N {count}", work)  # type: ignore[no-any-return]
 
@@ -117,19 +100,6 @@ def accuracy(rungs: Ladder) -> list[Row]:
     ]  # fmt: skip
 
 
-def sgbm(rungs: Ladder) -> list[Row]:
-    """Ratio of StereoSGBM's error to ours on the same motion baseline; the better of its two ways counts."""
-    out = []
-    for n in COUNTS:
-        theirs = {m: rungs.median(m, "open NMAD %", [MIDDLE], n) for m in MOTION}
-        best = min(theirs, key=lambda m: theirs[m])
-        for m in METHODS:
-            ratio = theirs[best] / rungs.median(m, "open NMAD %", [MIDDLE], n)
-            name = f"times better than {best}, open ground, {MIDDLE} m, N = {n}, {m}"
-            out.append(Row(name, ratio, at_least(2.0), at_least(3.0)))
-    return out
-
-
 COVERAGE = {
     "open 95 %": ((93.0, 99.0), (94.0, 97.0)), "edge 95 %": ((90.0, 100.0), (93.0, 97.0)),
     "open 68 %": ((60.0, 80.0), (65.0, 72.0)),
@@ -148,7 +118,6 @@ def coverage(rungs: Ladder) -> list[Row]:
 GROUPS: dict[str, Callable[[argparse.Namespace, Ladder], list[Row]]] = {
     "step": lambda options, rungs: keyframe_rows(),
     "accuracy": lambda options, rungs: accuracy(rungs),
-    "sgbm": lambda options, rungs: sgbm(rungs),
     "coverage": lambda options, rungs: coverage(rungs),
     "unflagged": lambda options, rungs: unflagged.rows(options.seeds),
 }

@@ -1,17 +1,16 @@
-"""A live run against its requirements: recorded and simulated flights at their own speed, in real time.
+"""A live run against its requirements: a simulated flight at its own speed, in real time.
 
     python bench/bench_live.py                          all of it; a quarter of an hour
-    python bench/bench_live.py rate busy start sample   some parts: rate busy memory start sample
+    python bench/bench_live.py rate start               some parts: rate memory start
     python bench/bench_live.py memory --minutes 30
 
 The simulated flight, 640 x 480 stereo at 30 exposures a second, is made once and kept in out/bench-live. At its end the
-ground below repeats, and the motion goes on. `sample` needs ../shared/data (or $ALIGHT_DATA).
+ground below repeats, and the motion goes on.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import subprocess
@@ -24,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
-from tables import DATA, Row, at_least, show
+from tables import Row, at_least, show
 
 import alight
 import alight_sim
@@ -108,7 +107,7 @@ class Flown:
             )  # fmt: skip
             for p in live.posts.values():
                 p.worker.wait_until_ready()
-            begin = asked = time.perf_counter()
+            begin = measured = time.perf_counter()
             first, counts = None, dict[str, int]()
             for event in paced(around(source, seconds), 1.0):
                 live.feed(event)
@@ -118,8 +117,8 @@ class Flown:
                     for times in live.watch.times.values():
                         times.clear()
                     counts = dict(live.watch.counts)
-                if memory and now - asked > memory:
-                    asked = now
+                if memory and now - measured > memory:
+                    measured = now
                     self.memory.append(resident(os.getpid()))
                     print(f"  {now - begin:6.0f} s  {self.memory[-1]:7.1f} MB  {live.health.line}", flush=True)
             assert first is not None
@@ -174,18 +173,6 @@ def part_rate(_: argparse.Namespace) -> None:
     )
 
 
-def part_busy(_: argparse.Namespace) -> None:
-    """With a process that keeps one processor busy."""
-    busy = subprocess.Popen([sys.executable, "-c", "import os\nos.sched_setaffinity(0, {0})\nwhile True: pass"])
-    try:
-        flown = Flown(30.0)
-    finally:
-        busy.kill()
-    rate, lost = flown.used / flown.lasted, flown.restarts
-    show(Row("a processor busy: exposures a second that navigation used", rate, at_least(20)),
-        Row("a processor busy: lanes lost", lost, 0))  # fmt: skip
-
-
 def part_memory(args: argparse.Namespace) -> None:
     """Resident memory, flat after the first tenth."""
     m = Flown(60.0 * args.minutes, memory=10.0).memory
@@ -205,37 +192,13 @@ def part_start(_: argparse.Namespace) -> None:
     show(Row("start to first pose, s", 1e-9 * (motion.log_time - begin), 5, 3))
 
 
-def part_sample(_: argparse.Namespace) -> None:
-    """The sample at its own speed: its replay gives the same bits, and its heights are compared with those of batch."""
-    log = DATA / "sample"
-    if not log.exists():
-        print(f"sample: left out, there is no {log}")
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        live, again, batch = (Path(folder) / name for name in ("live", "again", "batch"))
-        for words in (["live", log, "--out", live], ["run", live / "recording.mcap", "--out", again],
-                      ["run", log, "--out", batch]):  # fmt: skip
-            subprocess.run(command(*words), check=True, stdout=subprocess.DEVNULL)
-        files = ("dem.tif", "safe.tif", "terrain.tif", "sites.geojson")
-        differ = sum((live / f).read_bytes() != (again / f).read_bytes() for f in files)
-        found = {p: alight.evaluate(p, log) for p in (live, batch)}
-        noise = {p: f.values["ground NMAD, % of height, registered"] for p, f in found.items()}
-        counts = json.loads((live / "run.json").read_text())["counts"]
-    show(Row("sample live: files that differ in its replay", differ, 0),
-        Row("sample live: exposures that navigation used, of 120", counts["frames used"], at_least(120)),
-        Row("sample live over batch: ground NMAD, registered", noise[live] / noise[batch], 1.15))  # fmt: skip
-
-
 def command(*words: object) -> list[str]:
     """The command line in a process of its own."""
     code = "import sys; from alight.cli import main; sys.argv[0] = 'alight'; main()"
     return [sys.executable, "-c", code, *(str(w) for w in words)]
 
 
-PARTS = {
-    "rate": part_rate, "busy": part_busy, "memory": part_memory,
-    "start": part_start, "sample": part_sample,
-}  # fmt: skip
+PARTS = {"rate": part_rate, "memory": part_memory, "start": part_start}
 
 
 def main() -> None:

@@ -1,8 +1,7 @@
 """Ego-motion against its requirements: one table, each number with its `must` and `aim` beside it.
 
     python bench/bench_motion.py                        all of it
-    python bench/bench_motion.py nees outage speed      some parts: nees batch outage sample speed ladder
-    python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50 --seeds 3
+    python bench/bench_motion.py nees outage speed      some parts: nees batch outage sample speed
 
 `nees`, `batch` and `outage` fly without images; `sample` and `speed` need the recordings in ../shared/data (or
 $ALIGHT_DATA) and report when they are absent.
@@ -20,8 +19,7 @@ from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
-import ladder
-from motion_flights import part_ladder, part_sample, part_speed
+from motion_flights import part_sample, part_speed
 from motion_scenarios import OUTAGE
 from point_flight import NOISE, PointFlight, error, nees, run
 from tables import Row, at_least, show
@@ -79,7 +77,6 @@ PARTS = {
     "outage": part_outage,
     "sample": part_sample,
     "speed": part_speed,
-    "ladder": part_ladder,
 }
 
 
@@ -87,9 +84,6 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", help=" ".join(PARTS) + "; without any: all")
-    parser.add_argument("--scenes", default=",".join(ladder.SCENES), help="of the ladder, with commas between")
-    parser.add_argument("--heights", default="20,50,100,150", help="of the ladder, metres")
-    parser.add_argument("--seeds", type=int, default=1, help="of the ladder, flights of each scene and height")
     options = parser.parse_args()
     if unknown := set(options.parts) - set(PARTS):  # `choices` refuses to be given none
         parser.error(f"no part is called {', '.join(sorted(unknown))}; choose from {', '.join(PARTS)}")

@@ -1,8 +1,8 @@
-"""Time of a step, as a ratio to one StereoSGBM match of 640x480 px with 64 disparities on the same machine.
+"""CPU of a keyframe of the recursive map over one StereoSGBM match of 640x480 px, 64 disparities, on the same machine.
 
     python bench/bench_steps.py
 
-`keyframe_rows` are the CPU of a keyframe of the recursive map, which bench_heights.py and bench_live.py print.
+bench_heights.py prints the same rows. Speed of the hazards: bench_ground.py speed.
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ from contextlib import contextmanager
 import cv2
 import numba
 import numpy as np
-from tables import Row
+from tables import Row, show
 
 from alight.elevation import TiledElevation
 from alight.geometry import Camera, Grid, Pose
-from alight.hazards import assess
-from alight.parallax.batch import Images, match_tile
 from alight.parallax.recursive import RecursiveParallax
-from alight.records import ElevationMap, Heights, KeyframePosterior, Motion, View
-from alight.settings import HazardsSettings, Lander, ParallaxSettings
+from alight.records import KeyframePosterior, Motion, View
+from alight.settings import ParallaxSettings
 
 HEIGHT = 40.0  # metres above flat ground
 CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
@@ -55,23 +53,6 @@ def view(ground: np.ndarray, i: int, east: float) -> View:
         ground, (x / 0.04 + 1024).astype(np.float32), (1024 - y / 0.04).astype(np.float32), cv2.INTER_LINEAR
     )
     return View(i, 0, seen, CAMERA, Pose(LOOK_DOWN, np.array([east, 0.0, HEIGHT])))
-
-
-def step(views: list[View]) -> Heights | None:
-    """Match one tile in batch, the views' preparation included."""
-    found = match_tile(Images(views, GRID.cell, 0.0), GRID, -1.5, 1.5, ParallaxSettings())
-    return found.heights if found else None
-
-
-def seconds(work: Callable[[], object], repeats: int = 5) -> float:
-    """Median seconds of some runs after one that compiles and warms."""
-    work()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
 
 
 @contextmanager
@@ -154,23 +135,8 @@ def keyframe_rows() -> list[Row]:
 
 
 def main() -> None:
-    """Print one line a step."""
-    ground = texture()
-    views = [view(ground, i, 0.8 * i - 4.4) for i in range(12)]
-    sgbm = cv2.StereoSGBM_create(0, 64, 5)
-    yardstick = seconds(lambda: sgbm.compute(views[1].image, views[0].image))
-    heights = step(views)
-    assert heights is not None
-    fields = {k: getattr(heights, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual", "sampling")}
-    elevation = ElevationMap(GRID, **fields)
-    steps = {
-        "parallax, batch of 12 views": lambda: step(views),
-        "hazards": lambda: assess(elevation, None, Lander(), HazardsSettings()),
-    }
-    print(f"{'StereoSGBM, 64 disparities':32s} {yardstick * 1e3:8.1f} ms   1.00")
-    for name, work in steps.items():
-        t = seconds(work)
-        print(f"{name:32s} {t * 1e3:8.1f} ms {t / yardstick:6.2f}   {GRID.rows * GRID.cols / t / 1e6:.2f} Mcells/s")
+    """Print the rows."""
+    show(*keyframe_rows(), title="A keyframe")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import alight
 import alight_sim
 from alight.arrays import F64, U8
+from alight.documents import parse_yaml, read_text
 from alight.elevation import FIELDS
 from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.geometry import Grid
@@ -34,29 +35,8 @@ from alight_sim import SimulatedFlight
 Bool = NDArray[np.bool_]
 How = Literal["batch", "recursive", "batch-true", "recursive-true"]
 HOWS: tuple[How, ...] = ("batch", "recursive")
-TUNING = (
-    "canal/12m/tuning-35", "canal/20m/tuning-31", "canal/20m/tuning-55", "canal/40m/tuning-39",
-    "car_park/12m/tuning-419", "car_park/20m/tuning-407", "car_park/30m/tuning-73", "concrete/12m/tuning-404",
-    "concrete/20m/tuning-416", "concrete/30m/tuning-77", "depot/12m/tuning-34", "depot/12m/tuning-57",
-    "depot/20m/tuning-37", "depot/30m/tuning-67", "desert/12m/tuning-415", "desert/20m/tuning-403",
-    "desert/30m/tuning-70", "farmland/12m/tuning-405", "farmland/20m/tuning-417", "farmland/30m/tuning-79",
-    "forest/12m/tuning-422", "forest/20m/tuning-410", "forest/30m/tuning-72", "furrows/12m/tuning-63",
-    "furrows/20m/tuning-75", "furrows/30m/tuning-54", "gravel/10m/tuning-58", "gravel/12m/tuning-1",
-    "gravel/12m/tuning-21", "gravel/20m/tuning-5", "gravel/20m/tuning-57", "gravel/30m/tuning-23",
-    "gravel/40-8m/tuning-3", "gravel/40m/tuning-9", "gravel/40m/tuning-50", "lakes/12m/tuning-62",
-    "lakes/20m/tuning-420", "lakes/30m/tuning-68", "marsh/12m/tuning-53", "marsh/20m/tuning-61",
-    "marsh/30m/tuning-74", "meadow/12m/tuning-400", "meadow/20m/tuning-64", "meadow/30m/tuning-66",
-    "meadow/40-8m/tuning-11", "pasture/12m/tuning-2", "pasture/12m/tuning-22", "pasture/20m/tuning-6",
-    "pasture/30m/tuning-24", "pasture/40-8m/tuning-4", "quarry/12m/tuning-402", "quarry/20m/tuning-414",
-    "quarry/30m/tuning-71", "snow/12m/tuning-411", "snow/20m/tuning-76", "tall_grass/12m/tuning-409",
-    "tall_grass/20m/tuning-421", "tall_grass/30m/tuning-65", "village/12m/tuning-418", "village/20m/tuning-406",
-    "village/30m/tuning-69", "yard/12m/tuning-401", "yard/20m/tuning-413", "yard/30m/tuning-78",
-)  # fmt: skip
-FRESH = (  # seeds that nobody looked at before the method was settled: for the figures of the docs, once
-    "meadow/50m/test-201", "village/50m/test-201", "yard/20m/test-201", "desert/50m/test-201", "meadow/20m/test-202",
-    "car_park/50m/test-201", "lakes/20m/test-201", "farmland/100m/test-201", "concrete/20m/test-201",
-    "quarry/50m/test-201", "snow/20m/test-201", "forest/50m/test-201",
-)  # fmt: skip
+FLIGHT_SETS = parse_yaml(read_text(Path(__file__).with_name("flight_sets.yaml")))
+TUNING, FRESH = tuple(FLIGHT_SETS["tuning"]), tuple(FLIGHT_SETS["fresh"])
 MAKERS = ("elevation", "geometry", "motion", "parallax", "pipeline", "raster", "settings", "sources", "tracks")
 
 
@@ -162,7 +142,7 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
 def _made_by() -> str:
     """Digest of the code that makes a map, the simulator included."""
     product = Path(alight.__file__).parent
-    files = [f for part in MAKERS for f in sorted((product / part).rglob("*.py"))]
+    files = [f for f in sorted(product.rglob("*.py")) if f.relative_to(product).parts[0].partition(".")[0] in MAKERS]
     files += sorted(Path(alight_sim.__file__).parent.rglob("*.py"))
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:12]
 

@@ -107,20 +107,17 @@ def compare(run: Run, labels: Labels) -> Comparison:
     radius, cell = float(run.info["settings"]["lander"]["radius"]), truth.grid.cell
     near = disc_any(truth.hazard, max(radius - DRAWN, cell), cell)
     fits = truth.open_ground & ~disc_any(~truth.open_ground, radius, cell)
+    hazards = {k: row(truth.kinds[k] & ~truth.unsure) for k in HAZARDS} | {"all": row(truth.hazard)}
     opened = {k: row(truth.kinds[k] & fits) for k in OPEN} | {"all": row(fits)}
     return Comparison(
-        hazards=_with_cells({k: row(truth.kinds[k] & ~truth.unsure) for k in HAZARDS} | {"all": row(truth.hazard)}),
+        hazards={k: r for k, r in hazards.items() if r.cells},
         beside=row(near & ~truth.hazard & ~truth.unsure),
         rough=row(truth.rough),
-        open_ground=_with_cells(opened),
+        open_ground={k: r for k, r in opened.items() if r.cells},
         sites=tuple(_sites(run, truth, max(radius - DRAWN, cell))),
         contradicted=int((truth.any_of(OPEN) & truth.hazard).sum()),
         unused_photos=truth.unused,
     )
-
-
-def _with_cells(rows: Mapping[str, KindRow]) -> dict[str, KindRow]:
-    return {k: r for k, r in rows.items() if r.cells}
 
 
 def _sites(run: Run, truth: LabelledMap, reach: float) -> list[SiteRow]:
@@ -149,8 +146,8 @@ def table(c: Comparison) -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for name, r in rows.items():
-        shares = " | ".join(_percent(s) for s in (r.claimed, r.half, r.candidate, r.known))
-        lines.append(f"| {name} | {r.cells} | {shares} |")
+        shares = ("" if s is None else f"{100 * s:.2f}" for s in (r.claimed, r.half, r.candidate, r.known))
+        lines.append(f"| {name} | {r.cells} | {' | '.join(shares)} |")
     lines += ["", "| rank | kind | P(safe) | stands on | footprint reaches |", "| --- | --- | --- | --- | --- |"]
     for s in c.sites:
         on, reaches = ", ".join(s.on) or "no label", ", ".join(s.reaches) or "no hazard"
@@ -159,10 +156,6 @@ def table(c: Comparison) -> str:
     if c.unused_photos:
         lines.append(f"Not placed by the run, labels not used: {', '.join(c.unused_photos)}.")
     return "\n".join(lines)
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.2f}"
 
 
 def main() -> None:

@@ -29,25 +29,19 @@ KINDS: tuple[Kind, ...] = ("tuning", "test")
 RATES = {8: 8.0, 10: 8.0, 12: 8.0, 15: 8.0, 20: 8.0, 30: 7.0, 40: 6.0, 50: 6.0, 60: 6.0, 100: 5.0, 150: 4.0}
 HEIGHTS = (20, 50, 100, 150)  # the standard; the others between are flown by name
 SPACING = 0.02  # of the height between exposures
-FRAMES, QUICK_FRAMES = 41, 11
-LOW, LOW_FRAMES = 16, 81  # metres below which a flight is longer: its pictures are small
+FRAMES, QUICK_FRAMES, LOW_FRAMES = 41, 11, 81
 SCENES = (
     "meadow", "farmland", "village", "forest", "quarry", "lakes",
     "desert", "snow", "concrete", "car_park", "tall_grass", "yard",
 )  # fmt: skip
 # flown by name as well: families of scenes, whose colours, light, density and layout another seed changes
 FAMILIES = ("gravel", "pasture", "canal", "marsh", "furrows", "depot")
-SEEDS, QUICK_SEEDS = 3, 1
 FIRST_SEED = {"tuning": 1, "test": 1001}
-MOST_SEEDS = 1000
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))  # degrees: courses spread evenly however many seeds there are
 LOWEST, HIGHEST = 6, 100  # metres, of flights that change their height
 RISE, PUSH = 5.0, 3.5  # m/s up and down, m/s^2, in those
 QUICKER = 6  # times fewer exposures of them when quick
-TRIES, APART = (
-    200,
-    1.5,
-)  # places tried for the end of a descent; metres from one to the next, times the root of its number
+TRIES, APART = 200, 1.5  # places tried for the end of a descent; metres between, times the root of the number
 CLEAR = (4.0, 1.2)  # metres: within so far of that place nothing is higher than so much above the ground around
 _NAME = re.compile(r"([a-z0-9_]+)/(\d+)(?:([-+])(\d+))?m/(tuning|test)-(\d+)(-quick)?")
 
@@ -80,9 +74,8 @@ class Rung:
         """Exposures a second."""
         if self.end_height is None:
             return RATES[self.height]
-        return RATES[min(RATES, key=lambda h: abs(h - max(self.height, self.end_height or 0)))] / (
-            QUICKER if self.quick else 1
-        )
+        nearest = min(RATES, key=lambda h: abs(h - max(self.height, self.end_height or 0)))
+        return RATES[nearest] / (QUICKER if self.quick else 1)
 
     @property
     def speed(self) -> float:
@@ -95,7 +88,7 @@ class Rung:
     @property
     def duration(self) -> float:
         """Seconds from the first exposure to the last, of a transect."""
-        usual = LOW_FRAMES if self.height < LOW else FRAMES
+        usual = LOW_FRAMES if self.height < 16 else FRAMES  # low, pictures are small: the flight is longer
         return ((QUICK_FRAMES if self.quick else usual) - 1) / self.rate_hz
 
     @property
@@ -162,7 +155,7 @@ def ladder(
     Raises:
         InputError: a scene, a height or a kind that is not on the ladder.
     """
-    count = seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS
+    count = seeds if seeds is not None else 1 if quick else 3
     out = tuple(Rung(s, h, kind, n, quick) for s in scenes for h in heights for n in range(1, count + 1))
     for r in out:
         _check(r)
@@ -196,8 +189,8 @@ def _check(r: Rung) -> None:
         LOWEST <= min(r.height, r.end_height) < max(r.height, r.end_height) <= HIGHEST
     ):
         raise InputError(f"{r.name}: use two different heights from {LOWEST} to {HIGHEST} m")
-    if r.kind not in KINDS or not 1 <= r.number <= MOST_SEEDS:
-        raise InputError(f"{r.name}: use tuning-1 or test-1, up to {MOST_SEEDS}")
+    if r.kind not in KINDS or not 1 <= r.number <= 1000:
+        raise InputError(f"{r.name}: use tuning-1 or test-1, up to 1000")
 
 
 def exposures(flight: SimulatedFlight) -> Iterator[list[View]]:

@@ -3,7 +3,6 @@
 python bench/loaded_lines.py                 # a simulated flight of two seconds, and a minute of alight fly
 python bench/loaded_lines.py run FLIGHT      # alight run over this flight alone
 python bench/loaded_lines.py fly [RATE]      # alight fly alone, with alight rehearse as its vehicle: three minutes;
-                                             # a busy machine needs a lower rate of exposures
 """
 
 from __future__ import annotations
@@ -89,8 +88,7 @@ def report(command: str, folder: Path) -> bool:
     for name, count in lines.items():
         rooms[".".join(name.split(".")[:2])] += count
     if command == "fly" and "alight.flight.live.__main__" not in lines:
-        print("the flight was not begun: this machine was too busy for the simulation; measure again")
-        return False
+        sys.exit("the flight was not begun: this machine was too busy for the simulation; measure again")
     simulator = sorted(name for name in lines if name.startswith("alight_sim"))
     print(f"alight {command}: {len(lines)} modules, {rooms.total()} lines (at most {MOST[command]})")
     for room, count in rooms.most_common():

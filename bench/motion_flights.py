@@ -1,4 +1,4 @@
-"""Parts of bench_motion.py with pictures: the rendered sample flight, the ladder, and the cost of navigation."""
+"""Parts of bench_motion.py with pictures: the rendered sample flight, and the cost of navigation."""
 
 from __future__ import annotations
 
@@ -8,22 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import cv2
-import ladder
 import numpy as np
 from point_flight import error
 from tables import DATA, Row, at_least, recording, show
 
 from alight.arrays import F64, U8
 from alight.geometry import Pose
-from alight.motion import MotionFilter
 from alight.pipeline.navigation import FilterLane
-from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
-from alight.settings import FilterSettings, Settings, StageSettings, load_settings
+from alight.records import Event, Motion, Rig
+from alight.settings import Settings, StageSettings, load_settings
 from alight.sources import Source
-from alight_sim.flight import SimulatedFlight
 
 SECOND = 1_000_000_000
-SKIPPED = 5  # exposures at the start, when nothing is tracked yet
 
 
 @dataclass
@@ -32,12 +28,11 @@ class Flown:
 
     rig: Rig
     online: list[Motion] = field(default_factory=list)
-    rings: list[tuple[Motion, Motion]] = field(default_factory=list)  # oldest and newest keyframe, same posterior
+    pairs: list[tuple[Motion, Motion]] = field(default_factory=list)  # oldest and newest keyframe, same posterior
     smoothed: list[Motion] = field(default_factory=list)
-    events: list[object] = field(default_factory=list)  # tracks in place of frames: to fly again without pictures
 
 
-def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
+def fly(source: Source, settings: Settings) -> Flown:
     """Run tracks, filter and batch over a recording."""
     stages = settings.stages(source.imu_noise)
     lane, out = FilterLane(source.rig, stages), Flown(source.rig)
@@ -45,19 +40,17 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
         batch = lane.batcher.take(event)
         if batch is None:
             continue
-        out.events += batch.rows
         lane.take_rows(batch)
         tracked = lane.tracking.track(batch)
         if tracked is None:
             continue
-        out.events.append(tracked.tracks)
         navigation = lane.update(tracked)
         if navigation is None or navigation.motion is None or navigation.posterior is None:
             continue
         out.online.append(navigation.motion)
-        ring = navigation.posterior.motions
-        if len(ring) >= stages.motion.filter.clones:
-            out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
+        held = navigation.posterior.motions
+        if len(held) >= stages.motion.filter.clones:
+            out.pairs.append((next(m for m in held if held[-1].t_ns - m.t_ns <= 2 * SECOND), held[-1]))
     out.smoothed = list(lane.finish(lambda share: None).motions)
     return out
 
@@ -67,16 +60,16 @@ def relative_px(a: Motion, b: Motion, truth: Callable[[int], Pose], rig: Rig, de
     camera, body_from_cam = rig.cameras[0].camera, rig.cameras[0].body_from_cam
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, 5), np.linspace(0, camera.height - 1, 4))
     points = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)) * depth
-    said = (b.world_from_cams[0].inverse @ a.world_from_cams[0]).apply(points)
+    estimated = (b.world_from_cams[0].inverse @ a.world_from_cams[0]).apply(points)
     true = ((truth(b.t_ns) @ body_from_cam).inverse @ (truth(a.t_ns) @ body_from_cam)).apply(points)
-    miss = camera.fu * (said[:, :2] / said[:, 2:] - true[:, :2] / true[:, 2:])
+    miss = camera.fu * (estimated[:, :2] / estimated[:, 2:] - true[:, :2] / true[:, 2:])
     return float((miss**2).sum(axis=1).mean())
 
 
-def ring_px(flown: Flown, truth: Callable[[int], Pose], depth: float) -> tuple[float, float]:
-    """RMS px from the oldest keyframe within 2 s to the newest of every ring, and their mean distance in s."""
-    px = [relative_px(a, b, truth, flown.rig, depth) for a, b in flown.rings]
-    return float(np.sqrt(np.mean(px))), float(np.mean([b.t_ns - a.t_ns for a, b in flown.rings])) / SECOND
+def posterior_px(flown: Flown, truth: Callable[[int], Pose], depth: float) -> tuple[float, float]:
+    """RMS px from the oldest keyframe within 2 s to the newest of every posterior, and their mean distance in s."""
+    px = [relative_px(a, b, truth, flown.rig, depth) for a, b in flown.pairs]
+    return float(np.sqrt(np.mean(px))), float(np.mean([b.t_ns - a.t_ns for a, b in flown.pairs])) / SECOND
 
 
 def interpolated(source: Source) -> Callable[[int], Pose]:
@@ -104,8 +97,8 @@ def part_sample(_: argparse.Namespace) -> None:
     if source is None:
         return
     truth, flown = interpolated(source), fly(source, Settings())
-    px, length = ring_px(flown, truth, 30.0)
-    show(Row(f"sample flight: consistency of the ring over {length:.2f} s, px", px, 0.35, 0.15))
+    px, length = posterior_px(flown, truth, 30.0)
+    show(Row(f"sample flight: consistency of the keyframe posterior over {length:.2f} s, px", px, 0.35, 0.15))
     for name, motions in (("filter", flown.online), ("batch", flown.smoothed)):
         p, r, n = errors(motions, truth)
         pairs = [(a, b) for a in motions for b in motions if 0 <= b.t_ns - a.t_ns - SECOND < SECOND // 100]
@@ -116,72 +109,6 @@ def part_sample(_: argparse.Namespace) -> None:
             Row("... tilt, mean, mrad", 1e3 * float(np.linalg.norm(r.mean(axis=0)[:2]))),
             Row("... NEES (6 expected)", n),
         )
-
-
-@dataclass(frozen=True)
-class Climbed:
-    """Numbers of one rung of the ladder."""
-
-    height: int
-    ring: float  # px, RMS
-    seconds: float  # that a ring spans
-    lost: int  # exposures
-    nees: float
-    alone: float  # % of the way, GPS/INS off after the first second
-    cameras: float  # % of the way, and no IMU either
-
-    @classmethod
-    def of(cls, rung: ladder.Rung) -> Climbed:
-        """Fly a rung and measure it."""
-        flight = rung.fly()
-        flown = fly(flight, load_settings("", ["tuning.filter.smooth=false"]))
-        px, length = ring_px(flown, flight.pose, float(rung.height))
-        lost = sum(m.state is MotionState.LOST for m in flown.online)
-        mean = errors(flown.online, flight.pose)[2]
-        return cls(rung.height, px, length, lost, mean, _alone(flown, flight, True), _alone(flown, flight, False))
-
-
-def part_ladder(options: argparse.Namespace) -> None:
-    """The standard ladder with pictures, flights without a part in tuning: ring, states, vision alone beside it."""
-    scenes, heights = options.scenes.split(","), [int(h) for h in options.heights.split(",")]
-    print(f"{'':34s}{'ring px':>9s}{'over s':>8s}{'lost':>6s}{'NEES':>7s}{'no GPS/INS %':>14s}{'nor IMU %':>11s}")
-    found = []
-    for r in ladder.ladder("test", scenes=scenes, heights=heights, seeds=options.seeds):
-        c = Climbed.of(r)
-        found.append(c)
-        print(
-            f"{r.name:34s}{c.ring:9.3f}{c.seconds:8.2f}{c.lost:6d}{c.nees:7.1f}{c.alone:14.2f}{c.cameras:11.2f}",
-            flush=True,
-        )
-    for h in heights:
-        some = [c for c in found if c.height == h]
-        kept = 100 * float(np.mean([c.lost == 0 for c in some]))
-        rings = np.array([c.ring for c in some])
-        show(
-            Row(f"ladder {h} m, {len(some)} flights: completed without `lost`, %", kept, at_least(100), at_least(100)),
-            Row("... ring, RMS over the flights, px", float(np.sqrt(np.mean(rings**2))), 0.35, 0.15),
-            Row("... ring, the worst flight, px", float(rings.max())),
-            Row("... NEES, mean (6 expected)", float(np.mean([c.nees for c in some]))),
-            Row("... GPS/INS off after 1 s: drift of the way, median, %", float(np.median([c.alone for c in some]))),
-            Row("... and no IMU: cameras alone, median, %", float(np.median([c.cameras for c in some]))),
-        )
-
-
-def _alone(flown: Flown, flight: SimulatedFlight, imu: bool) -> float:
-    """Percent of the way by which vision drifts when GPS/INS falls silent after the first second."""
-    estimator, motions = MotionFilter(flown.rig, FilterSettings(smooth=False)), []
-    begin = int(flight.frame_times[0]) + SECOND
-    for e in flown.events:
-        if isinstance(e, Tracks):
-            motions += [m] if (m := estimator.feed_tracks(e)) else []
-        elif isinstance(e, NavSample) and e.t_ns < begin:
-            estimator.feed_nav(e)
-        elif isinstance(e, ImuSample) and imu:
-            estimator.feed_imu(e)
-    first = next(m for m in motions if m.t_ns >= begin)
-    off = [m.world_from_body.translation - flight.pose(m.t_ns).translation for m in (first, motions[-1])]
-    way = flight.pose(motions[-1].t_ns).translation - flight.pose(first.t_ns).translation
-    return 100 * float(np.linalg.norm(off[1] - off[0]) / np.linalg.norm(way))
 
 
 def part_speed(_: argparse.Namespace) -> None:
@@ -230,4 +157,4 @@ def _timed(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> F64:
         cv2.calcOpticalFlowPyrLK(before, image, corners, None)
         out.append([*np.diff(at), time.thread_time() - start])
         before = image
-    return 1e3 * np.array(out[SKIPPED:])
+    return 1e3 * np.array(out[5:])  # at the start nothing is tracked yet

@@ -9,7 +9,7 @@ import math
 import shutil
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
@@ -56,19 +56,13 @@ DRAWN = {
     "apart": Drawn("village", (1160, 774), 4, 6, 50.0, 0.60, 0.60),
     "oblique": Drawn("village", (866, 577), 4, 10, 60.0, 0.75, 0.65, 55.0),
 }
-FULL = DRAWN | {
-    "forest": replace(DRAWN["forest"], size=(3672, 2448)),
-    "village": Drawn("village", (4240, 2832), 10, 10, 60.0, 0.8, 0.7),
-    "long": replace(DRAWN["long"], size=(1732, 1155), lines=12, per_line=25),
-    "apart": replace(DRAWN["apart"], size=(1732, 1155)),
-}
 
 
-def folder_of(name: str, drawn: dict[str, Drawn]) -> Path:
+def folder_of(name: str) -> Path:
     """The folder of a set's photos; drawn ones are kept from run to run."""
     if name in REAL:
         return DATA / name / "images"
-    d = drawn[name]
+    d = DRAWN[name]
     folder = OUT / f"{name}-{d.count}x{d.size[0]}x{d.size[1]}"
     if not (folder / "flown.npz").exists():
         shutil.rmtree(folder, ignore_errors=True)

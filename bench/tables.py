@@ -24,7 +24,7 @@ DATA = Path(os.environ.get("ALIGHT_DATA", ROOT.parent / "shared" / "data"))
 KEPT = ROOT / "out" / "bench-heights"
 # sources on which a kept number depends: after a change it is measured again
 SOURCES = (
-    "src/alight/geometry", "src/alight/raster", "src/alight/parallax", "src/alight/pipeline", "src/alight_sim",
+    "src/alight/geometry", "src/alight/raster.py", "src/alight/parallax", "src/alight/pipeline", "src/alight_sim",
     "src/alight/elevation", "src/alight/settings", "bench",
 )  # fmt: skip
 WIDTH = 78
@@ -99,7 +99,7 @@ def source_hash() -> str:
     """Digest of the source that a number depends on."""
     digest = hashlib.sha256()
     for name in SOURCES:
-        for file in sorted((ROOT / name).rglob("*")):
+        for file in [ROOT / name, *sorted((ROOT / name).rglob("*"))]:
             if file.suffix in (".py", ".yaml") and file.is_file():
                 digest.update(file.read_bytes())
     return digest.hexdigest()[:12]

@@ -839,7 +839,7 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
 
 
 def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]) -> None:
-    campaign_command._tell(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
+    campaign_command.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
     assert "P(safe) > 0.999" in capsys.readouterr().err
 
 

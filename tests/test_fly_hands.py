@@ -426,7 +426,7 @@ def test_a_script_learns_how_a_flight_ended(
     left: list[object] = []
     result: Any = None if state is None else SimpleNamespace()
     monkeypatch.setattr(fly, "fly_vehicle", lambda *_: fly.FlightOutcome((), why, state, result))
-    monkeypatch.setattr(command, "leave_result", lambda *given: left.append(given[0]))
+    monkeypatch.setattr(command, "save_result", lambda *given: left.append(given[0]))
     options = ["--link", "udp:127.0.0.1:9", "--camera", "x", "--out", "x", *(["--dry-run"] if dry else [])]
     assert call(["fly", *options]) == code
     assert capsys.readouterr().out.splitlines() == [word]

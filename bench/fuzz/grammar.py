@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from PIL import ExifTags, Image
 
-from alight.settings.keys import all_keys
+from alight.settings.keys import all_keys, user_keys
 
 NUMBERS = (
     "", "nan", "inf", "-inf", "0", "-0.0", "-1", "1", "1e-300", "1e300", "-1e300", "1e200", "1e9", "-1e9", "1e5", "0.5",
@@ -33,17 +33,7 @@ NUMBERS = (
 )  # fmt: skip
 TIMES = ("shift", "scale", "jump", "reverse", "same")
 SECONDS = (-3600, -30, -1, 0, 1, 30, 3600, 86400 * 365, -1_600_000_000)
-KEYS = (
-    "lander.radius", "lander.max_slope", "lander.max_roughness", "lander.feet", "lander.foot_radius", "lander.skids",
-    "lander.rotor_radius", "lander.headings", "lander.belly_clearance", "lander.max_step", "parallax.cell",
-    "parallax.height_range", "parallax.store_mb", "parallax.method", "elevation.max_sigma", "elevation.most_cells",
-    "hazards.p_safe", "hazards.alpha", "hazards.beta", "hazards.usual_sigma", "sites.count", "sites.margin",
-    "sites.separation", "sites.distance_weight", "sites.every", "sources.skip", "sources.every", "motion.method",
-    "motion.filter.time_offset", "motion.filter.time_offset_sigma", "motion.filter.mounting_sigma",
-    "motion.given_position_sigma", "motion.given_attitude_sigma", "route.approach_height", "route.clearance",
-    "route.cruise_speed", "route.descent_speed", "terrain.enabled", "terrain.model",
-    "tuning.hazards.noise_length", "tuning.terrain.cell", "tuning.hazards.tilt_sigma",
-)  # fmt: skip
+KEYS = (*user_keys(), "tuning.hazards.noise_length", "tuning.terrain.cell", "tuning.hazards.tilt_sigma")
 TUNING = tuple(k for k in all_keys() if k.startswith("tuning."))
 SCENE = (
     "ground.size", "ground.cell", "ground.slope_deg", "ground.relief.1.height", "ground.relief.1.shortest",

@@ -96,7 +96,6 @@ def _child(arguments: list[str], streams: list[Path], limit: float) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 2))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         sys.stdout, sys.stderr = (os.fdopen(n, "w", errors="backslashreplace") for n in (1, 2))
-        alight.cli.app.stderr.file = sys.stderr
         code = alight.cli.call(arguments)
     except BaseException:
         traceback.print_exc()

@@ -174,3 +174,13 @@ def _check(tree: Any, most: float) -> None:
             raise DocumentError("an integer of more than 19 digits; check the number")
         elif not isinstance(value, str | int | float | None):
             raise DocumentError(f"a {type(value).__name__} is neither a word nor a number; put it into quotes")
+
+
+# characters that steer a terminal, are no HTML, or turn the direction of a line
+_UNPRINTABLE = [*range(0x09), *range(0x0B, 0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)]
+_ESCAPES = {code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" for code in _UNPRINTABLE}
+
+
+def printable(text: str) -> str:
+    """A text from outside with its control characters escaped; line breaks and tabs stay."""
+    return text.translate(_ESCAPES)

@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid, LocalFrame
-from alight.raster.errors import UNREADABLE
+from alight.raster import unreadable
 from alight.records import InputError, Terrain
 from alight_sim.looks import Look
 from alight_sim.section import Section
@@ -105,7 +105,7 @@ def _opened(path: Path, what: str) -> Iterator[Any]:
                     f"{path}: the {what} has no coordinate system; give it one, for example with gdal_edit.py -a_srs"
                 )
             yield dataset
-    except UNREADABLE as e:
+    except unreadable() as e:
         raise InputError(f"{path}: the {what} cannot be read ({str(e).splitlines()[0]}); name a GeoTIFF") from e
 
 

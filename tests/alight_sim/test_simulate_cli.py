@@ -15,7 +15,7 @@ from rich.console import Console
 
 import alight_sim
 from alight import cli
-from alight.cli.simulate import PICTURE, blocks
+from alight.cli.display import half_blocks
 from alight.evaluation.flight import read_flight_truth
 from alight.records import Frame
 from alight.runner.opening import open_source
@@ -209,12 +209,12 @@ def test_the_scenes_of_the_documentation_are_scenes() -> None:
 
 
 def test_a_picture_in_a_terminal_has_two_pixels_a_character(tmp_path: Path) -> None:
-    columns, rows = PICTURE
+    columns, rows = 32, 12
     image = np.zeros((2 * rows, columns, 3), np.uint8)
     image[::2] = (0, 0, 255)  # red above blue, in OpenCV's order
     image[1::2] = (255, 0, 0)
     cv2.imwrite(str(tmp_path / "stripes.png"), image)
-    picture = blocks(tmp_path / "stripes.png")
+    picture = half_blocks(tmp_path / "stripes.png")
     assert picture.plain == ("\u2580" * columns + "\n") * rows
     assert {s.style for s in picture.spans} == {"rgb(255,0,0) on rgb(0,0,255)"}
     told = io.StringIO()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import chain
 
 from alight.checks.evidence import RigEvidence, gather_evidence
 from alight.checks.motion import check_motion
@@ -15,8 +14,6 @@ from alight.checks.stamps import check_frames, check_rows
 from alight.checks.stereo import check_stereo
 from alight.records import InputError
 from alight.sources import Source
-
-UNUSED = ("accelerometer unit",)  # by the checks that compare the pictures with GPS/INS and IMU
 
 
 def check_source(
@@ -36,24 +33,21 @@ def check_source(
         raise InputError("check: photos have no stream to check; give a flight log or a recording (.mcap)")
     events = source.events()
     found = gather_evidence(source.rig, events, seconds, start, progress)
-    return check_evidence(replace(found, warnings=tuple(source.warnings), promised=_promised(source)))
-
-
-def _promised(source: Source) -> tuple[str, ...]:
-    """Names of the streams that the source's notes list."""
-    return tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
+    promised = tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
+    return check_evidence(replace(found, warnings=tuple(source.warnings), promised=promised))
 
 
 def check_evidence(evidence: RigEvidence) -> list[CheckResult]:
     """Run every check on the evidence."""
     pictures = [check_exposure(evidence), check_sharpness(evidence), check_lens(evidence), check_intrinsics(evidence)]
     navigation = check_navigation(evidence)
-    wrong = next((r.name for r in navigation if r.verdict is Judged.BAD and r.name not in UNUSED), "")
-    motion, flow = check_motion(evidence, wrong)
-    if motion[0].verdict is Judged.BAD:
-        rig = [unknown("stereo", "first mend the mounting")] if evidence.matches else []
-    else:
-        rig = [check_stereo(evidence.rig, m, flow) for m in evidence.matches]
+    # the accelerometer is not used where the pictures are compared with GPS/INS and IMU
+    wrong = (r.name for r in navigation if r.verdict is Judged.BAD and r.name != "accelerometer unit")
+    motion, flow = check_motion(evidence, next(wrong, ""))
     if not evidence.matches:
         rig = [unknown("stereo", "one camera only")]
-    return list(chain([check_frames(evidence)], check_rows(evidence), pictures, rig, navigation, motion))
+    elif motion[0].verdict is Judged.BAD:
+        rig = [unknown("stereo", "first mend the mounting")]
+    else:
+        rig = [check_stereo(evidence.rig, m, flow) for m in evidence.matches]
+    return [check_frames(evidence), *check_rows(evidence), *pictures, *rig, *navigation, *motion]

@@ -3,29 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from alight.arrays import F64, I64, U8, Mask
-from alight.checks.flow import PictureFlow, downscaled, picture_flow
-from alight.checks.looks import Brightness, StaticMap, brightness_of, edge_widths
-from alight.checks.matches import match_pictures
+from alight.checks.features import PictureFlow, downscaled, match_pictures, picture_flow
+from alight.checks.picture_quality import Brightness, StaticMap, brightness_of, edge_widths
 from alight.geometry import Camera
-from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig
+from alight.records import Event, ImuSample, InputError, NavSample, Rig, RigCamera
 
-APART = 0.08  # s, least time between two pictures whose flow is measured
-MATCHED_EVERY = 1.0  # s between exposures that are matched across the rig
-SHARP_EVERY = 0.5  # s between pictures whose edges are measured
-AROUND = 1.0  # s of GPS/INS and IMU that are used before and after the pictures
+
+def seconds_since(t_ns: I64, origin_ns: int) -> F64:
+    """Return times (N,) in seconds from an origin."""
+    return np.asarray((t_ns - origin_ns).astype(np.float64) * 1e-9)
+
+
+def trimmed_rms(values: F64) -> float:
+    """Root of the mean square of the smallest 95 % of numbers (N,) or vectors (N, D): outliers have no effect."""
+    squares = np.sort(values**2 if values.ndim == 1 else (values**2).sum(axis=1))
+    return float(np.sqrt(squares[: max(1, int(0.95 * len(squares)))].mean()))
 
 
 @dataclass(frozen=True, eq=False)
-class NavTable:
-    """Rows of GPS/INS, NaN where not measured."""
+class StreamTable:
+    """Columns of one stream, a row a sample, NaN where not measured."""
 
     t_ns: I64  # (N,)
+
+    @classmethod
+    def of(cls, samples: Sequence[NavSample] | Sequence[ImuSample]) -> Self:
+        """Gather samples: a column for each of the fields."""
+        columns: list[F64 | I64] = [np.array([s.t_ns for s in samples], dtype=np.int64)]
+        for name in (f.name for f in fields(cls)[1:]):
+            blank = np.full((3, 3) if name == "world_from_body" else 3, np.nan)
+            values = [blank if (v := getattr(s, name)) is None else v for s in samples]
+            columns.append(np.array(values, dtype=np.float64).reshape(-1, *blank.shape))
+        return cls(*columns)  # type: ignore[arg-type]
+
+    def where(self, keep: Mask) -> Self:
+        """Return the rows that `keep` (N,) marks."""
+        return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def measured(self, *names: str) -> Self:
+        """Return the rows in which all of these columns are measured."""
+        keep = np.ones(len(self.t_ns), bool)
+        for values in (getattr(self, name) for name in names):
+            keep &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+        return self.where(keep)
+
+    def in_order(self) -> Self:
+        """Return the rows that are later than all before."""
+        latest = np.maximum.accumulate(self.t_ns) if len(self.t_ns) else self.t_ns
+        return self.where(np.concatenate([np.ones(min(len(latest), 1), bool), self.t_ns[1:] > latest[:-1]]))
+
+
+@dataclass(frozen=True, eq=False)
+class NavTable(StreamTable):
+    """Rows of GPS/INS."""
+
     position_world: F64  # (N, 3) m
     world_from_body: F64  # (N, 3, 3)
     velocity_world: F64  # (N, 3) m/s
@@ -34,53 +72,24 @@ class NavTable:
     sigma_attitude: F64  # (N, 3) rad
     sigma_velocity: F64  # (N, 3) m/s
 
-    @classmethod
-    def of(cls, rows: Sequence[NavSample]) -> NavTable:
-        """Gather samples."""
-
-        def column(name: str, shape: tuple[int, ...] = (3,)) -> F64:
-            nothing = np.full(shape, np.nan)
-            values = [v if (v := getattr(r, name)) is not None else nothing for r in rows]
-            return np.array(values, dtype=np.float64).reshape(-1, *shape)
-
-        return cls(
-            np.array([r.t_ns for r in rows], dtype=np.int64), column("position_world"),
-            column("world_from_body", (3, 3)), column("velocity_world"), column("angular_velocity_body"),
-            column("sigma_position"), column("sigma_attitude"), column("sigma_velocity"),
-        )  # fmt: skip
-
-    def known(self, *names: str) -> NavTable:
-        """Return the rows in which all of these columns are measured."""
-        keep = np.ones(len(self.t_ns), bool)
-        for name in names:
-            values = getattr(self, name)
-            keep &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-        return self.where(keep)
-
-    def where(self, keep: Mask) -> NavTable:
-        """Return the rows that `keep` (N,) marks."""
-        return NavTable(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
-
 
 @dataclass(frozen=True, eq=False)
-class ImuTable:
+class ImuTable(StreamTable):
     """Inertial samples, body frame."""
 
-    t_ns: I64  # (N,)
     angular_velocity_body: F64  # (N, 3) rad/s
     specific_force_body: F64  # (N, 3) m/s^2
 
-    @classmethod
-    def of(cls, rows: Sequence[ImuSample]) -> ImuTable:
-        """Gather samples."""
 
-        def column(values: ArrayLike) -> F64:
-            return np.array(values, dtype=np.float64).reshape(-1, 3)
-
-        times = np.array([r.t_ns for r in rows], dtype=np.int64)
-        return cls(
-            times, column([r.angular_velocity_body for r in rows]), column([r.specific_force_body for r in rows])
-        )
+def integrated(seconds: F64, rates: F64) -> Rotation:
+    """Integrate a gyroscope's rates (N, 3) to (N,) orientations."""
+    turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
+    path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
+    reach = 1
+    while reach < len(seconds):  # products of 2, 4, 8, ... steps (Hillis and Steele 1986)
+        path = Rotation.concatenate([path[:reach], path[:-reach] * path[reach:]])
+        reach *= 2
+    return path
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +102,13 @@ class RigMatches:
     other: F64  # (N, 2) px in the other one
     pairs: int  # exposures that were matched
 
+    @classmethod
+    def of(cls, camera: int, parts: Sequence[tuple[int, F64, F64]]) -> RigMatches:
+        """Join the matches of each exposure: its time, pixels in camera 0, pixels in the other one."""
+        times = [np.full(len(a), t, dtype=np.int64) for t, a, _ in parts]
+        first, other = (np.concatenate([np.empty((0, 2)), *(p[i] for p in parts)]) for i in (1, 2))
+        return cls(camera, np.concatenate([np.empty(0, np.int64), *times]), first, other, len(parts))
+
 
 @dataclass(eq=False)
 class CameraEvidence:
@@ -102,27 +118,34 @@ class CameraEvidence:
     seconds: list[float] = field(default_factory=list)  # of each brightness, from the first exposure
     brightness: list[Brightness] = field(default_factory=list)
     flows: list[PictureFlow] = field(default_factory=list)
-    edges: list[tuple[int, F64]] = field(default_factory=list)  # time ns, (2,) px across x and across y
+    edges: list[F64] = field(default_factory=list)  # (2,) px across x and across y
     static: StaticMap = field(default_factory=StaticMap)
+    matches: list[tuple[int, F64, F64]] = field(default_factory=list)  # with camera 0: time, pixels there, pixels here
     _last: tuple[int, U8] | None = None
+    _edges_ns: int = -(2**62)  # time of the last of `edges`
 
-    def take(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure one picture."""
-        if self._last is not None and t_ns - self._last[0] < APART * 1e9:
+    def add(self, t_ns: int, image: U8, seconds: float) -> None:
+        """Measure one picture, at least 0.08 s after the last."""
+        if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
-        small, factor = downscaled(image)
+        small, factor = downscaled(image, 640)
         self.seconds.append(seconds)
         self.brightness.append(brightness_of(image))
-        if not self.edges or t_ns - self.edges[-1][0] > SHARP_EVERY * 1e9:
-            self.edges.append((t_ns, edge_widths(image)))
+        if t_ns - self._edges_ns > 0.5 * 1e9:
+            self.edges.append(edge_widths(image))
+            self._edges_ns = t_ns
         shift = np.zeros(2)
         if self._last is not None:
-            flow = picture_flow(self._last[1], small, factor, self.lens, self._last[0], t_ns)
-            if flow is not None:
-                self.flows.append(flow)
+            flow = picture_flow(self._last[1], small, factor, self.lens, (self._last[0], t_ns))
+            self.flows += [flow] if flow is not None else []
             shift = flow.shift / max(self.lens.width, self.lens.height) if flow is not None else np.ones(2)
-        self.static.take(small, shift)
+        self.static.add(small, shift)
         self._last = t_ns, small
+
+    def match(self, t_ns: int, first: U8, own: U8) -> None:
+        """Match a picture with that of camera 0, once a second."""
+        if not self.matches or t_ns - self.matches[-1][0] >= 1e9:
+            self.matches.append((t_ns, *match_pictures(first, own)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +162,11 @@ class RigEvidence:
     warnings: tuple[str, ...] = ()  # of the source
     promised: tuple[str, ...] = ()  # streams that the source's notes list
 
+    @property
+    def by_camera(self) -> list[tuple[RigCamera, CameraEvidence]]:
+        """Each camera with its measurements."""
+        return list(zip(self.rig.cameras, self.cameras, strict=True))
+
 
 def gather_evidence(
     rig: Rig,
@@ -154,7 +182,7 @@ def gather_evidence(
     """
     cameras = tuple(CameraEvidence(c.camera) for c in rig.cameras)
     nav, imu, stamps, present = list[NavSample](), list[ImuSample](), list[int](), list[list[bool]]()
-    first, matcher = None, _Matcher(len(rig.cameras))
+    first = None
     for event in events:
         if isinstance(event, NavSample):
             nav.append(event)
@@ -166,47 +194,23 @@ def gather_evidence(
             if since > start + seconds:
                 break
             progress(min(since / (start + seconds), 1.0))
-            if since >= start:
-                stamps.append(event.t_ns)
-                present.append([image is not None for image in event.images])
-                for camera, image in zip(cameras, event.images, strict=True):
-                    if image is not None:
-                        camera.take(event.t_ns, np.asarray(image), since)
-                matcher.take(event)
+            if since < start:
+                continue
+            stamps.append(event.t_ns)
+            images = [None if image is None else np.asarray(image) for image in event.images]
+            present.append([image is not None for image in images])
+            for k, (camera, image) in enumerate(zip(cameras, images, strict=True)):
+                if image is not None:
+                    camera.add(event.t_ns, image, since)
+                    if k and images[0] is not None:
+                        camera.match(event.t_ns, images[0], image)
     if not stamps:
         raise InputError(
             f"no exposure between {start:g} and {start + seconds:g} s; choose another part or a longer one"
         )
-    low, high = min(stamps) - AROUND * 1e9, max(stamps) + AROUND * 1e9
+    low, high = min(stamps) - 1e9, max(stamps) + 1e9  # GPS/INS and IMU for a second before and after the pictures
     return RigEvidence(
         rig, np.array(stamps, dtype=np.int64), np.array(present, dtype=bool),
         NavTable.of([r for r in nav if low <= r.t_ns <= high]), ImuTable.of([r for r in imu if low <= r.t_ns <= high]),
-        cameras, matcher.found(),
+        cameras, tuple(RigMatches.of(k, c.matches) for k, c in enumerate(cameras) if k),
     )  # fmt: skip
-
-
-class _Matcher:
-    """Matches camera 0 with each other camera, once a second."""
-
-    def __init__(self, cameras: int) -> None:
-        self._last: dict[int, int] = {}
-        self._parts: dict[int, list[tuple[int, F64, F64]]] = {k: [] for k in range(1, cameras)}
-
-    def take(self, frame: Frame) -> None:
-        first = frame.images[0]
-        for k, parts in self._parts.items():
-            other = frame.images[k]
-            if first is None or other is None or frame.t_ns - self._last.get(k, -(2**62)) < MATCHED_EVERY * 1e9:
-                continue
-            self._last[k] = frame.t_ns
-            parts.append((frame.t_ns, *match_pictures(np.asarray(first), np.asarray(other))))
-
-    def found(self) -> tuple[RigMatches, ...]:
-        out = []
-        for k, parts in self._parts.items():
-            times = [np.full(len(a), t, dtype=np.int64) for t, a, _ in parts]
-            a, b = ([p[i] for p in parts] for i in (1, 2))
-            times.append(np.empty(0, np.int64))
-            first, other = (np.concatenate([np.empty((0, 2)), *x]) for x in (a, b))
-            out.append(RigMatches(k, np.concatenate(times), first, other, len(parts)))
-        return tuple(out)

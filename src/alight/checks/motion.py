@@ -8,30 +8,16 @@ import numpy as np
 
 from alight.checks.evidence import RigEvidence
 from alight.checks.navigation import attitude_readings, quarter_turns
-from alight.checks.predicted_flow import (
-    FOCAL,
-    LEAST_PAIRS,
-    MOUNTING,
-    OFFSET,
-    BodyMotion,
-    FlowFit,
-    PredictedFlow,
-    body_motion,
-)
-from alight.checks.result import CheckResult, Judged, bad, good, unknown
+from alight.checks.predicted_flow import FOCAL, MOUNTING, OFFSET, BodyMotion, FlowFit, PredictedFlow, body_motion
+from alight.checks.result import Check, CheckResult, Judged, bad, good, unknown
 from alight.checks.stereo import turn_words
 from alight.geometry import Pose
 
 FINE = np.arange(-0.5, 0.501, 0.05)  # s, time offsets that are tried
-COARSE = np.arange(-0.5, 0.501, 0.1)
-LEAST_FLOW = 2.0  # px, median between two pictures
+COARSE = FINE[::2]
 UNEXPLAINED = 0.35  # of the flow: with more left, the checks cannot tell
-LOOKS_DOWN = 0.17  # cosine; a camera nearer to the horizon sees little ground
 TILTED = np.radians(5.0)  # by which a mounting may be off: the attitude of GPS/INS is no better
-OFFSET_LIMIT, OFFSET_SIGMA = 0.02, 0.01  # s
-ATTITUDE_OFFSET_LIMIT = 0.03  # s, without a gyroscope
-FOCAL_LIMIT, FOCAL_SIGMA = 0.045, 0.02
-NAMES = ("mounting", "time offset", "focal length")
+CHECKS = ("mounting", "time offset", "focal length")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,31 +38,28 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
     Returns:
         the results, and the fit of camera 0 where its mounting is right.
     """
+
+    def cannot_tell(why: str, *found: CheckResult) -> tuple[list[CheckResult], None]:
+        return [*found, *(unknown(name, why) for name in CHECKS[len(found) :])], None
+
     if blocked:
-        return [unknown(n, f"first mend the {blocked}") for n in NAMES], None
+        return cannot_tell(f"first mend the {blocked}")
     motion = body_motion(evidence.nav, evidence.imu, int(evidence.frames_ns[0]))
     if motion is None:
-        return [
-            unknown(n, "neither gyroscope nor attitude of GPS/INS at the time of the pictures") for n in NAMES
-        ], None
-    seen = {
-        cam.name: PredictedFlow(c, cam.body_from_cam, motion)
-        for c, cam in zip(evidence.cameras, evidence.rig.cameras, strict=True)
-    }
-    usable = {n: p for n, p in seen.items() if p.pairs >= LEAST_PAIRS and np.median(p.flow) > LEAST_FLOW}
+        return cannot_tell("neither gyroscope nor attitude of GPS/INS at the time of the pictures")
+    seen = {cam.name: PredictedFlow(c, cam.body_from_cam, motion) for cam, c in evidence.by_camera}
+    usable = {n: p for n, p in seen.items() if p.pairs >= 8 and np.median(p.flow) > 2.0}  # px
     if not usable:
         most = max(p.pairs for p in seen.values())
-        return [
-            unknown(n, f"the pictures hardly move, or show no texture ({most} pairs with flow)") for n in NAMES
-        ], None
+        return cannot_tell(f"the pictures hardly move, or show no texture ({most} pairs with flow)")
     mounting = _mounting(usable, motion, evidence)
     if mounting.verdict is Judged.BAD:
-        return [mounting, *(unknown(n, "first mend the mounting") for n in NAMES[1:])], None
+        return cannot_tell("first mend the mounting", mounting)
     fits = [CameraMotion(n, p, p.fit(p.scan(FINE)[1])) for n, p in usable.items()]
     left = max(f.fit.unexplained for f in fits)
     if left > UNEXPLAINED:
         why = f"{100 * left:.0f} % of the flow is left: the pictures do not show level ground that stands still"
-        return [mounting, *(unknown(n, why) for n in NAMES[1:])], None
+        return cannot_tell(why, mounting)
     first = fits[0].fit if fits[0].name == evidence.rig.cameras[0].name else None
     return [_tilt(mounting, fits), _offset(fits, motion), _focal(fits)], first
 
@@ -84,7 +67,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
     """Check the mountings for a quarter or a half turn: test which of the 24 turns explains the flow."""
     if motion.velocity_world is None:
-        return unknown(NAMES[0], "needs velocity and attitude of GPS/INS")
+        return unknown(CHECKS[0], "needs velocity and attitude of GPS/INS")
     words, doubt, turned = list[str](), list[str](), list[str]()
     poses = {c.name: c.body_from_cam for c in evidence.rig.cameras}
     for name, flow in usable.items():
@@ -95,7 +78,7 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
         others = []
         for turn in quarter_turns()[1:] if own > 0.25 * size else []:
             other = flow.turned(Pose(poses[name].rotation @ turn, poses[name].translation))
-            if (other.looks_down() or 0.0) > LOOKS_DOWN:
+            if (other.looks_down() or 0.0) > 0.17:  # nearer to the horizon it sees little ground
                 others.append((other.scan(COARSE)[0], turn))
         others.sort(key=lambda pair: pair[0])
         if others and others[0][0] < 0.5 * own and others[0][0] < 0.4 * size:
@@ -103,19 +86,19 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
             turned.append(" or ".join(turn_words(name, t) for t in near))
         elif own > UNEXPLAINED * size:
             doubt.append(name)
-    told = "; ".join(words)
+    shown = "; ".join(words)
     if turned:
-        return bad(NAMES[0], f"{told}; {'; '.join(turned)}", "write the true mounting into T_BS of that camera")
+        return bad(CHECKS[0], f"{shown}; {'; '.join(turned)}", "write the true mounting into T_BS of that camera")
     if doubt and (reading := _other_attitude(usable, evidence)):
-        return bad(NAMES[0], f"{told}; it is right with the attitude of GPS/INS as {reading[0]}", reading[1])
+        return bad(CHECKS[0], f"{shown}; it is right with the attitude of GPS/INS as {reading[0]}", reading[1])
     if doubt:
-        return unknown(NAMES[0], f"{told}; no quarter turn explains it")
-    return good(NAMES[0], told)
+        return unknown(CHECKS[0], f"{shown}; no quarter turn explains it")
+    return good(CHECKS[0], shown)
 
 
 def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> tuple[str, str] | None:
     """Convention of the attitude that explains the flow of every camera, with the remedy; None: no other one does."""
-    nav = evidence.nav.known("world_from_body")
+    nav = evidence.nav.measured("world_from_body")
     cameras = {c.name: (e, c.body_from_cam) for c, e in zip(evidence.rig.cameras, evidence.cameras, strict=True)}
     for what, (attitudes, mend) in attitude_readings(nav.world_from_body).items():
         motion = body_motion(replace(nav, world_from_body=attitudes), evidence.imu, int(evidence.frames_ns[0]))
@@ -131,25 +114,20 @@ def _tilt(mounting: CheckResult, fits: list[CameraMotion]) -> CheckResult:
     """Check the mountings for errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
-    words, tilted, vague = list[str](), False, False
+    found, vague = Check(mounting.name, [mounting.evidence]), False
     for f in fits:
         turn, sigma = f.fit.parameters[MOUNTING], f.fit.sigma[MOUNTING]
         pitch, yaw, roll = np.degrees(turn)
-        off = np.abs(turn) > np.maximum(TILTED, 5.0 * sigma)
-        tilted |= bool(off.any())
-        vague |= bool((sigma > TILTED / 2).any())
-        words.append(
+        found.measured.append(
             f"{f.name} fits turned by pitch {pitch:+.1f}, yaw {yaw:+.1f}, roll {roll:+.1f} degrees about its x, y, z "
             f"(1-sigma {np.degrees(sigma.max()):.1f})"
         )
-    evidence = f"{mounting.evidence}; {'; '.join(words)}"
-    if tilted:
-        return bad(
-            NAMES[0], evidence, "correct T_BS of the camera by this turn (T_BS times the turn), or calibrate it again"
-        )
-    if vague:
-        return good(NAMES[0], f"{evidence}; a few degrees cannot be seen: the aircraft turned too little")
-    return good(NAMES[0], evidence)
+        if (np.abs(turn) > np.maximum(TILTED, 5.0 * sigma)).any():
+            found.remedies = ["correct T_BS of the camera by this turn (T_BS times the turn), or calibrate it again"]
+        vague |= bool((sigma > TILTED / 2).any())
+    if vague and not found.remedies:
+        found.measured.append("a few degrees cannot be seen: the aircraft turned too little")
+    return found.result
 
 
 def _weighted(fits: list[CameraMotion], index: int) -> tuple[float, float]:
@@ -160,35 +138,33 @@ def _weighted(fits: list[CameraMotion], index: int) -> tuple[float, float]:
 
 
 def _offset(fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
-    name = NAMES[1]
+    name = CHECKS[1]
     offset, sigma = _weighted(fits, OFFSET)
     evidence = (
         f"camera stamps are {1e3 * offset:+.1f} +- {1e3 * sigma:.1f} ms (1-sigma) ahead of the {motion.turned_by}, "
         f"from the flow of {sum(f.predicted.pairs for f in fits)} pairs of pictures"
     )
-    if sigma > OFFSET_SIGMA:
+    if sigma > 0.01:  # s
         return unknown(name, f"{evidence}: the aircraft turned too little")
     if abs(offset) > 0.48:
         return unknown(name, f"{evidence}: at the border of what is searched")
-    limit = OFFSET_LIMIT if motion.turned_by == "gyroscope" else ATTITUDE_OFFSET_LIMIT
+    limit = 0.02 if motion.turned_by == "gyroscope" else 0.03  # s
     if abs(offset) > max(limit, 4.0 * sigma):
-        return bad(
-            name,
-            evidence,
-            f"set motion.filter.time_offset={offset:.3f}, or stamp the middle of the exposure on one clock",
-        )
+        mend = f"set motion.filter.time_offset={offset:.3f}, or stamp the middle of the exposure on one clock"
+        return bad(name, evidence, mend)
     return good(name, evidence)
 
 
 def _focal(fits: list[CameraMotion]) -> CheckResult:
-    name = NAMES[2]
+    name = CHECKS[2]
     parts = [(f.name, f.fit.parameters[FOCAL], f.fit.sigma[FOCAL], f.predicted.focal) for f in fits]
     evidence = "; ".join(
         f"{n} {f:.1f} px, the flow asks for {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
     )
-    off = [n for n, s, e, _ in parts if e < FOCAL_SIGMA and abs(s) > max(FOCAL_LIMIT, 4.0 * e)]
+    vague = 0.02  # 1-sigma
+    off = [n for n, s, e, _ in parts if e < vague and abs(s) > max(0.045, 4.0 * e)]
     if off:
         return bad(name, evidence, f"calibrate {' and '.join(off)} at the image size and focus of the flight")
-    if any(e > FOCAL_SIGMA for _, _, e, _ in parts):
+    if any(e > vague for _, _, e, _ in parts):
         return unknown(name, f"{evidence}: the aircraft turned too little")
     return good(name, evidence)

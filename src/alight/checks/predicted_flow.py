@@ -11,26 +11,24 @@ mounting and the focal length: all three act on many pairs in the same manner, r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from alight.arrays import F64, I64, Mask
-from alight.checks.evidence import CameraEvidence, ImuTable, NavTable
-from alight.checks.flow import grid_of, moved
+from alight.arrays import F64
+from alight.checks.evidence import CameraEvidence, ImuTable, NavTable, integrated, seconds_since
+from alight.checks.features import grid_of, moved
 from alight.geometry import Pose
 from alight.spread import robust_sigma
 
-LEAST_PAIRS = 8
 STEEP = 0.3  # of n . z: a camera whose axis is nearer to the horizon sees no level ground
-BIAS_SIGMA, FREE_BIAS = 1.5e-3, 0.03  # rad/s: known from the attitude, or not
-SLOPE = 0.12  # 1-sigma of the slope of the ground: a slope looks like a mounting that is tilted
-_PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, *[FREE_BIAS] * 3, SLOPE, SLOPE])  # sigma: s, rad, 1, rad/s, 1
-_STEPS = np.array([2e-3, *[1e-3] * 9])
+FREE_BIAS = 0.03  # rad/s, 1-sigma of a bias that no attitude shows
+# the parameters of a fit: time offset s, mounting rad, log of the focal length, bias rad/s, slope of the ground
 OFFSET, MOUNTING, FOCAL, BIAS, GROUND = 0, slice(1, 4), 4, slice(5, 8), slice(8, 10)
-BLOCKS = 10  # of the recording; the spread of their results gives the sigma
-NOISE_PX = 0.15  # of the flow, at least
+_PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, FREE_BIAS, FREE_BIAS, FREE_BIAS, 0.12, 0.12])  # 1-sigma
+_STEPS = np.array([2e-3, *[1e-3] * 9])
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,26 +52,24 @@ class BodyMotion:
 
 def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | None:
     """Gather gyroscope and GPS/INS; None if there is neither a gyroscope nor an attitude."""
-    known = nav.known("world_from_body")
-    known = known.where(increasing(known.t_ns))
-    t = seconds_since(known.t_ns, origin_ns)
+    known, inertial = nav.measured("world_from_body").in_order(), imu.in_order()
+    t, s = (seconds_since(table.t_ns, origin_ns) for table in (known, inertial))
     attitude = Slerp(t, Rotation.from_matrix(known.world_from_body)) if len(t) > 2 else None
-    at = increasing(imu.t_ns)
-    s = seconds_since(imu.t_ns[at], origin_ns)
     if len(s) > 20:
-        turning, by = Slerp(s, integrated(s, imu.angular_velocity_body[at])), "gyroscope"
+        turning, by = Slerp(s, integrated(s, inertial.angular_velocity_body)), "gyroscope"
     elif attitude is not None:
         s, turning, by = t, attitude, "attitude of GPS/INS"
     else:
         return None
     span = (float(s[0]), float(s[-1]))
     bias, sigma = _bias(turning, attitude, s, t) if attitude is not None else (np.zeros(3), FREE_BIAS)
-    moving = nav.known("velocity_world")
+    motion = BodyMotion(turning, by, attitude, s, None, origin_ns, span, bias, sigma)
+    moving = nav.measured("velocity_world")
     if len(moving.t_ns) < 3 or attitude is None:
-        return BodyMotion(turning, by, attitude, s, None, origin_ns, span, bias, sigma)
+        return motion
     v = seconds_since(moving.t_ns, origin_ns)
     span = max(span[0], v[0], t[0]), min(span[1], v[-1], t[-1])
-    return BodyMotion(turning, by, attitude, v, moving.velocity_world, origin_ns, span, bias, sigma)
+    return replace(motion, seconds=v, velocity_world=moving.velocity_world, span=span)
 
 
 def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
@@ -85,39 +81,15 @@ def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
     off = one - two
     bias = np.median(off, axis=0)
     spread = robust_sigma(off - bias)
-    return bias, float(np.clip(spread / np.sqrt(len(begin) / 2), BIAS_SIGMA, FREE_BIAS))
-
-
-def seconds_since(t_ns: I64, origin_ns: int) -> F64:
-    """Return times (N,) in seconds from an origin."""
-    return np.asarray((t_ns - origin_ns).astype(np.float64) * 1e-9)
-
-
-def increasing(t_ns: I64) -> Mask:
-    """Mark the times that are later than all before."""
-    top = np.maximum.accumulate(t_ns) if len(t_ns) else t_ns
-    return np.asarray(np.concatenate([np.ones(min(len(t_ns), 1), bool), t_ns[1:] > top[:-1]]), dtype=bool)
-
-
-def integrated(seconds: F64, rates: F64) -> Rotation:
-    """Integrate a gyroscope's rates (N, 3) to (N,) orientations."""
-    turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
-    path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
-    reach = 1
-    while reach < len(seconds):  # products of 2, 4, 8, ... steps (Hillis and Steele 1986)
-        path = Rotation.concatenate([path[:reach], path[:-reach] * path[reach:]])
-        reach *= 2
-    return path
+    return bias, float(np.clip(spread / np.sqrt(len(begin) / 2), 1.5e-3, FREE_BIAS))
 
 
 @dataclass(frozen=True, eq=False)
 class FlowFit:
     """Mounting, clock and lens of one camera, estimated from its flow."""
 
-    parameters: F64  # (10,) time offset s, mounting rad (3), log of the focal length, bias rad/s (3), slope (2)
+    parameters: F64  # (10,) see `OFFSET`
     sigma: F64  # (10,)
-    residual: float  # px, median over the pairs
-    flow: float  # px, median over the pairs
     unexplained: float  # share of the flow that is left with these parameters
     depth_seconds: F64  # (K,)
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
@@ -154,8 +126,8 @@ class PredictedFlow:
 
     def turned(self, mounting: Pose) -> PredictedFlow:
         """Return a copy with another mounting."""
-        out = object.__new__(PredictedFlow)
-        out.__dict__ |= self.__dict__ | {"_mounting": mounting}
+        out = copy(self)
+        out._mounting = mounting
         return out
 
     def looks_down(self) -> float | None:
@@ -239,20 +211,17 @@ class PredictedFlow:
                 break
         r, A, g, scores = self._normal(p)
         inverse = np.linalg.inv(A)
-        blocks = np.array_split(scores, min(BLOCKS, len(scores)))
+        blocks = np.array_split(scores, min(10, len(scores)))  # the spread of their results gives the sigma
         G = np.array([b.sum(axis=0) for b in blocks])
         spread = inverse @ (G.T @ G) @ inverse
         sigma = np.sqrt(np.maximum(np.diag(spread), np.diag(inverse)))
-        lengths = _length(r)
         calibrated = self._centre.copy()
         calibrated[OFFSET], calibrated[GROUND] = p[OFFSET], p[GROUND]
         depth = self.residuals(calibrated)[1]
-        flow = float(np.median(self.flow))
-        return FlowFit(
-            p, sigma, float(np.median(lengths)), flow, float(np.median(lengths)) / max(flow, 1e-6),
-            0.5 * (self._begin + self._end), depth,
-            self._normals(calibrated), self._motion.origin_ns,
-        )  # fmt: skip
+        unexplained = float(np.median(_length(r))) / max(float(np.median(self.flow)), 1e-6)
+        middle = 0.5 * (self._begin + self._end)
+        normals = self._normals(calibrated)
+        return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns)
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
         """Residuals, normal matrix and gradient with priors, and the (K, 10) gradients of the pairs."""
@@ -260,7 +229,7 @@ class PredictedFlow:
         J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
                       for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 10)  # fmt: skip
         length = _length(r)
-        scale = max(float(np.median(length)), NOISE_PX)
+        scale = max(float(np.median(length)), 0.15)  # px
         w = 1.0 / (scale**2 * (1.0 + (length / (2.0 * scale)) ** 2) ** 2)
         w = w / 4.0  # nine flows of one homography are not eighteen measurements
         A = np.einsum("k,kri,krj->ij", w, J, J) + np.diag(1.0 / self._priors**2)

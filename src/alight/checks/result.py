@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 
@@ -49,3 +49,29 @@ def warning(name: str, evidence: str, mend: str) -> CheckResult:
 def unknown(name: str, why: str) -> CheckResult:
     """Result of a check that the recording does not allow."""
     return CheckResult(name, Judged.UNKNOWN, why)
+
+
+@dataclass
+class Check:
+    """A check in progress: what was measured, and the remedies of the faults that this shows."""
+
+    name: str
+    measured: list[str] = field(default_factory=list)
+    remedies: list[str] = field(default_factory=list)
+    incomplete: bool = False  # a part could not be measured
+    separator: str = "; "
+
+    def judge(self, *rows: tuple[bool, str] | tuple[bool, str, str]) -> None:
+        """Hold measurements against their limits: (beyond the limit, remedy), with words that only a fault needs."""
+        for is_fault, remedy, *words in rows:
+            if is_fault:
+                self.remedies.append(remedy)
+                self.measured += words
+
+    @property
+    def result(self) -> CheckResult:
+        """Bad with a remedy, unknown if incomplete, else good."""
+        evidence = self.separator.join(self.measured)
+        if self.remedies:
+            return bad(self.name, evidence, "; ".join(self.remedies))
+        return unknown(self.name, evidence) if self.incomplete else good(self.name, evidence)

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from alight.arrays import F64
-from alight.checks.evidence import RigMatches
-from alight.checks.matches import LEAST, on_one_geometry
+from alight.checks.evidence import RigMatches, trimmed_rms
+from alight.checks.features import LEAST_MATCHES, on_one_geometry
 from alight.checks.navigation import quarter_turns
 from alight.checks.predicted_flow import STEEP, FlowFit
 from alight.checks.result import CheckResult, bad, good, unknown
@@ -23,10 +23,7 @@ from alight.spread import nmad
 from alight.tracks import inverse_depth
 
 RESIDUAL = 1.0  # px, RMS from the epipolar line that a rig may have
-PATTERN = 0.6  # px likewise, where a turn of the second camera explains most of it
 DISPARITY = 2.5  # px, below which the sign of the depth is not significant
-PRIOR = 1.5  # px for each rad: constrains turns on which the residuals do not depend
-OFF, SHARE = 1.0, 0.25  # px and share by which the disparity may differ from that of the flow: ground has relief
 
 EXCHANGE = "exchange the folders cam0 and cam1 (or the cables); the calibrations stay"
 
@@ -38,6 +35,11 @@ class CameraPair:
     first: F64  # (N, 2)
     other: F64  # (N, 2)
     focal: float  # px
+
+    @classmethod
+    def of_pixels(cls, first: Camera, other: Camera, a: F64, b: F64) -> CameraPair:
+        """Matches in pixels of two cameras."""
+        return cls(first.rays(a)[:, :2], other.rays(b)[:, :2], first.fu)
 
     def residuals(self, other_from_first: Pose) -> F64:
         """(N,) signed px from the epipolar line, the mean of both pictures (Sampson)."""
@@ -53,22 +55,6 @@ class CameraPair:
         return rho, rho * arm * self.focal
 
 
-def trimmed_rms(values: F64) -> float:
-    """Root of the mean square of the smallest 95 %."""
-    squares = np.sort(np.asarray(values) ** 2)
-    return float(np.sqrt(squares[: max(1, int(0.95 * len(squares)))].mean()))
-
-
-def relation(first: Pose, other: Pose) -> Pose:
-    """`other_from_first` of two mountings."""
-    return other.inverse @ first
-
-
-def seen_by(first: Camera, other: Camera, a: F64, b: F64) -> CameraPair:
-    """Matches (px) of two cameras, as normalised coordinates."""
-    return CameraPair(first.rays(a)[:, :2], other.rays(b)[:, :2], first.fu)
-
-
 @dataclass(frozen=True, eq=False)
 class StereoCase:
     """Two cameras with their matches, outliers taken out."""
@@ -82,7 +68,7 @@ class StereoCase:
     @property
     def as_is(self) -> Pose:
         """`other_from_first` as calibrated."""
-        return relation(self.first.body_from_cam, self.other.body_from_cam)
+        return self.other.body_from_cam.inverse @ self.first.body_from_cam
 
 
 def check_stereo(rig: Rig, found: RigMatches, flow: FlowFit | None) -> CheckResult:
@@ -93,11 +79,11 @@ def check_stereo(rig: Rig, found: RigMatches, flow: FlowFit | None) -> CheckResu
     """
     first, other = rig.cameras[0], rig.cameras[found.camera]
     name = f"stereo {first.name} {other.name}"
-    if len(found.first) < LEAST:
-        return unknown(name, f"{len(found.first)} matches in {found.pairs} pairs of pictures, needs {LEAST}")
-    pair = seen_by(first.camera, other.camera, found.first, found.other)
+    if len(found.first) < LEAST_MATCHES:
+        return unknown(name, f"{len(found.first)} matches in {found.pairs} pairs of pictures, needs {LEAST_MATCHES}")
+    pair = CameraPair.of_pixels(first.camera, other.camera, found.first, found.other)
     rigid = on_one_geometry(pair.first, pair.other, pair.focal)
-    if rigid.sum() < max(LEAST, 0.3 * len(rigid)):
+    if rigid.sum() < max(LEAST_MATCHES, 0.3 * len(rigid)):
         return unknown(name, f"only {rigid.sum()} of {len(rigid)} matches follow one geometry")
     found = replace(found, t_ns=found.t_ns[rigid], first=found.first[rigid], other=found.other[rigid])
     case = StereoCase(name, first, other, found, CameraPair(pair.first[rigid], pair.other[rigid], pair.focal))
@@ -113,7 +99,7 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
         f"{len(off)} matches in {case.found.pairs} pairs, epipolar residual {np.median(np.abs(off)):.2f} px in the "
         f"median, {own:.2f} px RMS"
     )
-    exchanged = seen_by(case.other.camera, case.first.camera, case.found.first, case.found.other)
+    exchanged = CameraPair.of_pixels(case.other.camera, case.first.camera, case.found.first, case.found.other)
     swapped, front = trimmed_rms(exchanged.residuals(case.as_is.inverse)), exchanged.depths(case.as_is.inverse)[0] > 0
     rho, disparity = case.pair.depths(case.as_is)
     behind, shift = float((rho < 0).mean()), float(np.median(np.abs(disparity)))
@@ -127,7 +113,7 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
             f"with the cameras exchanged the residual is {swapped:.2f} px"
         )
         return _reversed(case.name, evidence, own, swapped)
-    if own > RESIDUAL or (own > PATTERN and fitted_turn(case.pair, case.as_is, False)[1] < 0.4 * own):
+    if own > RESIDUAL or (own > 0.6 and fitted_turn(case.pair, case.as_is, False)[1] < 0.4 * own):
         return _stale(case, evidence, own)
     if flow is None or not len(flow.inverse_depth) or not np.isfinite(flow.inverse_depth).all():
         if shift < DISPARITY:
@@ -152,9 +138,9 @@ def _quarter_turn(case: StereoCase) -> str:
     found = []
     for k, cam in enumerate((case.first, case.other)):
         for m in quarter_turns()[1:]:
-            turned = Pose(cam.body_from_cam.rotation @ m, cam.body_from_cam.translation)
-            first = turned if k == 0 else case.first.body_from_cam
-            pose = relation(first, turned if k == 1 else case.other.body_from_cam)
+            mountings = [case.first.body_from_cam, case.other.body_from_cam]
+            mountings[k] = Pose(mountings[k].rotation @ m, mountings[k].translation)
+            pose = mountings[1].inverse @ mountings[0]
             if (case.pair.depths(pose)[0] > 0).mean() > 0.7:
                 found.append((trimmed_rms(case.pair.residuals(pose)), turn_words(cam.name, m)))
     least = min((r for r, _ in found), default=np.inf)
@@ -191,7 +177,7 @@ def fitted_turn(pair: CameraPair, as_is: Pose, lens: bool) -> tuple[F64, float]:
 
     def cost(p: F64) -> F64:
         full = p if lens else np.append(p, 0.0)
-        return np.concatenate([residuals(full), full * PRIOR * np.sqrt(len(pair.first))])
+        return np.concatenate([residuals(full), full * 1.5 * np.sqrt(len(pair.first))])
 
     found = least_squares(cost, np.zeros(4 if lens else 3), loss="soft_l1", f_scale=1.0, x_scale=0.01).x
     best = found if lens else np.append(found, 0.0)
@@ -222,25 +208,25 @@ def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
     normals = np.stack([np.interp(seconds, flow.depth_seconds, n) for n in flow.normals.T], axis=-1)
     ratio = (normals[:, :2] * case.pair.first).sum(axis=1) / normals[:, 2] + 1.0  # of the depth on the optical axis
     level = (ratio > 0.4) & (ratio < 2.5) & (normals[:, 2] < -STEEP)
-    if level.sum() < LEAST or len(np.unique(at[level])) < len(times):
+    if level.sum() < LEAST_MATCHES or len(np.unique(at[level])) < len(times):
         return good(case.name, f"{evidence}, {100 * (rho > 0).mean():.0f} % of the depths are positive")
     stereo = np.array([np.median((rho / ratio)[level & (at == k)]) for k in range(len(times))])
     arm = np.array([np.median((disparity / rho)[level & (at == k)]) for k in range(len(times))])  # px m
     expected = np.interp(times, flow.depth_seconds, _smooth(flow.inverse_depth))
     error = (stereo - expected) * arm
     off, sigma = float(np.median(error)), nmad(error) / np.sqrt(max(len(error) - 1, 1))
-    said = float(np.median(expected * arm))
-    evidence += f", disparity {said + off:.2f} px where flow and GPS/INS give {said:.2f} px"
-    share = SHARE / float(np.median(-normals[:, 2])) ** 2  # relief shows more in an oblique view
-    limit = max(OFF, share * abs(said), 4.0 * sigma, 4.0 * abs(said) * flow.depth_error)
+    expected_px = float(np.median(expected * arm))
+    evidence += f", disparity {expected_px + off:.2f} px where flow and GPS/INS give {expected_px:.2f} px"
+    share = 0.25 / float(np.median(-normals[:, 2])) ** 2  # relief shows more in an oblique view
+    limit = max(1.0, share * abs(expected_px), 4.0 * sigma, 4.0 * abs(expected_px) * flow.depth_error)
     if len(error) < 4 or abs(off) < limit:
         return good(case.name, evidence)
     base = float(np.linalg.norm(case.as_is.translation))
     words = (
         f"the cameras are turned towards each other by {1e3 * off / case.pair.focal:+.1f} mrad against the calibration"
     )
-    if said > 0.5 and said + off > 0:
-        words += f", or the base is {base * (said + off) / said:.3f} m instead of {base:.3f} m"
+    if expected_px > 0.5 and expected_px + off > 0:
+        words += f", or the base is {base * (expected_px + off) / expected_px:.3f} m instead of {base:.3f} m"
     mend = "measure the base; if it is right, calibrate the turn between the cameras again"
     return bad(case.name, f"{evidence}: {words}", mend)
 

@@ -6,8 +6,8 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 try:
-    from alight.cli.app import call, main, progress_bar, read_settings
+    from alight.cli.app import call, main
 except KeyboardInterrupt:  # Ctrl-C in the first second or two
     raise SystemExit(130) from None
 
-__all__ = ["call", "main", "progress_bar", "read_settings"]
+__all__ = ["call", "main"]

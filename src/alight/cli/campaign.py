@@ -7,20 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from alight.cli.app import (
-    WRONG,
-    OutOption,
-    SetOption,
-    SettingsOption,
-    VerboseOption,
-    app,
-    complain,
-    read_settings,
-    say,
-)
-from alight.records import InputError, p_safe_text
-from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS
-from alight.records.telemetry import FirmwareName
+from alight.cli import options
+from alight.cli.app import ExitCode, app
+from alight.cli.terminal import print_line, print_stderr
 
 if TYPE_CHECKING:
     from alight.trials.campaign import Campaign, Ended
@@ -28,7 +17,7 @@ if TYPE_CHECKING:
 
 @app.command()
 def campaign(
-    out: OutOption,
+    out: options.Out,
     scenes: Annotated[
         list[str] | None, typer.Argument(metavar="SCENES", help="Names, scene files, or 'all'; none: go on with OUT.")
     ] = None,
@@ -36,10 +25,8 @@ def campaign(
         list[str] | None,
         typer.Option("--world", metavar="PACKAGE.MODULE:FACTORY", help="A world of another package; may be repeated."),
     ] = None,
-    landings: Annotated[int | None, typer.Option(min=1, max=MOST_LANDINGS, help="How many landings; 20.")] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=LARGEST_SEED, help="Of everything that chance decides; 0.")
-    ] = None,
+    landings: Annotated[int | None, typer.Option(min=1, max=100_000, help="How many landings; 20.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything that chance decides; 0.")] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that fly landings on this machine.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster instead: tcp://host:8786.")
@@ -51,19 +38,18 @@ def campaign(
     link_faults: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the landings with a takeover, a lost link, refused modes.")
     ] = 0.0,
-    autopilot: Annotated[
-        FirmwareName, typer.Option(help="Whose dialect the simulated autopilot speaks.")
-    ] = "ardupilot",
+    autopilot: options.Firmware = "ardupilot",
     compare: Annotated[
         Path | None, typer.Option(metavar="OTHER", help="Another campaign, for a table of both.")
     ] = None,
-    settings: SettingsOption = None,
-    assign: SetOption = None,
-    verbose: VerboseOption = False,
+    settings: options.SettingsFile = None,
+    assign: options.Assignments = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Fly many simulated landings in closed loop and report their outcomes; an interrupted campaign is continued."""
     assign = [*(assign or []), *([] if look_again is None else [f"executive.look_again={str(look_again).lower()}"])]
-    chosen = read_settings(settings, assign)
+    chosen = options.read_settings(settings, assign)
+    from alight.records import InputError
     from alight.trials import campaign as runner
 
     if wrong := [w for w in worlds or [] if not runner.is_factory(w)]:
@@ -78,35 +64,37 @@ def campaign(
     if only is not None:
         _again(planned, out, only)
         return
-    numbers = runner.fly_campaign(planned, out, jobs, scheduler, compare, _tell)
+    numbers = runner.fly_campaign(planned, out, jobs, scheduler, compare, print_landing)
     for line in runner.outcome_lines(numbers):
-        say(line)
+        print_line(line)
     if compare is not None:
         for name, one, two in runner.comparison(numbers, runner.numbers_in(compare)):
-            say(f"{name:<34} {one:>10} {two:>10}")
-    say(f"report: {out / 'campaign.html'}")
+            print_line(f"{name:<34} {one:>10} {two:>10}")
+    print_line(f"report: {out / 'campaign.html'}")
     if failed := numbers.outcomes["failed"]:
-        complain(f"{failed} landings failed: the report says why, and counts nothing of them as safe", "bold red")
-        raise typer.Exit(WRONG)
+        print_stderr(f"{failed} landings failed: the report says why, and counts nothing of them as safe", "bold red")
+        raise typer.Exit(ExitCode.FAULT_FOUND)
 
 
 def _again(planned: Campaign, out: Path, only: int) -> None:
     from alight.trials import campaign as runner
 
     found = runner.again(planned, out, only)
-    say(found.record.model_dump_json())
+    print_line(found.record.model_dump_json())
+    fault = f"was not compared: {found.not_compared}" if found.not_compared is not None else ""
     if found.differing:
-        complain(f"landing {only} is not as in {out}: {', '.join(found.differing)}", "bold red")
-        raise typer.Exit(WRONG)
-    if found.not_compared is not None:
-        complain(f"landing {only} was not compared: {found.not_compared}", "bold red")
-        raise typer.Exit(WRONG)
+        fault = f"is not as in {out}: {', '.join(found.differing)}"
+    if fault:
+        print_stderr(f"landing {only} {fault}", "bold red")
+        raise typer.Exit(ExitCode.FAULT_FOUND)
 
 
-def _tell(ended: Ended) -> None:
+def print_landing(ended: Ended) -> None:
     """Print a line on stderr for a landing that has ended."""
+    from alight.records import p_safe_text
+
     r = ended.record
-    told = [
+    parts = [
         f"#{r.number} {r.conditions.scene}: {r.outcome}",
         r.error or r.why if r.outcome != "landed safely" else "",
         "" if r.p_at_commit is None else f"P(safe) {p_safe_text(r.p_at_commit)}",
@@ -116,7 +104,7 @@ def _tell(ended: Ended) -> None:
         f"{_clock(ended.left_s)} left" if ended.done < ended.of else "",
     ]
     style = "none" if r.is_right else "yellow"
-    complain(", ".join([f"{ended.done}/{ended.of}", *filter(None, told)]), style)
+    print_stderr(", ".join([f"{ended.done}/{ended.of}", *filter(None, parts)]), style)
 
 
 def _clock(seconds: float) -> str:

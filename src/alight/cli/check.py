@@ -5,22 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from alight.cli.app import (
-    WRONG,
-    SetOption,
-    SettingsOption,
-    VerboseOption,
-    app,
-    complain,
-    progress_bar,
-    read_settings,
-    say,
-)
-from alight.records import PhotoRow
+from alight.cli import options
+from alight.cli.app import ExitCode, app
+from alight.cli.terminal import print_line, print_stderr, progress_bar
 
 
 @app.command()
@@ -31,38 +22,35 @@ def check(
     seconds: Annotated[float, typer.Option(min=1.0, help="How much of the recording is read.")] = 10.0,
     start: Annotated[float, typer.Option(min=0.0, help="Seconds from the first exposure at which to begin.")] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False,
-    settings: SettingsOption = None,
-    assign: SetOption = None,
-    verbose: VerboseOption = False,
+    settings: options.SettingsFile = None,
+    assign: options.Assignments = None,
+    verbose: options.Verbose = False,
 ) -> None:
     """Find faults of a rig: cameras, mounting, clocks, units, lenses; the exit code is 3 if a check is bad.
 
     Of photos: the facts in their tags, one line a photo.
     """
-    chosen = read_settings(settings, assign)
+    chosen = options.read_settings(settings, assign)
     from alight.checks.checking import check_source
     from alight.checks.result import Judged
     from alight.runner.opening import open_source
 
     recording = open_source(source, chosen)
     if recording.photos:
-        _tell_photos([PhotoRow(p, None) for p in recording.photos], recording.warnings, as_json)
+        from alight.records import PhotoRow
+
+        for w in recording.warnings:
+            print_stderr(f"warning: {w}")
+        rows = [PhotoRow(p, None) for p in recording.photos]
+        _print_rows([row.line for row in rows], [row.as_json() for row in rows], as_json)
         return
-    with progress_bar() as tell:
-        found = check_source(recording, seconds, start, lambda share: tell("checking", share))
-    if as_json:
-        say(json.dumps([asdict(r) for r in found], indent=1))
-    for result in () if as_json else found:
-        say(result.line)
+    with progress_bar() as report:
+        found = check_source(recording, seconds, start, lambda share: report("checking", share))
+    _print_rows([r.line for r in found], [asdict(r) for r in found], as_json)
     if any(r.verdict is Judged.BAD for r in found):
-        raise typer.Exit(WRONG)
+        raise typer.Exit(ExitCode.FAULT_FOUND)
 
 
-def _tell_photos(rows: list[PhotoRow], warnings: list[str], as_json: bool) -> None:
-    """Print the facts about each photo on stdout, the warnings on stderr."""
-    for w in warnings:
-        complain(f"warning: {w}", "yellow")
-    if as_json:
-        say(json.dumps([row.as_json() for row in rows], indent=1))
-    for row in () if as_json else rows:
-        say(row.line)
+def _print_rows(lines: list[str], records: list[dict[str, Any]], as_json: bool) -> None:
+    for line in [json.dumps(records, indent=1)] if as_json else lines:
+        print_line(line)

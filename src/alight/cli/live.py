@@ -6,27 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.live import Live as Display
-from rich.text import Text
 
-from alight.cli.answers import leave_result
-from alight.cli.app import (
-    ForceOption,
-    GeoidOption,
-    HomeOption,
-    OutOption,
-    RecordOption,
-    RigOption,
-    SeparationOption,
-    SetOption,
-    SettingsOption,
-    VerboseOption,
-    app,
-    complain,
-    read_settings,
-    refuse_unused,
-    stderr,
-)
+from alight.cli import options
+from alight.cli.app import app
+from alight.cli.terminal import live_table, print_stderr, save_result
 
 
 @app.command()
@@ -38,28 +21,27 @@ def live(
             help="A flight log, a recording (.mcap), a folder being filled, or cameras: camera:0,camera:2",
         ),
     ],
-    out: OutOption,
+    out: options.Out,
     speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: 2 is twice as fast as it was.")] = 1.0,
     follow: Annotated[
         bool, typer.Option("--follow", help="The folder is being filled; 10 s without anything new end it.")
     ] = False,
-    rig: RigOption = None,
+    rig: options.Rig = None,
     telemetry: Annotated[
         str | None, typer.Option(metavar="LINK", help="Autopilot that gives GPS/INS: udp:0.0.0.0:14550.")
     ] = None,
-    separation: SeparationOption = None,
-    home: HomeOption = None,
-    geoid: GeoidOption = None,
-    record: RecordOption = True,
-    settings: SettingsOption = None,
-    assign: SetOption = None,
-    force: ForceOption = False,
-    verbose: VerboseOption = False,
+    separation: options.Separation = None,
+    home: options.ArmedAt = None,
+    geoid: options.Geoid = None,
+    record: options.Record = True,
+    settings: options.SettingsFile = None,
+    assign: options.Assignments = None,
+    force: options.Force = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
-    chosen = read_settings(settings, assign)
-    refuse_unused(source, follow, rig, speed)
-    from alight.flight.live.health import FlightHealth
+    chosen = options.read_settings(settings, assign)
+    options.refuse_unused(source, follow, rig, speed)
     from alight.flight.live.run import fly_live
     from alight.runner.live import open_live
     from alight.runs import flown_home, wanted_home, with_home
@@ -71,17 +53,13 @@ def live(
 
         opened = with_telemetry(opened, telemetry, separation)
     compile_if_cold()  # a lane that compiles does not answer
-    with Display(console=stderr, transient=True, auto_refresh=False) as display:
-
-        def tell(health: FlightHealth) -> None:
-            if stderr.is_terminal:
-                display.update(Text(health.line), refresh=True)
-
-        inputs = [path] if (path := Path(source)).is_file() else []
+    inputs = [path] if (path := Path(source)).is_file() else []
+    with live_table() as show:
         result = fly_live(
-            opened.source, opened.events, out, chosen, record, opened.real_time, force, tell, inputs=inputs
-        )
-    leave_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
+            opened.source, opened.events, out, chosen, record, opened.real_time, force,
+            lambda health: show((), [health.line]), inputs=inputs,
+        )  # fmt: skip
+    save_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
 
 
 def compile_if_cold() -> None:
@@ -91,5 +69,5 @@ def compile_if_cold() -> None:
     if not compiled.is_warm():
         from alight.trials.warmup import compile_kernels
 
-        complain("loops are compiled before the flight, once; 'alight warmup' does it ahead of time", "yellow")
+        print_stderr("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
         compile_kernels(lambda stage, share: None)

@@ -7,18 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from alight.cli.app import SeedOption, VerboseOption, app, progress_bar, say
-from alight.documents import DocumentError, parse_yaml, read_text
-from alight.records import InputError, SettingsError
+from alight.cli import options
+from alight.cli.app import app
+from alight.cli.terminal import print_line, progress_bar
 
 if TYPE_CHECKING:  # the simulator is slow to import, and most commands do not need it
     from alight_sim.scene import Scene
 
-PICTURE = 32, 12  # characters, columns and rows: two pixels a character, one above the other
 SHORTCUTS = {"height": "flight.height", "duration": "flight.duration", "speed": "flight.speed"}
 
 
@@ -28,7 +24,7 @@ def simulate(
         str | None, typer.Argument(metavar="SCENE", help="A scene file (YAML), or the name of a built-in scene.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FLIGHT", help="Folder for the flight log.")] = None,
-    seed: SeedOption = 0,
+    seed: options.Seed = 0,
     show: Annotated[bool, typer.Option("--list", help="Show the built-in scenes.")] = False,
     keys: Annotated[bool, typer.Option("--keys", help="Print every key of a scene file, as Markdown.")] = False,
     height: Annotated[float | None, typer.Option(help="Metres above the ground, instead of the scene's.")] = None,
@@ -39,11 +35,11 @@ def simulate(
         typer.Option("--set", metavar="KEY=VALUE", help="One key of the scene: light.clouds.share=0.4."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a simulated flight of that name.")] = False,
-    verbose: VerboseOption = False,
+    verbose: options.Verbose = False,
 ) -> None:
     """Make a flight over simulated ground, with exact truth."""
     if show or keys:
-        _list() if show else _keys()
+        _print_scenes() if show else _print_keys()
         return
     if scene is None or out is None:
         raise typer.BadParameter("needs SCENE and --out FLIGHT; --list shows the built-in scenes")
@@ -55,19 +51,19 @@ def simulate(
 def _make(scene: Scene, seed: int, out: Path, force: bool) -> None:
     import alight_sim as simulator
 
-    with progress_bar() as tell:
-        tell("world", 0.0)
+    with progress_bar() as report:
+        report("world", 0.0)
         flight = simulator.fly(scene, seed)
-        tell("world", 1.0)
-        simulator.write(flight, out, lambda done, total: tell("flying", done / total), overwrite=force)
+        report("world", 1.0)
+        simulator.write(flight, out, lambda done, total: report("flying", done / total), overwrite=force)
     cameras = len(flight.rig.cameras)
-    say(
+    print_line(
         f"flight: {out}  ({scene.name}, seed {seed}: {flight.seconds:.1f} s, {flight.length} exposures of "
         f"{cameras} camera{'s' if cameras > 1 else ''}, truth beside them)"
     )
     results = out.with_name(f"{out.name}-run") if out.name not in ("", "..") else Path("run")
     made, found = shlex.quote(str(out)), shlex.quote(str(results))
-    say(f"go on:  alight run {made} --out {found} && alight evaluate {found} --truth {made}")
+    print_line(f"go on:  alight run {made} --out {found} && alight evaluate {found} --truth {made}")
 
 
 def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
@@ -79,6 +75,8 @@ def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
         InputError: there is no such scene, or it cannot be read.
         SettingsError: an assignment names no key, or its value is out of range.
     """
+    from alight.documents import parse_yaml, read_text
+    from alight.records import InputError, SettingsError
     from alight_sim.scene import built_in, parse_scene, read_scene
 
     path = built_in().get(scene, Path(scene))
@@ -105,6 +103,9 @@ def _item(part: str) -> int:
 
 def _assign(tree: dict[str, Any], assignment: str) -> None:
     """Put one value into the tree of a scene; items of a list are counted from 1."""
+    from alight.documents import DocumentError, parse_yaml
+    from alight.records import SettingsError
+
     key, sep, value = assignment.partition("=")
     if not sep or not all(part.strip() for part in key.split(".")):
         raise SettingsError(f"--set takes key=value, got {assignment!r}")
@@ -122,13 +123,16 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
         raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
 
 
-def _keys() -> None:
+def _print_keys() -> None:
     from alight_sim.keys import reference
 
-    say(reference().rstrip("\n"))
+    print_line(reference().rstrip("\n"))
 
 
-def _list() -> None:
+def _print_scenes() -> None:
+    from rich.console import Console
+
+    from alight.cli.display import scene_card
     from alight_sim.scene import FOLDER, built_in, read_scene
 
     console = Console()
@@ -136,33 +140,7 @@ def _list() -> None:
     for name, path in built_in().items():
         scene, picture = read_scene(path), FOLDER / "pictures" / f"{name}.jpg"
         if colour and picture.exists():
-            console.print(_card(name, scene.description, picture))
+            console.print(scene_card(name, scene.description, picture))
         else:
-            say(f"{name:<12} {scene.description}")
-            say(f"{'':<12} {picture if picture.exists() else path}")
-
-
-def _card(name: str, description: str, picture: Path) -> Table:
-    """A scene for a terminal: its picture in half blocks, its name and its description beside it."""
-    table = Table.grid(padding=(0, 2))
-    table.add_column(min_width=PICTURE[0], no_wrap=True)
-    table.add_column()
-    table.add_row(blocks(picture), Text.assemble((f"\n{name}\n\n", "bold"), description))
-    return table
-
-
-def blocks(picture: Path) -> Text:
-    """A picture as coloured half-block characters: the upper pixel is the letter's colour, the lower its ground's."""
-    import cv2
-
-    cols, rows = PICTURE
-    image = cv2.imread(str(picture), cv2.IMREAD_COLOR_RGB)
-    if image is None:
-        return Text()
-    small = cv2.resize(image, (cols, 2 * rows), interpolation=cv2.INTER_AREA).tolist()
-    out = Text(no_wrap=True)
-    for upper, lower in zip(small[::2], small[1::2], strict=True):
-        for a, b in zip(upper, lower, strict=True):
-            out.append("▀", style=f"rgb({a[0]},{a[1]},{a[2]}) on rgb({b[0]},{b[1]},{b[2]})")
-        out.append("\n")
-    return out
+            print_line(f"{name:<12} {scene.description}")
+            print_line(f"{'':<12} {picture if picture.exists() else path}")

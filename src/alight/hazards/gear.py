@@ -14,7 +14,7 @@ from alight.hazards import contact_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
 from alight.hazards.contact import Footprint
 from alight.raster import disc_spans
-from alight.raster.disc import RIM
+from alight.raster import RIM
 from alight.settings import Lander
 
 COARSE = 3.0  # cells between the rails, or the ends of one, below which rounding to cells spoils the tilt

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from alight.arrays import F32, Mask
-from alight.raster import close_mask, weighted_gaussian
-from alight.raster.smoothing import LEAST_SHARE
+from alight.raster import LEAST_SHARE, close_mask, weighted_gaussian
 from alight.records import ElevationMap, Flag, is_flagged
 from alight.settings import HazardsSettings, Lander
 

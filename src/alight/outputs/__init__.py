@@ -3,12 +3,10 @@
 from alight.outputs.file_store import FileStore
 from alight.outputs.folder import FILES, is_finished, prepare_folder, timing_summary, write_run
 from alight.outputs.rasters import ellipsoidal_height
-from alight.records import RunResult
 
 __all__ = [
     "FILES",
     "FileStore",
-    "RunResult",
     "ellipsoidal_height",
     "is_finished",
     "prepare_folder",

@@ -8,29 +8,21 @@ from pathlib import Path
 
 from alight.records import OutputError
 
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+ANOTHER = "choose another folder with --out"
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
     """Convert an error of the operating system into one line that a user can act on."""
-    if error.errno in _FULL:
-        return OutputError(f"{path}: the disk is full; free some space or choose another folder with --out")
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return OutputError(f"{path}: the disk is full; free some space or {ANOTHER}")
     if isinstance(error, PermissionError) or error.errno == errno.EROFS:
-        return OutputError(f"{path}: no permission to write; choose another folder with --out")
-    return OutputError(f"{path}: cannot be written ({error.strerror or error}); choose another folder with --out")
+        return OutputError(f"{path}: no permission to write; {ANOTHER}")
+    return OutputError(f"{path}: cannot be written ({error.strerror or error}); {ANOTHER}")
 
 
 def partial_path(path: Path) -> Path:
     """The name under which a file is written before it is whole."""
     return path.with_name(f".{path.name}.tmp")
-
-
-def _sync(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
 
 
 def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
@@ -50,10 +42,12 @@ def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
                 os.fsync(f.fileno())
         os.replace(part, path)
         if durable:
-            _sync(path.parent)
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
     except OSError as e:
-        part.unlink(missing_ok=True)
         raise output_error(path, e) from e
-    except BaseException:  # Ctrl-C
-        part.unlink(missing_ok=True)
-        raise
+    finally:
+        part.unlink(missing_ok=True)  # left by an error or Ctrl-C

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -13,33 +15,21 @@ import numpy as np
 
 from alight import __version__, report
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
-from alight.geometry import Grid
 from alight.outputs import plan, rasters, trajectory, vectors
-from alight.outputs.atomic_write import output_error, partial_path, write_whole
+from alight.outputs.atomic_write import ANOTHER, output_error, partial_path, write_whole
 from alight.outputs.folder_lock import LOCK, holds_folder, lock_folder, release_folder
-from alight.outputs.work_folder import WORK, is_work, remove_work
 from alight.records import ElevationMap, OutputError, RunResult
 
 log = logging.getLogger(__name__)
 
 RUN_JSON = "run.json"
 FILES = (
-    "dem.tif",
-    "flags.tif",
-    "ortho.tif",
-    "terrain.tif",
-    "safe.tif",
-    "reasons.tif",
-    "sites.geojson",
-    "route.plan",
-    "route.geojson",
-    "trajectory.tum",
-    "trajectory.csv",
-    "report.html",
+    *("dem.tif", "flags.tif", "ortho.tif", "terrain.tif", "safe.tif", "reasons.tif", "sites.geojson", "route.plan"),
+    *("route.geojson", "trajectory.tum", "trajectory.csv", "report.html"),
 )
-JUDGEMENT_FILES = ("hazards.tif", "heights.tif")  # besides, of `alight hazards`
-KNOWN = (RUN_JSON, *FILES, *JUDGEMENT_FILES)
+KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two of `alight hazards`
 BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
+WORK = "unfinished-work"  # folder of a run that was interrupted
 NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
 
 # a file's name -> the function that makes it, or the reason why it cannot be made
@@ -48,22 +38,19 @@ Contents = dict[str, Callable[[], bytes] | str]
 
 def _rasters(r: RunResult) -> Contents:
     crs = rasters.raster_crs(r.local, r.georeferenced)
+    files: Contents = {}
 
-    def tif(raster: rasters.RasterFile, grid: Grid) -> bytes:
-        return rasters.encode(raster, grid, crs)
+    def tif(make: Callable[[Any], rasters.RasterFile], part: Any) -> bytes:
+        return rasters.encode(make(part), crs)
 
-    files: Contents = dict.fromkeys(("dem.tif", "flags.tif", "ortho.tif"), "no heights were found")
-    files |= dict.fromkeys(("safe.tif", "reasons.tif"), "the ground was not judged")
-    files |= {"terrain.tif": "the kind of ground was not judged"}
-    if (e := r.elevation) is not None:
-        files["dem.tif"] = lambda: tif(rasters.dem_raster(e, r.local, r.georeferenced), e.grid)
-        files["flags.tif"] = lambda: tif(rasters.flags_raster(e), e.grid)
-        files["ortho.tif"] = lambda: tif(rasters.ortho_raster(e), e.grid)
-    if (t := r.terrain_as_mapped) is not None:
-        files["terrain.tif"] = lambda: tif(rasters.terrain_raster(t), t.grid)
-    if (h := r.hazards_as_mapped) is not None:
-        files["safe.tif"] = lambda: tif(rasters.safe_raster(h), h.grid)
-        files["reasons.tif"] = lambda: tif(rasters.reasons_raster(h), h.grid)
+    def add(part: Any, why: str, **makers: Callable[[Any], rasters.RasterFile]) -> None:
+        for name, make in makers.items():
+            files[f"{name}.tif"] = why if part is None else partial(tif, make, part)
+
+    dem = partial(rasters.dem_raster, local=r.local, georeferenced=r.georeferenced)
+    add(r.elevation, "no heights were found", dem=dem, flags=rasters.flags_raster, ortho=rasters.ortho_raster)
+    add(r.hazards_as_mapped, "the ground was not judged", safe=rasters.safe_raster, reasons=rasters.reasons_raster)
+    add(r.terrain_as_mapped, "the kind of ground was not judged", terrain=rasters.terrain_raster)
     return files
 
 
@@ -88,36 +75,31 @@ def _route(r: RunResult) -> Contents:
     return dict.fromkeys(("route.plan", "route.geojson"), why)
 
 
-def _trajectory(r: RunResult) -> Contents:
-    if not r.motions:
-        return dict.fromkeys(("trajectory.tum", "trajectory.csv"), "the motion was not estimated")
-    return {
-        "trajectory.tum": partial(trajectory.tum, r.motions),
-        "trajectory.csv": partial(trajectory.csv, r.motions),
-    }
+def report_file(result: RunResult) -> Contents:
+    """The report's file."""
+    return {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNENCODABLE)}
 
 
-def contents(result: RunResult) -> Contents:
+def contents(r: RunResult) -> Contents:
     """Every file but run.json, in the order of writing; the caller's own reasons win."""
-    report_html: Contents = {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNSPEAKABLE)}
+    names = ("trajectory.tum", "trajectory.csv")
+    motion: Contents = dict.fromkeys(names, "the motion was not estimated")
+    if r.motions:
+        makers = (trajectory.tum, trajectory.csv)
+        motion = {name: partial(make, r.motions) for name, make in zip(names, makers, strict=True)}
     # the answer first: on a full disk, the small and most important files still find room
-    files = _sites(result) | _route(result) | _trajectory(result) | _rasters(result) | report_html
-    return files | dict(result.not_written)
-
-
-def _seconds(steps: Any) -> dict[str, float]:
-    s = np.asarray(steps, dtype=np.float64)
-    return {
-        "steps": s.size,
-        "median_s": round(float(np.median(s)), 6),
-        "p95_s": round(float(np.percentile(s, 95)), 6),
-        "total_s": round(float(s.sum()), 6),
-    }
+    return _sites(r) | _route(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
 
 
 def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Seconds of every step, by stage, as number, median, 95th percentile and sum; stages without a step left out."""
-    return {stage: _seconds(steps) for stage, steps in timings.items() if len(steps)}
+    found = {}
+    for stage, steps in timings.items():
+        if len(steps):
+            s = np.asarray(steps, dtype=np.float64)
+            values = {"median_s": np.median(s), "p95_s": np.percentile(s, 95), "total_s": s.sum()}
+            found[stage] = {"steps": s.size} | {k: round(float(v), 6) for k, v in values.items()}
+    return found
 
 
 def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
@@ -167,6 +149,17 @@ def is_run(folder: Path) -> bool:
     return isinstance(tree, dict) and "alight" in tree
 
 
+def is_work(path: Path) -> bool:
+    """True if a path is a folder of unfinished work."""
+    return path.name == WORK and path.is_dir() and not path.is_symlink()
+
+
+def remove_work(out: Path) -> None:
+    """Remove the saved work of an interrupted run from its output."""
+    if is_work(out / WORK):
+        shutil.rmtree(out / WORK, ignore_errors=True)
+
+
 def is_finished(folder: Path) -> bool:
     """True if the folder holds a finished run, and no saved work of a later, unfinished one."""
     return is_run(folder) and not is_work(folder / WORK)
@@ -174,43 +167,27 @@ def is_finished(folder: Path) -> bool:
 
 def _is_ours(folder: Path) -> bool:
     """True if the folder is empty, or holds a finished run, or only the files of an interrupted one."""
-    known = {LOCK, *KNOWN, "recording.rrd"}
-    known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
-    there = [p for p in folder.iterdir() if not _is_by_others(p)]
+    names = {LOCK, *KNOWN, "recording.rrd"}
+    names |= {partial_path(Path(name)).name for name in names} | {"recording.mcap"}
+
+    def is_by_others(path: Path) -> bool:  # files that a system or another program puts into any folder
+        return path.is_file() and any(fnmatchcase(path.name, pattern) for pattern in BY_OTHERS)
+
+    def is_known(path: Path) -> bool:  # recordings that a later run has kept (`recorder.make_room`) as well
+        return path.is_file() and (path.name in names or fnmatchcase(path.name, "recording-*.mcap"))
+
+    there = [p for p in folder.iterdir() if not is_by_others(p)]
     began = not there or any(p.name == LOCK or p.name.endswith(".tmp") for p in there)
-    return is_run(folder) or (began and all(is_work(p) or (_is_named(p, known) and p.is_file()) for p in there))
-
-
-def _is_named(path: Path, known: Collection[str]) -> bool:
-    """True if a file has a known name, or is a recording that a later run has kept (`recorder.make_room`)."""
-    return path.name in known or fnmatchcase(path.name, "recording-*.mcap")
-
-
-def _is_by_others(path: Path) -> bool:
-    """True if a file is one that a system or another program puts into any folder unasked."""
-    return path.is_file() and any(fnmatchcase(path.name, pattern) for pattern in BY_OTHERS)
+    return is_run(folder) or (began and all(is_work(p) or is_known(p) for p in there))
 
 
 def _check_folder(out: Path, overwrite: bool) -> None:
     """Refuse a folder that holds other things, or a folder of its own where a file is to be written."""
     if not overwrite and not _is_ours(out):
-        raise OutputError(f"{out}: holds files that are not a run's; choose another folder with --out or add --force")
+        raise OutputError(f"{out}: holds files that are not a run's; {ANOTHER} or add --force")
     for path in (out / name for name in KNOWN):
         if path.is_dir() and not path.is_symlink():
-            raise OutputError(
-                f"{path}: is a folder, and a file of this name is to be written; remove it or choose another folder "
-                "with --out"
-            )
-
-
-def _check_inputs(out: Path, inputs: Sequence[Path]) -> None:
-    """Refuse an input that lies in the folder: files of an earlier run are removed there."""
-    for path in inputs:
-        if out.resolve() in path.resolve().parents:
-            raise OutputError(
-                f"{path}: lies in {out}, whose files are replaced; choose another folder with --out, or copy the input "
-                "elsewhere"
-            )
+            raise OutputError(f"{path}: is a folder, and a file of this name is to be written; remove it or {ANOTHER}")
 
 
 def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = ()) -> None:
@@ -231,8 +208,11 @@ def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = 
     probe = out / ".alight.tmp"
     try:
         if out.exists() and not out.is_dir():
-            raise OutputError(f"{out}: is a file, not a folder; choose another folder with --out")
-        _check_inputs(out, inputs)
+            raise OutputError(f"{out}: is a file, not a folder; {ANOTHER}")
+        if within := [path for path in inputs if out.resolve() in path.resolve().parents]:
+            raise OutputError(
+                f"{within[0]}: lies in {out}, whose files are replaced; {ANOTHER}, or copy the input elsewhere"
+            )
         out.mkdir(parents=True, exist_ok=True)
         if not holds_folder(out):
             _check_folder(out, overwrite)
@@ -241,21 +221,6 @@ def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = 
         lock_folder(out)
     except OSError as e:
         raise output_error(out, e) from e
-
-
-def _is_of_gdal(path: Path) -> bool:
-    """True if a file holds what GDAL or QGIS noted about a raster: statistics, colours, names."""
-    try:
-        return path.is_file() and b"<PAMDataset" in path.read_bytes()[:200]
-    except OSError:
-        return False
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as e:
-        raise output_error(path, e) from e
 
 
 class _Writer:
@@ -287,19 +252,19 @@ class _Writer:
         """Remove an old file, and what GDAL noted about it; return the reason if that failed."""
         self._remove_notes(name)
         try:
-            _remove(self._out / name)
-        except OutputError as e:
-            self.failed.setdefault(name, e)
-            return str(e)
+            (self._out / name).unlink(missing_ok=True)
+        except OSError as e:
+            return str(self.failed.setdefault(name, output_error(self._out / name, e)))
         return None
 
     def _remove_notes(self, name: str) -> None:
-        """Remove what GDAL or QGIS noted about an old raster: it says nothing about the new one."""
-        notes = f"{name}.aux.xml"
-        if name.endswith(".tif") and _is_of_gdal(self._out / notes):
-            self.remove(notes)
+        """Remove what GDAL or QGIS noted about an old raster (statistics, colours): it is not true of the new one."""
+        notes = self._out / f"{name}.aux.xml"
+        with suppress(OSError):
+            if name.endswith(".tif") and notes.is_file() and b"<PAMDataset" in notes.read_bytes()[:200]:
+                self.remove(notes.name)
 
-    def complain(self) -> None:
+    def raise_first(self) -> None:
         """Raise the first failure, with the names of all failed files and the number of written ones."""
         if self.failed:
             first, *others = self.failed
@@ -331,10 +296,12 @@ def write_folder(
         OutputError: see `prepare_folder`; or the disk is full, with the names of the files that are missing.
     """
     prepare_folder(out, overwrite, inputs)
-    _remove(out / RUN_JSON)
     writer, missing = _Writer(out), dict[str, str]()
-    for name in (*FILES, *JUDGEMENT_FILES):
-        if name not in files:
+    writer.remove(RUN_JSON)
+    if writer.failed:
+        raise writer.failed[RUN_JSON]
+    for name in KNOWN:
+        if name not in files and name != RUN_JSON:
             writer.remove(name)
     for name, made in files.items():
         if isinstance(made, str):
@@ -345,7 +312,7 @@ def write_folder(
     writer.write(RUN_JSON, lambda: vectors.json_bytes(info(missing)))
     if is_run(out) or not writer.written:
         release_folder(out)
-    writer.complain()
+    writer.raise_first()
     remove_work(out)
     return writer.written
 

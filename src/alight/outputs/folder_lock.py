@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from alight.file_lock import locked
+from alight.outputs.atomic_write import ANOTHER
 from alight.records import OutputError
 
 LOCK = ".alight.lock"
@@ -33,8 +34,7 @@ def lock_folder(out: Path) -> None:
             file.seek(0)
             process = file.read(20).strip()
         raise OutputError(
-            f"{out}: another run writes there (process {process or 'unknown'}); wait for its end or choose another "
-            "folder with --out"
+            f"{out}: another run writes there (process {process or 'unknown'}); wait for its end or {ANOTHER}"
         )
     with suppress(OSError):  # a full disk is reported by the next write
         file.truncate(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -12,26 +13,25 @@ from alight.outputs.vectors import lon_lat_height, number
 from alight.records import Home, Route, Waypoint
 from alight.settings import Settings
 
-ARDUPILOT, MULTICOPTER = 3, 2  # MAV_AUTOPILOT, MAV_TYPE
-WAYPOINT, LAND, YAW, SPEED = 16, 21, 115, 178  # MAV_CMD
-MISSION, ABOVE_HOME = 2, 3  # MAV_FRAME
-OVER_GROUND, DOWNWARDS = 1.0, 3.0  # SPEED_TYPE
-SAME_THROTTLE = -1.0
-STEEP = 0.5  # m sideways, below which a leg goes straight down
-LOOK_TIME = 3.0  # s, of a hold where the ground is looked at
-NAME_WITH_HOME = "to site 1"
-NAME_WITHOUT_HOME = "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"
-HEIGHTS_ABOVE_HOME = "altitudes are metres above the home that was given, which is the planned home"
-HEIGHTS_ABOVE_SITE = (
+ABOVE_SITE = (
     "altitudes are metres above the ground of the landing site, which is the planned home; "
     "where the vehicle's home is another place, add the site's height minus that home's height to every way-point"
 )
 
 
+class Command(IntEnum):
+    """Commands of MAVLink, MAV_CMD."""
+
+    WAYPOINT = 16
+    LAND = 21
+    YAW = 115
+    SPEED = 178
+
+
 class PlanItem(NamedTuple):
     """One item of a plan: a command, its parameters, and where it holds."""
 
-    command: int
+    command: Command
     parameters: tuple[float, float, float, float]
     position_world: F64 | None = None  # (3,) metres; None: speed and heading have no place
 
@@ -42,7 +42,7 @@ def plan_items(route: Route) -> list[PlanItem]:
     items = [_stop(way[0])]
     for here, there in pairwise(way):
         items += [*_leg(here, there), _stop(there)]
-    end = PlanItem(LAND, (0.0, 0.0, 0.0, _degrees(touchdown.heading)), touchdown.position_world)
+    end = PlanItem(Command.LAND, (0.0, 0.0, 0.0, _degrees(touchdown.heading)), touchdown.position_world)
     return [*items, *_leg(way[-1], touchdown), end]
 
 
@@ -53,13 +53,15 @@ def _leg(here: Waypoint, there: Waypoint) -> tuple[PlanItem, PlanItem]:
     leg, and that start resets the heading: the heading must be the second.
     """
     east, north, up = there.position_world - here.position_world
-    kind = DOWNWARDS if up < 0 and math.hypot(east, north) < STEEP else OVER_GROUND
-    speed = PlanItem(SPEED, (kind, there.speed, SAME_THROTTLE, 0.0))
-    return speed, PlanItem(YAW, (_degrees(there.heading), 0.0, 0.0, 0.0))
+    straight_down = up < 0 and math.hypot(east, north) < 0.5  # m
+    kind, same_throttle = 3.0 if straight_down else 1.0, -1.0  # SPEED_TYPE_DESCENT_SPEED, SPEED_TYPE_GROUNDSPEED
+    speed = PlanItem(Command.SPEED, (kind, there.speed, same_throttle, 0.0))
+    return speed, PlanItem(Command.YAW, (_degrees(there.heading), 0.0, 0.0, 0.0))
 
 
 def _stop(w: Waypoint) -> PlanItem:
-    return PlanItem(WAYPOINT, (LOOK_TIME if w.look else 0.0, 0.0, 0.0, _degrees(w.heading)), w.position_world)
+    hold = 3.0 if w.look else 0.0  # s
+    return PlanItem(Command.WAYPOINT, (hold, 0.0, 0.0, _degrees(w.heading)), w.position_world)
 
 
 def _degrees(heading: float) -> float:
@@ -68,14 +70,8 @@ def _degrees(heading: float) -> float:
 
 def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[str, Any]:
     """An item in QGroundControl's form; a parameter that is no number is null."""
-    frame = MISSION if item.position_world is None else ABOVE_HOME
-    simple = {
-        "type": "SimpleItem",
-        "command": item.command,
-        "frame": frame,
-        "doJumpId": jump_id,
-        "autoContinue": True,
-    }
+    frame = 2 if item.position_world is None else 3  # MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT
+    simple = {"type": "SimpleItem", "command": item.command, "frame": frame, "doJumpId": jump_id, "autoContinue": True}
     parameters = [number(p, 4) for p in item.parameters]
     if item.position_world is None:
         return {**simple, "params": [*parameters, 0, 0, 0]}
@@ -90,33 +86,30 @@ def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[
     }
 
 
-def _home_and_zero(site: list[float], home: Home | None) -> tuple[list[float], float]:
-    """The planned home, and the height above the ellipsoid to which altitudes refer."""
-    if home is None:
-        longitude, latitude, ground = site
-        return [latitude, longitude, ground], ground
-    return [home.latitude, home.longitude, home.altitude_msl], home.height
-
-
 def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home | None = None) -> dict[str, Any]:
     """The route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
 
     Altitudes are relative to the vehicle's home. Without one they are relative to the ground of the landing site, which
     is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name states this.
     """
-    planned, zero = _home_and_zero(lon_lat_height(local, *route.waypoints[-1].position_world), home)
+    longitude, latitude, zero = lon_lat_height(local, *route.waypoints[-1].position_world)
+    planned, name = [latitude, longitude, zero], "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"
+    reference = ABOVE_SITE
+    if home is not None:
+        planned, name, zero = [home.latitude, home.longitude, home.altitude_msl], "to site 1", home.height
+        reference = "altitudes are metres above the home that was given, which is the planned home"
     return {
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",
-        "name": NAME_WITH_HOME if home is not None else NAME_WITHOUT_HOME,
-        "heightReference": HEIGHTS_ABOVE_HOME if home is not None else HEIGHTS_ABOVE_SITE,
+        "name": name,
+        "heightReference": reference,
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
         "mission": {
             "version": 2,
-            "firmwareType": ARDUPILOT,
-            "vehicleType": MULTICOPTER,
+            "firmwareType": 3,  # MAV_AUTOPILOT_ARDUPILOTMEGA
+            "vehicleType": 2,  # MAV_TYPE_QUADROTOR
             "globalPlanAltitudeMode": 1,
             "cruiseSpeed": settings.route.cruise_speed,
             "hoverSpeed": settings.route.cruise_speed,

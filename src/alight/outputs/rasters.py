@@ -15,7 +15,7 @@ from rasterio.io import MemoryFile
 
 from alight.arrays import F32
 from alight.geometry import Grid, LocalFrame, ellipsoid_fall
-from alight.records import REFUSED, Datum, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
+from alight.records import REFUSED, Datum, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
 from alight.report.words import FLAGS, HAZARDS
 
@@ -27,6 +27,7 @@ LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AX
 class RasterFile:
     """Content of one GeoTIFF."""
 
+    grid: Grid
     bands: NDArray[Any]  # (B, R, C)
     names: Sequence[str]  # one a band
     units: Sequence[str] = ()  # one a band; none: numbers without a unit
@@ -48,18 +49,17 @@ def ellipsoidal_height(elevation: ElevationMap, local: LocalFrame) -> F32:
 
     World up is measured from the tangent plane, from which the ellipsoid falls away. The inverse is `world_up`.
     """
-    fall = ellipsoid_fall(elevation.grid)
-    height = np.where(elevation.trusted, local.height + elevation.height + fall, np.nan)
-    return height.astype(np.float32)
+    height = local.height + elevation.height + ellipsoid_fall(elevation.grid)
+    return np.where(elevation.trusted, height, np.nan).astype(np.float32)
 
 
-def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool = True) -> RasterFile:
+def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool) -> RasterFile:
     """Height and sigma, NaN where no height may be given out.
 
     Not `georeferenced`: the world has no place on Earth, and heights count from its origin.
     """
-    height = ellipsoidal_height(elevation, local)
     sigma = np.where(elevation.trusted, elevation.relative_sigma, np.nan).astype(np.float32)
+    bands = np.stack([ellipsoidal_height(elevation, local), sigma])
     tags = {
         "height_reference": "WGS84 ellipsoid" if georeferenced else "the recording's origin",
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
@@ -68,7 +68,7 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool =
     if elevation.position_covariance is not None:
         sigmas = np.sqrt(np.maximum(np.diag(elevation.position_covariance), 0.0))
         common["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
-    return RasterFile(np.stack([height, sigma]), ("height", "sigma"), ("m", "m"), np.nan, tags, common)
+    return RasterFile(elevation.grid, bands, ("height", "sigma"), ("m", "m"), np.nan, tags, common)
 
 
 def common_tags(gauge: Datum | None) -> dict[str, str]:
@@ -87,52 +87,47 @@ def common_tags(gauge: Datum | None) -> dict[str, str]:
     }
 
 
+def _bits(words: Mapping[Flag, str] | Mapping[Hazard, str]) -> dict[str, str]:
+    """Tags that name the bits of a raster."""
+    return {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in words.items()}
+
+
 def flags_raster(elevation: ElevationMap) -> RasterFile:
     """Flags of each height, as bits: the reasons why it is missing or doubtful."""
-    tags = {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in FLAGS.items()}
-    return RasterFile(elevation.flags[None], ("flags",), tags=tags, resampling="NEAREST")
+    return RasterFile(elevation.grid, elevation.flags[None], ("flags",), tags=_bits(FLAGS), resampling="NEAREST")
 
 
-def terrain_raster(terrain_map: TerrainMap) -> RasterFile:
+def terrain_raster(terrain: TerrainMap) -> RasterFile:
     """Class codes with their names and colours."""
     tags = {f"class_{t.value}": t.name.lower() for t in Terrain}
     colours = {t.value: (*rgb(colour), 255) for t, colour in TERRAIN_COLOURS.items()} | {0: (0, 0, 0, 0)}
-    return RasterFile(
-        terrain_map.label[None], ("terrain class",), nodata=0, tags=tags, colours=colours, resampling="MODE"
-    )
+    bands, names = terrain.label[None], ("terrain class",)
+    return RasterFile(terrain.grid, bands, names, nodata=0, tags=tags, colours=colours, resampling="MODE")
+
+
+def measures_raster(hazards: HazardMap, names: Sequence[str], units: Sequence[str]) -> RasterFile:
+    """Some of the numbers of each cell, one a band."""
+    bands = np.stack([getattr(hazards, name) for name in names]).astype(np.float32)
+    return RasterFile(hazards.grid, bands, names, units, np.nan)
 
 
 def safe_raster(hazards: HazardMap) -> RasterFile:
     """Probability of a safe touchdown over the worst heading, its factors, and the smallest obstacle to be found."""
-    bands = np.stack([getattr(hazards, name) for name in SAFE_BANDS]).astype(np.float32)
-    return RasterFile(bands, SAFE_BANDS, ("", "", "", "", "m"), np.nan)
+    return measures_raster(hazards, SAFE_BANDS, ("", "", "", "", "m"))
 
 
 def reasons_raster(hazards: HazardMap) -> RasterFile:
     """Reasons why a touchdown is refused or doubtful, as bits."""
-    tags = {f"bit_{h.value.bit_length() - 1}": f"{(h.name or '').lower()}: {why}" for h, why in HAZARDS.items()}
-    return RasterFile(hazards.reasons[None], ("reasons",), tags=tags, resampling="NEAREST")
+    return RasterFile(hazards.grid, hazards.reasons[None], ("reasons",), tags=_bits(HAZARDS), resampling="NEAREST")
 
 
 def ortho_raster(elevation: ElevationMap) -> RasterFile:
     """Orthophoto, transparent where no view saw the ground."""
-    return RasterFile(np.moveaxis(elevation.rgb, 2, 0), ("red", "green", "blue"), mask=elevation.views > 0)
+    bands = np.moveaxis(elevation.rgb, 2, 0)
+    return RasterFile(elevation.grid, bands, ("red", "green", "blue"), mask=elevation.views > 0)
 
 
-def _fill(raster: RasterFile, dataset: Any) -> None:
-    dataset.write(raster.bands)
-    dataset.descriptions = tuple(raster.names)
-    dataset.units = tuple(raster.units or [""] * len(raster.names))
-    dataset.update_tags(1, **raster.tags)
-    dataset.update_tags(**raster.file_tags)
-    if raster.colours is not None:
-        dataset.write_colormap(1, raster.colours)
-    if raster.mask is not None:
-        dataset.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
-        dataset.write_mask(raster.mask)
-
-
-def encode(raster: RasterFile, grid: Grid, crs: CRS) -> bytes:
+def encode(raster: RasterFile, crs: CRS) -> bytes:
     """The bytes of one cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
     count, rows, cols = raster.bands.shape
     profile: dict[str, Any] = {
@@ -142,7 +137,7 @@ def encode(raster: RasterFile, grid: Grid, crs: CRS) -> bytes:
         "count": count,
         "dtype": raster.bands.dtype.name,
         "crs": crs,
-        "transform": rasterio.Affine(*grid.transform),
+        "transform": rasterio.Affine(*raster.grid.transform),
         "nodata": raster.nodata,
         "compress": "DEFLATE",
         "predictor": "YES",
@@ -151,5 +146,14 @@ def encode(raster: RasterFile, grid: Grid, crs: CRS) -> bytes:
     }
     with MemoryFile() as memory:
         with memory.open(**profile) as dataset:
-            _fill(raster, dataset)
+            dataset.write(raster.bands)
+            dataset.descriptions = tuple(raster.names)
+            dataset.units = tuple(raster.units or [""] * count)
+            dataset.update_tags(1, **raster.tags)
+            dataset.update_tags(**raster.file_tags)
+            if raster.colours is not None:
+                dataset.write_colormap(1, raster.colours)
+            if raster.mask is not None:
+                dataset.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+                dataset.write_mask(raster.mask)
         return bytes(memory.read())

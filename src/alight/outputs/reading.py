@@ -15,7 +15,7 @@ from alight.arrays import F32, U8, U16
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text, validated
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
-from alight.raster.errors import UNREADABLE
+from alight.raster import unreadable
 from alight.records import InputError
 from alight.settings import Settings, settings_of_run
 
@@ -58,8 +58,6 @@ RASTERS = {
     "reasons": (1, "u"),
     "ortho": (3, "u"),
 }
-MOST_CELLS = 500_000_000  # of a raster, all bands
-
 
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]  # from the origin: a local frame ends long before
 
@@ -91,19 +89,6 @@ class _RunJson(BaseModel):
     settings: dict[str, Any] = {}
 
 
-def _checked(info: Any) -> dict[str, Any]:
-    """Return run.json after validation of the keys that are read.
-
-    Raises:
-        InputError: with the first key that is damaged.
-    """
-    try:
-        validated(_RunJson, info)
-    except DocumentError as e:
-        raise InputError(f"{RUN_JSON}: {e}; {AGAIN}") from e
-    return dict(info)
-
-
 def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[Any], Grid]:
     """Read all bands (B, R, C) of a raster of Alight's own, and its grid.
 
@@ -123,13 +108,13 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
             t = d.transform
             square = t.b == t.d == 0 and 1e-4 <= t.a <= 1e4 and abs(t.a + t.e) <= 1e-6 * t.a
             kind = np.dtype(d.dtypes[0]).kind
-            if d.count < least or d.count * d.height * d.width > MOST_CELLS or not square or kind not in kinds:
+            if d.count < least or d.count * d.height * d.width > 500_000_000 or not square or kind not in kinds:
                 raise InputError(
                     f"{path}: {d.count} band(s) of {d.width} x {d.height} cells of {t.a:g} x {-t.e:g} m as "
                     f"{d.dtypes[0]}; it needs {least} of square cells with north up, of its own type; {mend}"
                 )
             return d.read(), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
-    except UNREADABLE as e:
+    except unreadable() as e:
         raise InputError(f"{path}: not a readable raster; {mend}") from e
 
 
@@ -151,7 +136,7 @@ def _local(info: dict[str, Any]) -> LocalFrame | None:
     try:
         return LocalFrame(*(float(origin[k]) for k in ("latitude", "longitude", "height"))) if origin else None
     except (KeyError, TypeError, ValueError) as e:
-        raise InputError(f"{RUN_JSON}: its origin is damaged ({origin!r:.60}); run again to write it anew") from e
+        raise InputError(f"{RUN_JSON}: its origin is damaged ({origin!r:.60}); {AGAIN}") from e
 
 
 def read_run(folder: Path) -> Run:
@@ -162,7 +147,11 @@ def read_run(folder: Path) -> Run:
     """
     if not is_run(folder):
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")
-    info = _checked(parse_json(read_text(folder / RUN_JSON, LARGEST_JSON)))
+    info = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
+    try:
+        validated(_RunJson, info)
+    except DocumentError as e:
+        raise InputError(f"{RUN_JSON}: {e}; {AGAIN}") from e
     bands, grid = _bands(folder)
 
     def only(name: str, band: int = 0) -> Any:

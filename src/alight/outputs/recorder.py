@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 import os
 import threading
 import time
@@ -24,6 +23,7 @@ from mcap.writer import Writer
 from alight import __version__
 from alight.outputs.atomic_write import output_error
 from alight.outputs.folder import RUN_JSON, is_run
+from alight.outputs.vectors import plain
 from alight.records import Event, Motion, Sites, Telemetry
 from alight.records.codec import (
     CAMERAS,
@@ -45,11 +45,8 @@ from alight.records.schedule import Spot
 log = logging.getLogger(__name__)
 
 HEAD = "alight"  # name of the metadata record
-ENCODINGS = {CAMERAS: "alight.frame", NAV: "json", IMU: "json", SCHEDULE: "json", NOTES: "json", MOTION: "json",
-             SITES: "json", TELEMETRY: "json", ORDERS: "json", LANDING: "json"}  # fmt: skip
+TOPICS = (CAMERAS, NAV, IMU, SCHEDULE, NOTES, MOTION, SITES, TELEMETRY, ORDERS, LANDING)  # all but CAMERAS are JSON
 SYNC = 0.5  # s between two times that the file is given to the disk
-_LATEST = 2**63 - 1  # ns
-WAITING_MB = 256  # that may wait for the disk
 
 Message = tuple[str, int, "list[bytes | memoryview]"]  # topic, stamp in ns, parts
 
@@ -85,7 +82,7 @@ class Recorder:
         OutputError: the file cannot be made.
     """
 
-    def __init__(self, path: Path, head: FlightHead, waiting_mb: float = WAITING_MB) -> None:
+    def __init__(self, path: Path, head: FlightHead, waiting_mb: float = 256) -> None:
         self.path = path
         self.lost: Counter[str] = Counter()  # messages by reason
         self._room, self._most = 0, waiting_mb * 1_000_000  # bytes that wait
@@ -99,10 +96,10 @@ class Recorder:
             self._writer = Writer(self._file, use_chunking=False)
             self._writer.start("alight", f"alight {__version__}")
             self._writer.add_metadata(HEAD, {"head": head.to_json()})
-            schema = self._writer.register_schema("alight", "jsonschema", b'{"type": "object"}')
+            json_form = "json", self._writer.register_schema("alight", "jsonschema", b'{"type": "object"}')
             self._channels = {
-                topic: self._writer.register_channel(topic, encoding, schema if encoding == "json" else 0)
-                for topic, encoding in ENCODINGS.items()
+                topic: self._writer.register_channel(topic, *(("alight.frame", 0) if topic == CAMERAS else json_form))
+                for topic in TOPICS
             }
             self._file.flush()
         except OSError as e:
@@ -117,16 +114,16 @@ class Recorder:
     def event(self, event: Event) -> None:
         """Record an event as it came in."""
         topic, parts = pack(event)
-        self._put(topic, event.t_ns, parts)
+        self.put(topic, event.t_ns, parts)
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
         """Record that a lane used an exposure; for a judged map, also the place that it shows."""
         tree = {"kind": kind, "t_ns": t_ns, "value": value, "about": about}
-        self._put(SCHEDULE, t_ns, [json.dumps(tree).encode()])
+        self._put_json(SCHEDULE, t_ns, tree)
 
     def note(self, lane: str, words: str) -> None:
         """Record a note on a lane, in words."""
-        self._put(NOTES, 0, [json.dumps({"lane": lane, "note": words}).encode()])
+        self._put_json(NOTES, 0, {"lane": lane, "note": words})
 
     def motion(self, motion: Motion) -> None:
         """Record a motion."""
@@ -136,34 +133,34 @@ class Recorder:
             "sigma": [float(v) ** 0.5 for v in motion.covariance.diagonal()], "state": motion.state.name,
             "frame_id": motion.frame_id, "tracks": motion.tracks,
         }  # fmt: skip
-        self._put(MOTION, motion.t_ns, [json.dumps(tree).encode()])
+        self._put_json(MOTION, motion.t_ns, tree)
 
     def sites(self, t_ns: int, sites: Sites) -> None:
         """Record the sites and candidates of a map."""
         listed = [{"kind": s.kind, "east": s.east, "north": s.north, "up": s.up, "p_safe": s.p_safe}
                   for s in sites.listed]  # fmt: skip
         tree = {"t_ns": t_ns, "frame_id": sites.frame_id, "reason": sites.reason, "listed": listed}
-        self._put(SITES, t_ns, [json.dumps(tree).encode()])
+        self._put_json(SITES, t_ns, tree)
 
-    def telemetry(self, t_ns: int, heard: Telemetry) -> None:
+    def telemetry(self, t_ns: int, report: Telemetry) -> None:
         """Record a report of the autopilot."""
-        place, gps = heard.place, heard.gps
+        place, gps = report.place, report.gps
         tree = {
-            "t_ns": t_ns, "mode": heard.mode_name, "armed": heard.armed, "landed": heard.landed.name,
+            "t_ns": t_ns, "mode": report.mode_name, "armed": report.armed, "landed": report.landed.name,
             "place": None if place is None else [place.latitude, place.longitude, place.altitude_msl, place.above_home],
-            "velocity": heard.velocity_world.tolist(), "wind": heard.wind_world.tolist(),
-            "battery": heard.battery.share, "voltage": heard.battery.voltage, "fix": gps.fix,
-            "gps_sigma": [gps.horizontal, gps.vertical, gps.speed], "estimator_flags": heard.estimator_flags,
+            "velocity": report.velocity_world.tolist(), "wind": report.wind_world.tolist(),
+            "battery": report.battery.share, "voltage": report.battery.voltage, "fix": gps.fix,
+            "gps_sigma": [gps.horizontal, gps.vertical, gps.speed], "estimator_flags": report.estimator_flags,
         }  # fmt: skip
-        self._put(TELEMETRY, t_ns, [json.dumps(_without_nan(tree)).encode()])
+        self._put_json(TELEMETRY, t_ns, plain(tree))
 
     def order(self, t_ns: int, state: str, words: str) -> None:
         """Record an order to the vehicle, in words."""
-        self._put(ORDERS, t_ns, [json.dumps({"t_ns": t_ns, "state": state, "order": words}).encode()])
+        self._put_json(ORDERS, t_ns, {"t_ns": t_ns, "state": state, "order": words})
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
         """Record an entry of the landing's diary: a change of state, or a look at a place."""
-        self._put(LANDING, t_ns, [json.dumps({"t_ns": t_ns, **entry.as_tree()}).encode()])
+        self._put_json(LANDING, t_ns, {"t_ns": t_ns, **entry.as_tree()})
 
     @property
     def behind(self) -> float:
@@ -194,9 +191,13 @@ class Recorder:
         with suppress(OSError):
             self._file.close()
 
+    def _put_json(self, topic: str, t_ns: int, tree: dict[str, Any]) -> None:
+        self.put(topic, t_ns, [json.dumps(tree).encode()])
+
     # -- the thread
 
-    def _put(self, topic: str, t_ns: int, parts: list[bytes | memoryview]) -> None:
+    def put(self, topic: str, t_ns: int, parts: list[bytes | memoryview]) -> None:
+        """Queue a message of a topic, in parts, for the thread that writes."""
         size = sum(len(p) for p in parts)
         with self._changed:
             if self._broken:
@@ -224,7 +225,7 @@ class Recorder:
             try:
                 if message is not None:
                     topic, t_ns, parts = message
-                    stamp = min(max(t_ns, 0), _LATEST)  # MCAP's are unsigned; the message has its own
+                    stamp = min(max(t_ns, 0), 2**63 - 1)  # MCAP's are unsigned; the message has its own
                     self._writer.add_message(self._channels[topic], time.time_ns(), b"".join(parts), stamp, number)
                     number += 1
                 if time.monotonic() - synced > SYNC:
@@ -238,12 +239,3 @@ class Recorder:
         self._broken = str(output_error(self.path, error)).partition(": ")[2].partition(";")[0]
         self.lost[self._broken] += 1
         log.warning("recording: %s; the flight goes on without it", self._broken)
-
-
-def _without_nan(value: Any) -> Any:
-    """Return the tree with None for NaN."""
-    if isinstance(value, dict):
-        return {k: _without_nan(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(v) for v in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import PlaceSigma, Route, Site, Sites, Waypoint
+from alight.records import NextView, PlaceSigma, Route, Site, Sites, Waypoint
 
-UNSPEAKABLE = "backslashreplace"  # of names of files that are no UTF-8: `\\udcff`, which JSON reads as well
+UNENCODABLE = "backslashreplace"  # of names of files that are no UTF-8: `\\udcff`, which JSON reads as well
 
 
 def number(value: float, decimals: int) -> float | None:
@@ -37,10 +37,10 @@ def lon_lat_height(local: LocalFrame, east: float, north: float, up: float) -> l
     return [round(float(longitude), 9), round(float(latitude), 9), round(float(height), 3)]
 
 
-def site_properties(site: Site) -> dict[str, Any]:
-    """The properties of one place, named as in `formats/outputs`; `look` is left None, as it depends on the frame."""
+def site_properties(site: Site, look: Sequence[float | None] | None = None) -> dict[str, Any]:
+    """The properties of one place, named as in `formats/outputs`; `look`: place of a candidate's view, in any frame."""
     look_from = None if site.look is None else number(site.look.height, 2)
-    of_candidates = {"doubt": site.doubt, "look": None, "look_from_m": look_from}
+    of_candidates = {"doubt": site.doubt, "look": look, "look_from_m": look_from}
     return {
         "kind": site.kind,
         "rank": site.rank,
@@ -65,10 +65,9 @@ def site_properties(site: Site) -> dict[str, Any]:
 
 def _in_metres(site: Site) -> dict[str, Any]:
     """The properties of one place, with its height and the view of a candidate in metres from the origin."""
-    found = site_properties(site) | {"up_m": number(site.up, 3)}
-    if site.look is not None:
-        found["look"] = [number(v, 3) for v in (site.look.east, site.look.north, site.look.up)]
-    return found
+    v = site.look
+    look = None if v is None else [number(x, 3) for x in (v.east, v.north, v.up)]
+    return site_properties(site, look) | {"up_m": number(site.up, 3)}
 
 
 def answer_json(sites: Sites) -> dict[str, Any]:
@@ -81,21 +80,10 @@ def answer_json(sites: Sites) -> dict[str, Any]:
     }
 
 
-def _on_earth(site: Site, local: LocalFrame) -> dict[str, Any]:
-    """The properties of one place, with the view of a candidate as longitude, latitude and height."""
-    found = site_properties(site)
-    if site.look is not None:
-        found["look"] = lon_lat_height(local, site.look.east, site.look.north, site.look.up)
-    return found
-
-
 def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
     """One feature of GeoJSON."""
-    return {
-        "type": "Feature",
-        "geometry": {"type": geometry, "coordinates": coordinates},
-        "properties": properties,
-    }
+    place = {"type": geometry, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": place, "properties": properties}
 
 
 def accuracy(covariance: F64) -> dict[str, Any]:
@@ -112,8 +100,12 @@ def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None
 
     `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: unknown.
     """
+
+    def place(of: Site | NextView) -> list[float]:
+        return lon_lat_height(local, of.east, of.north, of.up)
+
     features = [
-        feature("Point", lon_lat_height(local, s.east, s.north, s.up), _on_earth(s, local)) for s in sites.listed
+        feature("Point", place(s), site_properties(s, None if s.look is None else place(s.look))) for s in sites.listed
     ]
     known = {} if covariance is None else {"accuracy": accuracy(covariance)}
     return collection(features, sites) | known
@@ -164,4 +156,4 @@ def plain(thing: Any) -> Any:
 def json_bytes(tree: Any) -> bytes:
     """JSON that every reader accepts: UTF-8, no NaN, a new line at the end."""
     text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    return text.encode("utf-8", UNSPEAKABLE)
+    return text.encode("utf-8", UNENCODABLE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +12,18 @@ from rasterio.crs import CRS
 from rasterio.errors import RasterioError
 from rasterio.warp import transform
 
-from alight import __version__, report
+from alight import __version__
 from alight.outputs import rasters, vectors
-from alight.outputs.folder import NO_PLACE, Contents, write_folder
-from alight.records import ElevationMap, Hazard, HazardMap, RunResult, Sites
+from alight.outputs.folder import NO_PLACE, Contents, report_file, write_folder
+from alight.records import ElevationMap, Hazard, RunResult, Sites
 
 log = logging.getLogger(__name__)
-
-
-def _findings(h: HazardMap) -> rasters.RasterFile:
-    names = ("slope", "roughness", "step", "clearance", "quality")
-    return rasters.RasterFile(np.stack([getattr(h, n) for n in names]), names, ("rad", "m", "m", "m", ""), np.nan)
 
 
 def _heights(e: ElevationMap) -> rasters.RasterFile:
     known = e.trusted
     bands = np.stack([np.where(known, a, np.float32(np.nan)) for a in (e.height, e.sigma)])
-    return rasters.RasterFile(bands, ("height", "sigma"), ("m", "m"), np.nan)
+    return rasters.RasterFile(e.grid, bands, ("height", "sigma"), ("m", "m"), np.nan)
 
 
 def _places(sites: Sites, crs: CRS | None) -> list[list[float]] | None:
@@ -77,17 +72,19 @@ def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
-    place, grid, sites = crs or CRS.from_wkt(rasters.LOCAL_WKT), hazards.grid, verdict_geojson(result.sites, crs)
-    heights: Contents = {"heights.tif": "no image made the heights finer"}
-    if sharpened:
-        heights = {"heights.tif": lambda: rasters.encode(_heights(elevation), grid, place)}
+    place, sites = crs or CRS.from_wkt(rasters.LOCAL_WKT), verdict_geojson(result.sites, crs)
+
+    def tif(raster: rasters.RasterFile) -> Callable[[], bytes]:
+        return lambda: rasters.encode(raster, place)
+
+    names, units = ("slope", "roughness", "step", "clearance", "quality"), ("rad", "m", "m", "m", "")
     return {
-        "safe.tif": lambda: rasters.encode(rasters.safe_raster(hazards), grid, place),
-        "reasons.tif": lambda: rasters.encode(rasters.reasons_raster(hazards), grid, place),
-        "hazards.tif": lambda: rasters.encode(_findings(hazards), grid, place),
-        **heights,
+        "safe.tif": tif(rasters.safe_raster(hazards)),
+        "reasons.tif": tif(rasters.reasons_raster(hazards)),
+        "hazards.tif": tif(rasters.measures_raster(hazards, names, units)),
+        "heights.tif": tif(_heights(elevation)) if sharpened else "no image made the heights finer",
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
-        "report.html": lambda: report.render(result).encode("utf-8", vectors.UNSPEAKABLE),
+        **report_file(result),
     }
 
 

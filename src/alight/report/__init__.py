@@ -5,18 +5,18 @@ from __future__ import annotations
 import jinja2
 
 from alight import __version__
+from alight.documents import printable
 from alight.records import PHOTO_COLUMNS, RunResult
-from alight.report import canvas, facts, figures, maps, words
+from alight.report import canvas, facts, figures, maps
 from alight.report.facts import warnings
 from alight.report.figures import Figure
-from alight.report.film import film
 
 __all__ = ["render", "warnings"]
 
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("alight", "report"),
     autoescape=True,
-    finalize=lambda value: words.printable(value) if isinstance(value, str) else value,
+    finalize=lambda value: printable(value) if isinstance(value, str) else value,
     trim_blocks=True,
     lstrip_blocks=True,
     undefined=jinja2.StrictUndefined,
@@ -50,7 +50,7 @@ def render(result: RunResult) -> str:
         warnings=warnings(result),
         tables=facts.place_tables(result),
         diary=facts.diary_rows(result),
-        film=film(result),
+        film=maps.film(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
         photos=[row.cells for row in result.photos],

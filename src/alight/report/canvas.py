@@ -16,9 +16,6 @@ from alight.geometry import Grid
 from alight.records import ElevationMap
 
 WIDTH = 1000.0  # of every picture, in page units; heights follow
-PIXELS = 1400  # most pixels of a picture's longer side
-QUALITY = 84
-FRINGE = 0.03  # of the fullest row: less is a fringe
 SHORTEST, TALLEST = 0.35, 1.6  # height over width of a picture; the crop grows to fit
 
 
@@ -74,7 +71,7 @@ def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -
 
 def _thick(count: NDArray[Any]) -> NDArray[np.int64]:
     """Rows (or columns) that hold more than stray cells."""
-    return np.flatnonzero(count > FRINGE * count.max())
+    return np.flatnonzero(count > 0.03 * count.max())
 
 
 def about(grid: Grid, east: float, north: float, radius: float) -> Canvas:
@@ -90,7 +87,7 @@ def _canvas(grid: Grid, row: int, col: int, rows: int, cols: int) -> Canvas:
     return Canvas(grid.window(row, col, tall, wide), row, col)
 
 
-def shrink(rgba: U8, longest: int = PIXELS) -> U8:
+def shrink(rgba: U8, longest: int = 1400) -> U8:
     """Make a picture small enough for a page, averaging by area with its transparency."""
     scale = longest / max(rgba.shape[:2])
     if scale >= 1:
@@ -106,7 +103,7 @@ def shrink(rgba: U8, longest: int = PIXELS) -> U8:
 def webp(picture: U8) -> bytes:
     """A picture (R, C, 3) RGB or (R, C, 4) RGBA as a file."""
     swapped = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
-    done, data = cv2.imencode(".webp", cv2.cvtColor(picture, swapped), [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    done, data = cv2.imencode(".webp", cv2.cvtColor(picture, swapped), [cv2.IMWRITE_WEBP_QUALITY, 84])
     if not done:
         raise ValueError("the picture cannot be encoded")
     return data.tobytes()

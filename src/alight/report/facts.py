@@ -104,20 +104,22 @@ def _look_closer(result: RunResult, first: Site) -> Answer:
 NO_CLEARANCE = (
     "This is a claim of a program about pictures, and no clearance to land. Look at the ground yourself first."
 )
-SIGMAS = 2.0  # of the place on Earth that the clearance has to cover
+
+
+def _place_sigma(result: RunResult) -> PlaceSigma | None:
+    """Accuracy of the whole map's place; None: unknown."""
+    covariance = None if result.elevation is None else result.elevation.position_covariance
+    return None if covariance is None else PlaceSigma.of(covariance)
 
 
 def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
     """Sentences to read before anyone flies to the place."""
-    covariance = None if result.elevation is None else result.elevation.position_covariance
-    if covariance is None or not result.georeferenced:
-        return (NO_CLEARANCE,)
-    sigma = PlaceSigma.of(covariance).horizontal
-    if SIGMAS * sigma <= site.clearance:
+    place = _place_sigma(result) if result.georeferenced else None
+    if place is None or 2.0 * place.horizontal <= site.clearance:
         return (NO_CLEARANCE,)
     beside = (
-        f"Do not fly to the coordinates alone: they are known to ± {words.metres(sigma)} (1-sigma), and the nearest "
-        f"hazard is {words.metres(site.clearance)} away."
+        f"Do not fly to the coordinates alone: they are known to ± {words.metres(place.horizontal)} (1-sigma), and the "
+        f"nearest hazard is {words.metres(site.clearance)} away."
     )
     return NO_CLEARANCE, beside
 
@@ -143,10 +145,9 @@ def _place_chips(result: RunResult) -> list[tuple[str, str]]:
     """Accuracy of the place of the whole map on Earth."""
     if not result.georeferenced:
         return [("Place on Earth", words.UNKNOWN)]
-    covariance = None if result.elevation is None else result.elevation.position_covariance
-    if covariance is None:
+    if (sigma := _place_sigma(result)) is None:
         return [("Place on Earth, 1-sigma", words.UNKNOWN)]
-    horizontal, vertical = (words.metres(v) for v in PlaceSigma.of(covariance))
+    horizontal, vertical = map(words.metres, sigma)
     return [("Place on Earth, 1-sigma", f"± {horizontal} across, ± {vertical} up")]
 
 
@@ -158,9 +159,6 @@ def warnings(result: RunResult) -> list[str]:
 COMMON_COLUMNS = ("Slope", "Largest bump", "Clear", "Ground", "Height ±", "Quality", "Place")
 SITE_COLUMNS = ("Site", "Safe", *COMMON_COLUMNS, "Safe disc", "Heading")
 CANDIDATE_COLUMNS = ("Candidate", "Safe", *COMMON_COLUMNS, "Doubt", "Look from")
-
-
-STRAIGHT_ABOVE = 0.05  # metres: a view that is nearer to the vertical than this
 
 
 def _row(result: RunResult, s: Site) -> Row:
@@ -181,21 +179,17 @@ def _row(result: RunResult, s: Site) -> Row:
     if s.look is not None:
         east, north, up = s.look.east, s.look.north, s.look.up
         enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
-        aside = math.hypot(east - s.east, north - s.north) > STRAIGHT_ABOVE
+        aside = math.hypot(east - s.east, north - s.north) > 0.05  # m
         look = f". View: {words.position(result, east, north, up) if aside else 'straight above'}{enough}"
     return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
 
 
 def place_tables(result: RunResult) -> list[PlaceTable]:
     """Sites and candidates as text, in order of rank."""
+    sites, candidates = ([_row(result, s) for s in part] for part in (result.sites.sites, result.sites.candidates))
     found = (
-        PlaceTable("The sites, best first", "site", SITE_COLUMNS, [_row(result, s) for s in result.sites.sites]),
-        PlaceTable(
-            "Candidates: to look at before a landing",
-            "candidate",
-            CANDIDATE_COLUMNS,
-            [_row(result, s) for s in result.sites.candidates],
-        ),
+        PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites),
+        PlaceTable("Candidates: to look at before a landing", "candidate", CANDIDATE_COLUMNS, candidates),
     )
     return [t for t in found if t.rows]
 
@@ -249,15 +243,10 @@ def details(result: RunResult) -> list[tuple[str, str]]:
 def times(timings: Mapping[str, Sequence[float]]) -> list[Time]:
     """Seconds a stage, in the order of the run."""
     everything = sum(sum(steps) for steps in timings.values()) or 1.0
-    return [
-        Time(
-            stage,
-            len(steps),
-            words.seconds(float(np.median(steps))),
-            words.seconds(float(np.percentile(steps, 95))),
-            words.seconds(float(sum(steps))),
-            round(100 * sum(steps) / everything, 1),
-        )
-        for stage, steps in timings.items()
-        if len(steps)
-    ]
+    found = []
+    for stage, steps in timings.items():
+        if len(steps):
+            values = (float(np.median(steps)), float(np.percentile(steps, 95)), float(sum(steps)))
+            median, p95, total = map(words.seconds, values)
+            found.append(Time(stage, len(steps), median, p95, total, round(100 * sum(steps) / everything, 1)))
+    return found

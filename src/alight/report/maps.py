@@ -1,50 +1,60 @@
-"""The maps behind the answer: reasons, P(safe), heights, sigma, land cover, and missing heights."""
+"""The maps behind the answer: reasons, P(safe), heights, sigma, land cover, missing heights; the film of the looks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import ElevationMap, HazardMap, RunResult, Terrain, TerrainMap
-from alight.report import paint, words
+from alight.arrays import U8
+from alight.records import ElevationMap, HazardMap, RunResult, Terrain, TerrainMap, p_safe_text
+from alight.report import canvas, paint, words
 from alight.report.canvas import Canvas
 from alight.report.figures import Figure, Key, Scale, marks, scale_bar
 
-
-def _shares(index: NDArray[Any], seen: NDArray[np.bool_], count: int) -> list[float]:
-    found = np.bincount(index[seen].astype(np.int64) + 1, minlength=count + 1)
-    return [float(n) / max(int(seen.sum()), 1) for n in found]
+if TYPE_CHECKING:
+    from alight.records.executive import LookPicture
 
 
-def _keys(labels: Iterable[str], colours: Iterable[str], shares: Iterable[float]) -> list[Key]:
-    """Legend of the kinds that occur in the map."""
-    return [
-        Key(colour, label, words.percent(share))
-        for label, colour, share in zip(labels, colours, shares, strict=True)
-        if share > 0
+def _coded_figure(
+    texts: tuple[str, str, str], index: NDArray[Any], legend: Sequence[tuple[str, str]], none: Key,
+    elevation: ElevationMap, c: Canvas,
+) -> Figure:  # fmt: skip
+    """Map with one colour a kind, and the share of each kind in the ground seen.
+
+    Args:
+        texts: title, alternative text, caption.
+        index: (R, C) of the kind in the legend, -1: none.
+        legend: label and colour of each kind.
+        none: key of no kind; of the colour `ground`, the ground is left as it is.
+    """
+    seen = elevation.views > 0
+    counts = np.bincount(index[seen].astype(np.int64) + 1, minlength=len(legend) + 1)
+    shares = [float(n) / max(int(seen.sum()), 1) for n in counts]
+    keys = [
+        Key(colour, label, words.percent(s)) for (label, colour), s in zip(legend, shares[1:], strict=True) if s > 0
     ]
+    as_it_is = none.colour == "ground"
+    colours = paint.by_index(index, [colour for _, colour in legend], "#000000" if as_it_is else none.colour)
+    uri = c.uri(paint.over_ground(colours, elevation, index >= 0 if as_it_is else None))
+    title, alt, caption = texts
+    keys = [replace(none, share=words.percent(shares[0])), *keys]
+    return Figure(title, alt, uri, round(c.height, 1), caption=caption, keys=keys)
 
 
 def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
     """Map of the reasons of refusal, one colour a reason."""
-    order = list(paint.HAZARD_COLOURS)
-    index = paint.first_reason(hazards.reasons, [int(h) for h in order])
-    colours = list(paint.HAZARD_COLOURS.values())
-    share = _shares(index, elevation.views > 0, len(order))
-    keys = [Key(paint.SAFE_COLOUR, "fit for a touchdown", words.percent(share[0]))]
-    keys += _keys((words.HAZARDS[h] for h in order), colours, share[1:])
-    return Figure(
-        title="Where a landing is refused, and why",
-        alt="Map of the ground in one colour per reason of refusal",
-        uri=c.uri(paint.over_ground(paint.by_index(index, colours, paint.SAFE_COLOUR), elevation)),
-        height=round(c.height, 1),
-        caption="The first reason against a touchdown centred there; shares are of the ground seen.",
-        keys=keys,
-    )
+    texts = (
+        "Where a landing is refused, and why", "Map of the ground in one colour per reason of refusal",
+        "The first reason against a touchdown centred there; shares are of the ground seen.",
+    )  # fmt: skip
+    index = paint.first_reason(hazards.reasons, [int(h) for h in paint.HAZARD_COLOURS])
+    legend = [(words.HAZARDS[h], colour) for h, colour in paint.HAZARD_COLOURS.items()]
+    return _coded_figure(texts, index, legend, Key(paint.SAFE_COLOUR, "fit for a touchdown"), elevation, c)
 
 
 def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
@@ -90,41 +100,25 @@ def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 
 def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> Figure:
     """Map of the land cover."""
-    order = list(paint.TERRAIN_COLOURS)
+    texts = "Kind of ground", "Map of what covers the ground", "A veto beside the heights, never a licence to land."
     index = np.full(256, -1, np.int8)
-    index[[t.value for t in order]] = np.arange(len(order))
-    found = index[terrain.label]
-    colours = list(paint.TERRAIN_COLOURS.values())
-    share = _shares(found, elevation.views > 0, len(order))
-    keys = _keys((words.ground(t.name) for t in order), colours, share[1:])
-    if share[0] > 0:
-        keys.append(Key("ground", words.ground(Terrain.UNKNOWN.name), words.percent(share[0])))
-    return Figure(
-        title="Kind of ground",
-        alt="Map of what covers the ground",
-        uri=c.uri(paint.over_ground(paint.by_index(found, colours, "#000000"), elevation, found >= 0)),
-        height=round(c.height, 1),
-        keys=keys,
-        caption="A veto beside the heights, never a licence to land.",
-    )
+    index[[t.value for t in paint.TERRAIN_COLOURS]] = np.arange(len(paint.TERRAIN_COLOURS))
+    legend = [(words.ground(t.name), colour) for t, colour in paint.TERRAIN_COLOURS.items()]
+    none = Key("ground", words.ground(Terrain.UNKNOWN.name))
+    figure = _coded_figure(texts, index[terrain.label], legend, none, elevation, c)
+    unknown, *keys = figure.keys
+    return replace(figure, keys=keys if unknown.share == words.percent(0.0) else [*keys, unknown])
 
 
 def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
     """Map of the reasons why heights are missing."""
-    order = list(paint.FLAG_COLOURS)
-    index = paint.first_reason(elevation.flags, [int(f) for f in order])
-    colours = list(paint.FLAG_COLOURS.values())
-    share = _shares(index, elevation.views > 0, len(order))
-    keys = [Key("ground", "height found", words.percent(share[0]))]
-    keys += _keys((words.FLAGS[f] for f in order), colours, share[1:])
-    return Figure(
-        title="Where heights are missing, and why",
-        alt="Map of the reasons why heights are missing or doubtful",
-        uri=c.uri(paint.over_ground(paint.by_index(index, colours, "#000000"), elevation, index >= 0)),
-        height=round(c.height, 1),
-        keys=keys,
-        caption="The first reason that holds; shares are of the ground seen.",
-    )
+    texts = (
+        "Where heights are missing, and why", "Map of the reasons why heights are missing or doubtful",
+        "The first reason that holds; shares are of the ground seen.",
+    )  # fmt: skip
+    index = paint.first_reason(elevation.flags, [int(f) for f in paint.FLAG_COLOURS])
+    legend = [(words.FLAGS[f], colour) for f, colour in paint.FLAG_COLOURS.items()]
+    return _coded_figure(texts, index, legend, Key("ground", "height found"), elevation, c)
 
 
 def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
@@ -138,3 +132,36 @@ def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figu
     figures.append(missing_figure(elevation, c))
     drawn, bar = marks(result, c), scale_bar(c)
     return [replace(f, marks=drawn, bar=bar, classes=("plain", "small")) for f in figures]
+
+
+def film(result: RunResult) -> list[Figure]:
+    """One picture a look, in order of time: above the photo, below P(safe), with the footprint at the place."""
+    if result.diary is None:
+        return []
+    return [_frame(k, p, result) for k, p in enumerate(result.diary.pictures, 1)]
+
+
+def _frame(number: int, p: LookPicture, result: RunResult) -> Figure:
+    photo = paint.rgba(p.photo, np.asarray(p.photo.any(axis=2)))
+    safe = paint.rgba(paint.colour_ramp(p.p_safe, 0.0, 1.0, paint.SAFE_RAMP), np.isfinite(p.p_safe))
+    side = len(photo)
+    gap = np.zeros((6, side, 4), np.uint8)
+    radius = result.settings.lander.radius / p.reach * side / 2
+    both = np.vstack([_with_footprint(photo, radius), gap, _with_footprint(safe, radius)])
+    doubt = f"; the doubt: {p.look.doubt}" if p.look.doubt else ""
+    return Figure(
+        title=f"Look {number}, from {p.look.height:.1f} m",
+        alt=f"Look {number}: photo and P(safe) of {2 * p.reach:.0f} m about the place",
+        uri=canvas.data_uri(both),
+        height=round(canvas.WIDTH * both.shape[0] / side, 1),
+        caption=f"at {p.look.t:.0f} s: {p.look.verdict}, P(safe) {p_safe_text(p.look.p_safe)}{doubt}",
+        classes=("film",),
+    )
+
+
+def _with_footprint(picture: U8, radius: float) -> U8:
+    """The circle of the footprint about the middle, radius in pixels."""
+    out, middle = picture.copy(), (picture.shape[1] // 2, picture.shape[0] // 2)
+    cv2.circle(out, middle, round(radius), (16, 21, 27, 255), 3, cv2.LINE_AA)
+    cv2.circle(out, middle, round(radius), (255, 255, 255, 255), 1, cv2.LINE_AA)
+    return out

@@ -10,15 +10,6 @@ import numpy as np
 from alight.records import Doubt, Flag, Hazard, RunResult, Site, p_safe_text
 
 UNKNOWN = "unknown"
-# of names and texts from outside: characters that steer a terminal, are no HTML, or turn the direction of a line
-_UNPRINTABLE = (*range(0x09), *range(0x0B, 0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
-_SPELT_OUT = {code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" for code in _UNPRINTABLE}
-
-
-def printable(text: str) -> str:
-    """A text with its control characters spelt out; line breaks and tabs stay."""
-    return text.translate(_SPELT_OUT)
-
 
 HAZARDS: Mapping[Hazard, str] = {
     Hazard.UNKNOWN: "not seen or not trusted",

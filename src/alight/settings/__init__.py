@@ -1,24 +1,24 @@
 """Settings: the keys of a user, the tuned constants of the stages, and the reading of both."""
 
-from alight.settings.imu import ImuNoise
 from alight.settings.loading import load_settings, settings_of_keys, settings_of_run
-from alight.settings.stages import (
+from alight.settings.tuning import Tuning
+from alight.settings.user import Lander
+from alight.settings.whole import (
     BundleSettings,
     ElevationSettings,
     ExecutiveSettings,
     FilterSettings,
     HazardsSettings,
+    ImuNoise,
     MotionSettings,
     ParallaxSettings,
     RouteSettings,
+    Settings,
     SitesSettings,
     StageSettings,
     TerrainSettings,
     TracksSettings,
 )
-from alight.settings.tuning import Tuning
-from alight.settings.user import Lander
-from alight.settings.whole import Settings
 
 __all__ = [
     "BundleSettings", "ElevationSettings", "ExecutiveSettings", "FilterSettings", "HazardsSettings", "ImuNoise",

@@ -29,13 +29,14 @@ class FrozenModel(BaseModel):
     @classmethod
     def _no_truth_for_a_number(cls, tree: Any) -> Any:
         """Refuse `true` for a key that is no boolean: it would count as 1."""
-        given = tree if isinstance(tree, dict) else {}
-        asked = {
-            name: field.annotation for name, field in cls.model_fields.items() if isinstance(given.get(name), bool)
-        }
-        wrong = [name for name, kind in asked.items() if bool not in (kind, *get_args(kind))]
+        given = {k: v for k, v in tree.items() if isinstance(v, bool)} if isinstance(tree, dict) else {}
+        kinds = {k: field.annotation for k, field in cls.model_fields.items() if k in given}
+        error = PydanticCustomError("no_number", "Input should be a number or a word, not true or false")
+        wrong = [
+            InitErrorDetails(type=error, loc=(k,), input=given[k])
+            for k, kind in kinds.items()
+            if bool not in (kind, *get_args(kind))
+        ]
         if wrong:
-            said = PydanticCustomError("no_number", "Input should be a number or a word, not true or false")
-            details = [InitErrorDetails(type=said, loc=(name,), input=given[name]) for name in wrong]
-            raise ValidationError.from_exception_data(cls.__name__, details)
+            raise ValidationError.from_exception_data(cls.__name__, wrong)
         return tree

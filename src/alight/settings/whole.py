@@ -1,60 +1,127 @@
-"""All settings: the keys of a user, and the tuned constants."""
+"""All settings: the keys of a user with the tuned constants, and the same joined to one record a stage."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any, TypeVar, cast
 
 import yaml
 from pydantic import Field
 
-from alight.settings.base import FrozenModel
-from alight.settings.imu import ImuNoise
-from alight.settings.stages import (
-    BundleSettings,
-    ElevationSettings,
-    ExecutiveSettings,
-    FilterSettings,
-    HazardsSettings,
-    MotionSettings,
-    ParallaxSettings,
-    RouteSettings,
-    SitesSettings,
-    StageSettings,
-    TerrainSettings,
-    TracksSettings,
-)
-from alight.settings.tuning import FilterTuning, Tuning
-from alight.settings.user import (
-    ElevationKeys,
-    ExecutiveKeys,
-    FilterKeys,
-    HazardsKeys,
-    Lander,
-    MotionKeys,
-    ParallaxKeys,
-    RouteKeys,
-    SitesKeys,
-    SourcesKeys,
-    TerrainKeys,
-)
+from alight.settings import tuning as tuned
+from alight.settings import user
+from alight.settings.base import FrozenModel, Positive
 
 Stage = TypeVar("Stage", bound=FrozenModel)
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Noise that a recording states for its IMU at rest (fields as in imu0/sensor.yaml); None: not stated."""
+
+    gyroscope_noise_density: float | None = None  # rad/s per sqrt(Hz)
+    gyroscope_random_walk: float | None = None  # rad/s^2 per sqrt(Hz)
+    accelerometer_noise_density: float | None = None  # m/s^2 per sqrt(Hz)
+    accelerometer_random_walk: float | None = None  # m/s^3 per sqrt(Hz)
+
+    def stated(self) -> dict[str, float]:
+        """The stated numbers, by field."""
+        return {k: v for k, v in asdict(self).items() if v is not None}
+
+    def in_flight(self, margin: float) -> dict[str, float]:
+        """Noise by key of the filter: `margin` times the stated number; numbers that are not above zero are ignored."""
+        stated = {
+            "gyro_noise": self.gyroscope_noise_density,
+            "gyro_walk": self.gyroscope_random_walk,
+            "accelerometer_noise": self.accelerometer_noise_density,
+            "accelerometer_walk": self.accelerometer_random_walk,
+        }
+        return {key: margin * value for key, value in stated.items() if value is not None and value > 0.0}
+
+
+class TracksSettings(tuned.TracksTuning):
+    """Feature tracks."""
+
+
+class FilterSettings(tuned.FilterTuning, user.FilterKeys):
+    """The filter and its smoother, with the noise of the IMU."""
+
+    gyro_noise: Positive = Field(5e-4, description="rad/s per sqrt(Hz)")
+    gyro_walk: Positive = Field(3e-5, description="rad/s^2 per sqrt(Hz)")
+    accelerometer_noise: Positive = Field(3e-3, description="m/s^2 per sqrt(Hz)")
+    accelerometer_walk: Positive = Field(3e-4, description="m/s^3 per sqrt(Hz)")
+
+
+class BundleSettings(tuned.BundleTuning, user.BundleKeys):
+    """Bundle adjustment."""
+
+
+class MotionSettings(user.MotionKeys):
+    """Estimation of the poses."""
+
+    filter: FilterSettings = FilterSettings()
+    bundle: BundleSettings = BundleSettings()
+
+
+class ParallaxSettings(tuned.ParallaxTuning, user.ParallaxKeys):
+    """Planar parallax."""
+
+
+class ElevationSettings(tuned.ElevationTuning, user.ElevationKeys):
+    """The elevation map."""
+
+
+class TerrainSettings(tuned.TerrainTuning, user.TerrainKeys):
+    """Land cover."""
+
+
+class HazardsSettings(tuned.HazardsTuning, user.HazardsKeys):
+    """The hazard judgement."""
+
+
+class SitesSettings(tuned.SitesTuning, user.SitesKeys):
+    """The choice of sites."""
+
+
+class RouteSettings(tuned.RouteTuning, user.RouteKeys):
+    """The route."""
+
+
+class ExecutiveSettings(tuned.ExecutiveTuning, user.ExecutiveKeys):
+    """The executive."""
+
+
+@dataclass(frozen=True)
+class StageSettings:
+    """The settings of every stage. `Settings.stages` makes it."""
+
+    tracks: TracksSettings
+    motion: MotionSettings
+    parallax: ParallaxSettings
+    mapping: tuned.MappingTuning
+    elevation: ElevationSettings
+    terrain: TerrainSettings
+    lander: user.Lander
+    hazards: HazardsSettings
+    sites: SitesSettings
+    route: RouteSettings
+    executive: ExecutiveSettings
 
 
 class Settings(FrozenModel):
     """The keys of a user, by group, and under `tuning` the tuned constants by stage."""
 
-    sources: SourcesKeys = SourcesKeys()
-    motion: MotionKeys = MotionKeys()
-    parallax: ParallaxKeys = ParallaxKeys()
-    elevation: ElevationKeys = ElevationKeys()
-    terrain: TerrainKeys = TerrainKeys()
-    lander: Lander = Lander()
-    hazards: HazardsKeys = HazardsKeys()
-    sites: SitesKeys = SitesKeys()
-    route: RouteKeys = RouteKeys()
-    executive: ExecutiveKeys = ExecutiveKeys()
-    tuning: Tuning = Field(Tuning(), description="Tuned constants by stage; not meant to be changed")
+    sources: user.SourcesKeys = user.SourcesKeys()
+    motion: user.MotionKeys = user.MotionKeys()
+    parallax: user.ParallaxKeys = user.ParallaxKeys()
+    elevation: user.ElevationKeys = user.ElevationKeys()
+    terrain: user.TerrainKeys = user.TerrainKeys()
+    lander: user.Lander = user.Lander()
+    hazards: user.HazardsKeys = user.HazardsKeys()
+    sites: user.SitesKeys = user.SitesKeys()
+    route: user.RouteKeys = user.RouteKeys()
+    executive: user.ExecutiveKeys = user.ExecutiveKeys()
+    tuning: tuned.Tuning = Field(tuned.Tuning(), description="Tuned constants by stage; not meant to be changed")
 
     @property
     def too_low(self) -> str:
@@ -73,10 +140,12 @@ class Settings(FrozenModel):
         Args:
             imu: noise that the recording states for its IMU; constants that are set here win over it.
         """
-        t = self.tuning
-        motion = dict(self.motion) | {
-            "filter": _filter_settings(self.motion.filter, t.filter, imu or ImuNoise()),
-            "bundle": _joined(BundleSettings, self.motion.bundle, t.bundle),
+        t, keys = self.tuning, self.motion
+        set_here = {k: v for k, v in t.filter if v is not None}
+        noise = (imu or ImuNoise()).in_flight(t.filter.imu_margin)
+        motion = dict(keys) | {
+            "filter": FilterSettings.model_construct(**(dict(keys.filter) | noise | set_here)),
+            "bundle": _joined(BundleSettings, keys.bundle, t.bundle),
         }
         return StageSettings(
             tracks=_joined(TracksSettings, t.tracks),
@@ -104,11 +173,6 @@ class Settings(FrozenModel):
             changed = self.model_dump(mode="json", include={"tuning"}, exclude_defaults=True)
             tree |= changed if changed.get("tuning") else {}
         return yaml.safe_dump(tree, sort_keys=False)
-
-
-def _filter_settings(keys: FilterKeys, tuning: FilterTuning, imu: ImuNoise) -> FilterSettings:
-    set_here = {k: v for k, v in tuning if v is not None}
-    return FilterSettings.model_construct(**(dict(keys) | imu.in_flight(tuning.imu_margin) | set_here))
 
 
 def _joined(kind: type[Stage], *parts: FrozenModel) -> Stage:

@@ -16,7 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from alight.arrays import F32, U8
 from alight.geometry import Grid
-from alight.raster.errors import UNREADABLE
+from alight.raster import unreadable
 from alight.records import ElevationMap, Flag, InputError
 from alight.sources.raster_heights import doubt_of_heights
 
@@ -54,7 +54,7 @@ def open_raster(path: Path) -> Any:
             return rasterio.open(path)
     except UnicodeEncodeError as e:
         raise InputError(f"{path}: its name is not UTF-8; rename it") from e
-    except UNREADABLE as e:
+    except unreadable() as e:
         raise InputError(f"{path}: not a raster that can be read ({' '.join(str(e).split())}); give a GeoTIFF") from e
 
 

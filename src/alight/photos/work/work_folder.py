@@ -9,7 +9,7 @@ from typing import Any
 
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_bytes, read_text
 from alight.outputs.atomic_write import output_error, write_whole
-from alight.outputs.work_folder import WORK, remove_work
+from alight.outputs.folder import WORK, remove_work
 from alight.records import InputError
 
 KEY = "run.json"  # identifies the run that the work belongs to

@@ -1,0 +1,146 @@
+"""Lines on stdout and stderr, progress, and the answer of a run. Rich is imported only for a terminal."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import typer
+
+if TYPE_CHECKING:
+    from alight.records import RunResult, Site, Sites
+
+stdout_errors: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
+
+
+def discard(stream: TextIO) -> None:
+    """Send to the null device what a stream cannot write, or the interpreter fails on it at its end."""
+    with suppress(OSError):  # it has no number
+        number = stream.fileno()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+
+
+def is_terminal() -> bool:
+    """True if a person sees stderr."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def print_stderr(line: str, style: str = "yellow") -> None:
+    """Print one line on stderr, however long: a terminal wraps it by itself, and a log needs it whole.
+
+    Nothing is raised where it cannot be written.
+    """
+    from alight.documents import printable
+
+    text = printable(" ".join(line.split()))
+    if is_terminal():
+        from alight.cli.display import stderr
+
+        stderr.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+        return
+    try:
+        typer.echo(text, err=True)
+    except OSError:
+        discard(sys.stderr)
+
+
+def print_line(line: str) -> None:
+    """Print one line on stdout. A closed pipe (`| head`) is no error; another failure to write ends no work."""
+    from alight.documents import printable
+
+    try:
+        typer.echo(printable(line))
+    except OSError as e:
+        discard(sys.stdout)
+        if not isinstance(e, BrokenPipeError):
+            stdout_errors.append(f"standard output: cannot be written ({e.strerror}); mend that or leave it open")
+
+
+def progress_bar() -> AbstractContextManager[Callable[[str, float], None]]:
+    """Show a bar a stage on stderr, removed at the end; none where stderr is no terminal."""
+    if not is_terminal():
+        return nullcontext(lambda stage, share: None)
+    from alight.cli.display import bars
+
+    return bars()
+
+
+def live_table() -> AbstractContextManager[Callable[[Iterable[tuple[str, str]], Iterable[str]], None]]:
+    """Yield a function that shows names with values and lines below them; nothing where stderr is no terminal."""
+    if not is_terminal():
+        return nullcontext(lambda rows, lines: None)
+    from alight.cli import display
+
+    return display.live_table()
+
+
+def log_to_stderr() -> None:
+    """Log warnings and errors above the bar on a terminal, else as one plain line each."""
+    handler: logging.Handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    if is_terminal():
+        from alight.cli.display import log_handler as handler
+    logging.getLogger("alight").setLevel(logging.NOTSET)  # until --verbose
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler], force=True)
+
+
+def print_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str = "") -> None:
+    """Print the answer on stdout: the best site, or the reason for none and the first candidate; one line each.
+
+    Args:
+        place: returns words for a position, (3,) metres.
+        more: text after the numbers of sites and candidates.
+    """
+    from alight.report import words
+
+    kinds = {"site": sites.sites, "candidate": sites.candidates}
+    found = ", ".join(f"{len(part)} {name}{'s' * (len(part) != 1)}" for name, part in kinds.items() if part) + more
+    if sites.sites:
+        print_line(f"SITE  {_numbers(sites.sites[0], place)}  ({found})")
+        return
+    print_line(f"NO SITE  {sites.reason}")
+    if sites.candidates:
+        s = sites.candidates[0]
+        look = words.look_from(s) + ("" if s.look is None else f", at {place([s.look.east, s.look.north, s.look.up])}")
+        print_line(f"LOOK CLOSER  {_numbers(s, place)}  doubt: {words.doubt(s)}  look from: {look}  ({found})")
+
+
+def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
+    from alight.records import p_safe_text
+
+    return (
+        f"{place([site.east, site.north, site.up])}  slope {math.degrees(site.slope):.1f} deg  "
+        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {p_safe_text(site.p_safe)}"
+    )
+
+
+def print_result(result: RunResult) -> None:
+    """Print the answer of a run on stdout, its warnings on stderr."""
+    from alight.report import warnings
+
+    def place(position: Sequence[float]) -> str:
+        if not result.georeferenced:
+            return f"east {position[0]:.2f} m north {position[1]:.2f} m"
+        latitude, longitude, _ = result.local.to_geodetic(position)
+        return f"{float(latitude):.7f} {float(longitude):.7f}"
+
+    for w in warnings(result):
+        print_stderr(f"warning: {w}")
+    print_answer(result.sites, place)
+    if "prior_dem" in result.notes:
+        print_line(f"PRIOR DEM  {result.notes['prior_dem']}")
+
+
+def save_result(result: RunResult, out: Path, force: bool) -> None:
+    """Print the answer first, in case the folder cannot be written; then write it and print its report's path."""
+    from alight.outputs import write_run
+
+    print_result(result)
+    write_run(result, out, force)
+    print_line(f"report: {out / 'report.html'}")

@@ -1,0 +1,181 @@
+"""`alight hazards` judges any height raster, and reports a fault of the raster in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.testing import assert_allclose
+from written_raster import write
+
+import alight
+from alight.cli import call
+from alight.records import Hazard, OutputError
+from alight.sources.raster import read_ground
+
+
+def rock(shape: tuple[int, int] = (81, 81)) -> np.ndarray:
+    z = np.full(shape, 100.0, np.float32)
+    z[20, 20] = 100.6
+    return z
+
+
+def test_a_raster_is_judged_on_its_own_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lander = tmp_path / "lander.yaml"
+    lander.write_text("lander:\n  radius: 1.0\n  max_roughness: 0.2\n")
+    dem = write(tmp_path / "dem.tif", rock())
+    assert call(["hazards", str(dem), "--lander", str(lander), "--sigma", "0.01", "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.startswith("SITE  east 5500")
+    with rasterio.open(tmp_path / "out" / "safe.tif") as safe, rasterio.open(tmp_path / "out" / "reasons.tif") as why:
+        assert safe.crs.to_epsg() == 32610
+        assert safe.bounds == rasterio.open(dem).bounds
+        p, reasons = safe.read(1), why.read(1)
+    assert reasons[20, 20] == Hazard.ROUGHNESS
+    assert p[20, 20] == 0.0
+    assert p[60, 60] > 0.99
+    assert np.isnan(p[0, 0])
+    info = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert info["settings"]["lander"]["radius"] == 1.0
+    assert_allclose(info["share_safe"], (reasons == 0).mean(), atol=1e-6)
+    site = json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"][0]
+    assert_allclose(site["geometry"]["coordinates"][:2], [-122.4319, 37.7664], atol=1e-3)
+    assert "refused" in (tmp_path / "out" / "report.html").read_text()
+    assert not (tmp_path / "out" / "heights.tif").exists()
+    again = ["hazards", str(dem), "--lander", str(lander), "--out", str(tmp_path / "out")]
+    assert call(again) == 0  # results in its own folder are replaced
+    assert "no sigma given" in capsys.readouterr().err
+
+
+def test_no_place_is_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    z = np.add.outer(np.zeros(81), 0.05 * np.arange(81)).astype(np.float32)
+    dem = write(tmp_path / "dem.tif", z, crs=None)
+    assert call(["hazards", str(dem), "--sigma", "0", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("NO SITE  no safe site: of the seen ground")
+    assert "too steep" in said.out
+    assert "no coordinate system" in said.err
+    assert json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"] == []
+
+
+def test_unknown_cells_and_an_own_sigma_band_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bands = np.stack([rock(), np.full((81, 81), 0.5, np.float32)])
+    bands[0, 60, 60] = -9999.0
+    dem = write(tmp_path / "dem.tif", bands, nodata=-9999.0)
+    with rasterio.open(dem, "r+") as d:
+        d.descriptions = ("height", "sigma")
+    assert call(["hazards", str(dem), "--set", "lander.radius=1", "--out", str(tmp_path / "out")]) == 0
+    with rasterio.open(tmp_path / "out" / "reasons.tif") as d:
+        reasons = d.read(1)
+    assert reasons[60, 60] == Hazard.UNKNOWN
+    assert reasons[40, 60] == Hazard.DOUBT  # with a sigma of half a metre no flat ground is certain
+    assert "LOOK CLOSER  east 5500" in capsys.readouterr().out
+    first = json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"][0]["properties"]
+    assert (first["kind"], first["doubt"]) == ("candidate", "relief")
+    assert (first["look"], first["look_from_m"]) == (None, None)  # no camera is known
+
+
+def test_a_finer_image_makes_the_heights_finer(tmp_path: Path, shared_data: Path) -> None:
+    folder = shared_data / "hazard-contest" / "terrain1"
+    raw = np.fromfile(folder / "dem.raw", ">f4").reshape(500, 500)[:120, :120].astype(np.float32)
+    with open(folder / "image.pgm", "rb") as f:
+        picture = np.frombuffer(f.read()[-1000000:], np.uint8).reshape(1000, 1000)[:240, :240]
+    dem, image = write(tmp_path / "dem.tif", raw, 0.2), write(tmp_path / "image.tif", np.ascontiguousarray(picture))
+    arguments = ["hazards", str(dem), "--image", str(image), "--sigma", "0.002", "--out", str(tmp_path / "out")]
+    assert call(arguments) == 0
+    with rasterio.open(tmp_path / "out" / "heights.tif") as d, rasterio.open(tmp_path / "out" / "safe.tif") as s:
+        assert d.shape == s.shape == (240, 240)
+        assert_allclose(d.bounds, rasterio.open(dem).bounds, atol=1e-6)
+        assert abs(d.read(1)[::2, ::2] - raw).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda p: write(p, rock(), crs="EPSG:4326"), "cells are degrees"),
+        (lambda p: write(p, rock(), crs="EPSG:2227"), "unit is not the metre"),
+        (lambda p: write(p, rock(), transform=rasterio.Affine(0.1, 0.01, 0, 0, -0.1, 0)), "not square with north up"),
+        (lambda p: write(p, np.full((9, 9), np.nan, np.float32)), "no height is known"),
+        (lambda p: p.write_text("heights"), "not a raster"),
+        (lambda p: None, "no such file"),
+    ],
+)
+def test_a_raster_that_cannot_be_judged_is_refused(
+    make: object, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make(tmp_path / "dem.tif")  # type: ignore[operator]
+    assert call(["hazards", str(tmp_path / "dem.tif"), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--sigma", "other.tif", "the heights have 81 x 81"),
+        ("--sigma", "-1", "metres from 0 to 1000"),
+        ("--image", "other8.tif", "give 1, 2, 4, ... pixels a cell"),
+        ("--image", "moved.tif", "lies elsewhere"),
+        ("--image", "other.tif", "give 8 bit"),
+        ("--lander", "bad.yaml", "lander.legs: unknown key"),
+        ("--lander", "empty.yaml", "needs keys of the lander"),
+    ],
+)
+def test_what_does_not_fit_the_heights_is_refused(
+    option: str, value: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "other.tif", np.zeros((80, 81), np.float32))
+    write(tmp_path / "other8.tif", np.zeros((80, 81), np.uint8))
+    write(
+        tmp_path / "moved.tif",
+        np.zeros((81, 81), np.uint8),
+        transform=rasterio.Affine(0.1, 0, 550001, 0, -0.1, 4180000),
+    )
+    (tmp_path / "bad.yaml").write_text("radius: 1\nlegs: 4\n")
+    (tmp_path / "empty.yaml").write_text("")
+    dem = write(tmp_path / "dem.tif", rock())
+    given = value if value.startswith("-") else str(tmp_path / value)
+    assert call(["hazards", str(dem), f"{option}={given}", "--out", str(tmp_path / "out")]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_an_input_among_the_results_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dem, out = write(tmp_path / "dem.tif", rock()), tmp_path / "out"
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--out", str(out)]) == 0
+    dem = write(out / "heights.tif", rock())
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--out", str(out)]) == 2
+    assert "heights.tif: lies in" in capsys.readouterr().err
+    with pytest.raises(OutputError, match="lies in"):
+        alight.judge(dem, sigma=0.01).save(out)
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+
+
+def test_the_files_that_were_read_are_known(tmp_path: Path) -> None:
+    """A folder of results must not hold them."""
+    dem, image = write(tmp_path / "dem.tif", rock()), write(tmp_path / "image.tif", np.zeros((81, 81), np.uint8))
+    sigma = write(tmp_path / "sigma.tif", np.full((81, 81), 0.02, np.float32))
+    assert read_ground(dem, "0.03", None, 0.05).files == (dem,)
+    assert read_ground(dem, str(sigma), image, 0.05).files == (dem, sigma, image)
+
+
+def test_gear_on_cells_too_coarse_for_it_is_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    steep = np.add.outer(np.zeros(41), 0.577 * np.arange(41)).astype(np.float32)
+    dem, out = write(tmp_path / "dem.tif", steep, 1.0), str(tmp_path / "out")
+    for gear in ("lander.feet=[[0.4,0.4],[0.4,-0.4],[-0.4,0.4],[-0.4,-0.4]]", "lander.skids=[0.8,0.6]"):
+        assert call(["hazards", str(dem), "--sigma", "0.03", "--set", gear, "--out", out]) == 0
+        assert "too steep" in capsys.readouterr().out
+    assert call(["hazards", str(dem), "--set", "lander.radius=0.9", "--out", out]) == 0
+    assert "unknown ground within the footprint" in capsys.readouterr().out  # a single cell has no slope
+
+
+def test_a_settings_file_may_change_how_surveyed_heights_are_judged(tmp_path: Path) -> None:
+    dem, out, file = write(tmp_path / "dem.tif", rock()), tmp_path / "out", tmp_path / "settings.yaml"
+    file.write_text("tuning: {hazards: {smoothed: true, tilt_sigma: 0.01}}\n")
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--settings", str(file), "--out", str(out)]) == 0
+    stored = json.loads((out / "run.json").read_text())["settings"]["tuning"]["hazards"]
+    assert (stored["smoothed"], stored["tilt_sigma"], stored["noise_length"]) == (True, 0.01, 0.4)
