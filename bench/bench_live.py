@@ -29,7 +29,7 @@ from tables import DATA, Row, at_least, show
 import alight
 import alight_sim
 from alight.arrays import F64
-from alight.flight.live import Capacity, Listener, Live
+from alight.flight.live.live import Live, LiveOptions
 from alight.flight.live.run import for_flight
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, NavSample
@@ -102,12 +102,12 @@ class Flown:
         with tempfile.TemporaryDirectory() as folder:
             head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)
             recorder = Recorder(Path(folder) / "recording.mcap", head) if not memory else None
-            live = Live(
-                source.rig, settings, Listener(), Capacity(schedule=1000), Path(folder),
-                appearance_of(settings), source.imu_noise, recorder,
-            )  # fmt: skip
-            for p in live.posts.values():
-                p.worker.wait_until_ready()
+            options = LiveOptions(
+                recorder=recorder, folder=Path(folder), appearance=appearance_of(settings), imu=source.imu_noise
+            )
+            live = Live(source.rig, settings, options)
+            for lane in live.lanes.values():
+                lane.wait_until_ready()
             begin = asked = time.perf_counter()
             first, counts = None, dict[str, int]()
             for event in paced(around(source, seconds), 1.0):

@@ -21,7 +21,7 @@ from alight.arrays import F64, U8
 from alight.elevation import FIELDS
 from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.geometry import Grid
-from alight.pipeline import Pipeline
+from alight.pipeline import Pipeline, PipelineOptions
 from alight.pipeline.judging import as_judged, land_cover
 from alight.records import Datum, ElevationMap, Flag, Motion, TerrainMap
 from alight.runner.opening import open_source
@@ -124,7 +124,7 @@ def read_map(path: Path, name: str) -> Judgeable:
 def _lane(source: Source | SimulatedFlight, how: How) -> Pipeline:
     settings = load_settings("", [f"parallax.method={how.split('-')[0]}"])
     poses = source.truth_trajectory if how.endswith("true") else None
-    return Pipeline(source.rig, source.kind, settings, poses, imu=source.imu_noise)
+    return Pipeline(source.rig, source.kind, settings, PipelineOptions(poses, imu=source.imu_noise))
 
 
 def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:

@@ -78,11 +78,11 @@ def test_the_search_begins_with_the_prior_where_points_are_few() -> None:
         m._points = points
     high = Grid(60.0, 10.0, 0.25, 64, 64)
     assert without._range(high, 100.0)[1] < 20.0  # the points hold no height there
-    low, top = lane._range(high, 100.0)
+    low, top = lane.searched_heights(high, 100.0)
     assert low < 20.0 < top
     assert low > 10.0
     flat = Grid(-60.0, 10.0, 0.25, 64, 64)
-    assert lane._range(flat, 100.0)[0] == pytest.approx(without._range(flat, 100.0)[0], abs=0.5)
+    assert lane.searched_heights(flat, 100.0)[0] == pytest.approx(without._range(flat, 100.0)[0], abs=0.5)
     fixed = BatchMap(load_settings("", ["parallax.height_range=[-1,1]"]).stages(), prior=prior)
     fixed._points = points
     assert fixed._range(high, 100.0) == (-1.0, 1.0)

@@ -78,7 +78,7 @@ def campaign(
     if only is not None:
         _again(planned, out, only)
         return
-    numbers = runner.fly_campaign(planned, out, jobs, scheduler, compare, _tell)
+    numbers = runner.fly_campaign(planned, out, jobs, scheduler, compare, print_ended)
     for line in runner.outcome_lines(numbers):
         say(line)
     if compare is not None:
@@ -103,10 +103,10 @@ def _again(planned: Campaign, out: Path, only: int) -> None:
         raise typer.Exit(WRONG)
 
 
-def _tell(ended: Ended) -> None:
+def print_ended(ended: Ended) -> None:
     """Print a line on stderr for a landing that has ended."""
     r = ended.record
-    told = [
+    parts = [
         f"#{r.number} {r.conditions.scene}: {r.outcome}",
         r.error or r.why if r.outcome != "landed safely" else "",
         "" if r.p_at_commit is None else f"P(safe) {p_safe_text(r.p_at_commit)}",
@@ -116,7 +116,7 @@ def _tell(ended: Ended) -> None:
         f"{_clock(ended.left_s)} left" if ended.done < ended.of else "",
     ]
     style = "none" if r.is_right else "yellow"
-    complain(", ".join([f"{ended.done}/{ended.of}", *filter(None, told)]), style)
+    complain(", ".join([f"{ended.done}/{ended.of}", *filter(None, parts)]), style)
 
 
 def _clock(seconds: float) -> str:

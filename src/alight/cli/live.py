@@ -60,8 +60,8 @@ def live(
     chosen = read_settings(settings, assign)
     refuse_unused(source, follow, rig, speed)
     from alight.flight.live.health import FlightHealth
-    from alight.flight.live.run import fly_live
-    from alight.runner.live import open_live
+    from alight.flight.live.run import LiveRequest, fly_live
+    from alight.runner.opening import open_live
     from alight.runs import flown_home, wanted_home, with_home
 
     wanted = wanted_home(home, geoid)
@@ -73,14 +73,13 @@ def live(
     compile_if_cold()  # a lane that compiles does not answer
     with Display(console=stderr, transient=True, auto_refresh=False) as display:
 
-        def tell(health: FlightHealth) -> None:
+        def on_health(health: FlightHealth) -> None:
             if stderr.is_terminal:
                 display.update(Text(health.line), refresh=True)
 
         inputs = [path] if (path := Path(source)).is_file() else []
-        result = fly_live(
-            opened.source, opened.events, out, chosen, record, opened.real_time, force, tell, inputs=inputs
-        )
+        request = LiveRequest(out, chosen, record, opened.real_time, force, inputs)
+        result = fly_live(opened.source, opened.events, request, on_health)
     leave_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
 
 

@@ -16,8 +16,7 @@ from alight.parallax.orthophoto import orthophoto
 from alight.pipeline.cover_memory import NO_COVER_SEEN, CoverMemory
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.mapping.passing import traffic
-from alight.pipeline.remembered import NOWHERE, Remembered, shown_at
+from alight.pipeline.remembered import NOWHERE, Remembered, shown_at, traffic
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import (

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 LATE = 0.9  # s that a lane may be busy with one piece of work until it is called late
-REMEMBERED = 1000  # last steps whose times are kept
-ARRIVALS = 1000  # exposures whose arrival is remembered
+REMEMBERED = 1000  # last steps whose times are kept, and exposures whose arrival is
 
 
 class LaneState(Enum):
@@ -66,10 +65,10 @@ class Watch:
         """Note the time at which an exposure arrived."""
         with self._lock:
             self._arrived[t_ns] = time.perf_counter()
-            if len(self._arrived) > ARRIVALS:
+            if len(self._arrived) > REMEMBERED:
                 self._arrived.popitem(last=False)
 
-    def known(self, what: str, t_ns: int) -> None:
+    def reached(self, what: str, t_ns: int) -> None:
         """Take the time since an exposure arrived, under the name `what`; a pose counts for the rate as well."""
         now = time.perf_counter()
         with self._lock:

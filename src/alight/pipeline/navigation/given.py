@@ -10,7 +10,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from alight.geometry import Pose
-from alight.pipeline.navigation.lane import Navigation, Progress, TimedPoses, Trajectory, sparse
+from alight.pipeline.navigation import Navigation, TimedPoses, Trajectory, sparse
+from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, KeyframePosterior, Motion, Rig
 from alight.settings import MotionSettings
 
