@@ -93,10 +93,10 @@ class Judgeable:
 
 def write_map(path: Path, e: ElevationMap, truth: FlightTruth, **more: object) -> None:
     """Keep a map beside its truth, and `more` arrays or numbers with it."""
-    gauge = e.gauge or Datum(0.0, 0.0, np.zeros((3, 3)))
+    datum = e.datum or Datum(0.0, 0.0, np.zeros((3, 3)))
     np.savez_compressed(
         path,
-        grid=_numbers(e.grid), gauge=np.concatenate([[gauge.east, gauge.north], gauge.covariance.ravel()]),
+        grid=_numbers(e.grid), datum=np.concatenate([[datum.east, datum.north], datum.covariance.ravel()]),
         fine=e.fine, fine_sampling=e.fine_sampling, truth_grid=_numbers(truth.grid),
         dem=truth.dem, label=truth.label,
         **{k: getattr(e, k) for k in FIELDS}, **more,
@@ -114,10 +114,10 @@ def _grid(g: F64) -> Grid:
 def read_map(path: Path, name: str) -> Judgeable:
     """Read a map that `write_map` kept."""
     with np.load(path) as z:
-        g = z["gauge"]
-        gauge = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
+        g = z["datum"]
+        datum = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
         fields = {k: z[k] for k in (*FIELDS, "fine", "fine_sampling")}
-        e = ElevationMap(_grid(z["grid"]), **fields, gauge=gauge)
+        e = ElevationMap(_grid(z["grid"]), **fields, datum=datum)
         return Judgeable(name, e, FlightTruth(z["dem"], z["label"], _grid(z["truth_grid"])))
 
 

@@ -202,7 +202,7 @@ def cut(e: ElevationMap, place: F64) -> ElevationMap:
     assert e.fine_sampling is not None
     n = e.fine.shape[0] // e.grid.rows
     fine = e.fine[n * rows.start : n * rows.stop, n * cols.start : n * cols.stop]
-    return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], gauge=e.gauge)
+    return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], datum=e.datum)
 
 
 def claims_of(look: Look) -> Claims:

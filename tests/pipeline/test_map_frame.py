@@ -54,15 +54,15 @@ def test_a_motion_knows_where_its_frame_lies() -> None:
 
 
 def test_a_map_moves_as_one() -> None:
-    before = replace(elevation(), gauge=Datum(1.0, 2.0, np.diag([0.6, 1e-4, 1e-4])))
+    before = replace(elevation(), datum=Datum(1.0, 2.0, np.diag([0.6, 1e-4, 1e-4])))
     after = frame_of(frame_id=3).elevation(before)
     assert (after.grid.east, after.grid.north) == (before.grid.east + 1.25, before.grid.north - 0.5)
     assert_allclose(after.height, before.height + 0.75, rtol=1e-6)
     assert after.frame_id == 3
     assert after.position_covariance is EXACT
-    assert after.gauge is not None
-    assert (after.gauge.east, after.gauge.north) == (2.25, 1.5)
-    assert_allclose(np.diag(after.gauge.covariance), [0.6 - 0.75**2, 1e-4, 1e-4], rtol=1e-9)
+    assert after.datum is not None
+    assert (after.datum.east, after.datum.north) == (2.25, 1.5)
+    assert_allclose(np.diag(after.datum.covariance), [0.6 - 0.75**2, 1e-4, 1e-4], rtol=1e-9)
 
 
 def test_without_an_offset_every_bit_stays() -> None:
@@ -282,7 +282,7 @@ def test_a_late_exposure_of_the_old_frame_drops_nothing() -> None:
     fed.insert(30, late)
     mapper = RecursiveMapper(f.rig, settings_of(*SETTINGS).stages(), None, Timings(), history=True)
     updates = [mapper.feed(n) for n in fed]
-    assert updates[30] is None
+    assert updates[30] == 0
     assert late.frame.t_ns not in {k.frame.t_ns for k in mapper.store.keyframes}
     found = mapper.finish(lane.finish(lambda share: None), lambda share: None)
     assert len(found.warnings) == 1

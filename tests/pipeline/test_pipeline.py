@@ -314,7 +314,7 @@ def test_a_map_is_judged_when_the_need_calls_for_it_and_the_lane_is_free() -> No
 
     def judged(exposures: Iterable[int], free: bool = True) -> list[int]:
         shown = [(k, Navigation(Frame(k * 100_000_000, ()), None)) for k in exposures]
-        return [k for k, n in shown if policy.due_verdict(n, None, free)]
+        return [k for k, n in shown if policy.due_verdict(n, 0, free)]
 
     assert judged(range(3)) == []
     policy.need = Need(0.3, place)

@@ -351,7 +351,7 @@ def test_a_touchdown_is_judged_by_the_oracle(tmp_path: Path) -> None:
     good = flown(grass, lands)
     assert (good.outcome, good.state) == ("landed safely", "landed")
     assert good.p_at_commit == good.p_found == 0.97
-    assert [x.verdict for x in good.last_looks] == ["candidate", "site"]
+    assert [x.verdict for x in good.looks] == ["candidate", "site"]
     assert good.touchdown is not None
     assert good.touchdown.tilt == pytest.approx(0.0, abs=1e-6)
     bad = fly_conditions(conditions(water), Settings(), lands)
@@ -618,7 +618,7 @@ def test_a_real_landing_on_concrete() -> None:
     assert 0.5 * record.cpu_s < sum(record.cpu_of.values()) < record.cpu_s
     assert record.p_at_commit is not None
     assert record.p_at_commit > 0.95
-    assert record.last_looks[-1].verdict == "site"
+    assert record.looks[-1].verdict == "site"
     assert [x.after for x in record.transitions][-2:] == ["commit", "landed"]
 
 

@@ -131,7 +131,7 @@ def _spare(sigma: F32) -> float:
 
 def common_tilt(elevation: ElevationMap, settings: HazardsSettings) -> float:
     """1-sigma of the tilt that all cells share, rad: from the poses of the map, and the user's setting besides."""
-    poses = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
+    poses = 0.0 if elevation.datum is None else elevation.datum.tilt_sigma
     return float(np.hypot(poses, settings.tilt_sigma))
 
 

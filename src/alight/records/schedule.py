@@ -22,7 +22,7 @@ class Schedule:
     mapped: tuple[int, ...] = ()  # exposures that the mapping lane took
     effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 full, higher numbers less
     judged: tuple[int, ...] = ()  # exposures whose map was judged
-    about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none was asked for
+    about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none
     navigation_anew: tuple[int, ...] = ()  # exposures before which the navigation lane began anew
     mapping_anew: tuple[int, ...] = ()  # exposures before which the mapping lane began anew
 

@@ -55,7 +55,7 @@ class GroundMap:
     elevation: TiledElevation | None = None
     ground: float | None = None  # metres above the origin, general ground height
     reason: str = ""  # why there is no map
-    gauge: Datum | None = None  # common error of all heights
+    datum: Datum | None = None  # common error of all heights
     points: F64 = field(default_factory=lambda: NO_POINTS)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
@@ -133,4 +133,4 @@ class GroundMap:
     def snapshot(self) -> ElevationMap | None:
         """The whole map so far, by value; None where nothing was seen."""
         found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
-        return None if found is None else replace(found, gauge=self.gauge)
+        return None if found is None else replace(found, datum=self.datum)

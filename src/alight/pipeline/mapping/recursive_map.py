@@ -66,7 +66,7 @@ class RecursiveMap(GroundMap):
         )
         self.ground, self.points = self.ground + float(shift[2]), self.points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
-        self.estimator, self.gauge, self.out_of_range = None, None, False
+        self.estimator, self.datum, self.out_of_range = None, None, False
         self.passed, self.came = self.passed.moved(shift, sigma), self.came.moved(shift, sigma)
         return mapped
 
@@ -102,7 +102,7 @@ class RecursiveMap(GroundMap):
             known = replace(known, height=known.height + estimator.plane_on(grid))
         if not parts:
             return False
-        self.gauge = parts[0].gauge
+        self.datum = parts[0].datum
         height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags.copy()
         given, anew = is_trusted(known.flags), np.zeros(grid.shape, np.bool_)
         for part in parts:
@@ -156,7 +156,7 @@ class RecursiveMap(GroundMap):
         here = self.elevation.cell_at(self.level)
         level = self.level + doublings_up_to(here, self.settings.lander.judging_cell)
         found = self.elevation.read(_window(self.elevation, low, high, level, BYTES_A_CELL))
-        return replace(found, gauge=self.gauge) if found.trusted.any() else None
+        return replace(found, datum=self.datum) if found.trusted.any() else None
 
 
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
