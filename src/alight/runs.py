@@ -50,17 +50,17 @@ def known_home(text: str | None, geoid: Path | None = None) -> Home | None:
     return home
 
 
-def flown_home(wanted: Home | None, heard: Telemetry | None, separation: float | None) -> Home | None:
+def flown_home(wanted: Home | None, telemetry: Telemetry | None, separation: float | None) -> Home | None:
     """Return the home of a vehicle on a link, with its separation (NaN: unknown); None: there is no home.
 
     Args:
         wanted: by the user; None: the autopilot's own.
-        heard: the newest telemetry.
+        telemetry: the newest.
         separation: metres, ellipsoid minus sea level, of the user; None: the receiver's.
     """
-    reported = math.nan if heard is None else heard.gps.separation
-    if wanted is None and heard is not None and heard.home is not None:
-        wanted = Home(heard.home.latitude, heard.home.longitude, heard.home.altitude_msl)
+    reported = math.nan if telemetry is None else telemetry.gps.separation
+    if wanted is None and telemetry is not None and (own := telemetry.home) is not None:
+        wanted = Home(own.latitude, own.longitude, own.altitude_msl)
     if wanted is None:
         return None
     return wanted.with_separation(reported if separation is None else separation)
@@ -68,8 +68,8 @@ def flown_home(wanted: Home | None, heard: Telemetry | None, separation: float |
 
 def with_home(result: RunResult, home: Home | None) -> RunResult:
     """Return the result with the home of its route; a warning is added if the home is not used or is implausible."""
-    if home is not None and (told := _of_no_use(result, home)):
-        return replace(result, warnings=[*result.warnings, f"the home is not used: {told}"])
+    if home is not None and (why := _of_no_use(result, home)):
+        return replace(result, warnings=[*result.warnings, f"the home is not used: {why}"])
     if home is None or result.route is None or not result.route.waypoints:
         return replace(result, home=home)
     site = result.route.waypoints[-1].position_world
@@ -81,14 +81,14 @@ def with_home(result: RunResult, home: Home | None) -> RunResult:
         where = f"{abs(below):,.0f} m {'below' if below > 0 else 'above'} the site"
     else:
         return replace(result, home=home)
-    told = f"route.plan: the home lies {where}; give LAT,LON,ALT_MSL of the place where the vehicle is armed"
-    return replace(result, home=home, warnings=[*result.warnings, told])
+    warning = f"route.plan: the home lies {where}; give LAT,LON,ALT_MSL of the place where the vehicle is armed"
+    return replace(result, home=home, warnings=[*result.warnings, warning])
 
 
 def _of_no_use(result: RunResult, home: Home) -> str:
     """Reason why heights cannot refer to the home; empty: they can."""
     if not result.georeferenced:
-        return f"{result.source_name} says nothing about its place on Earth"
+        return f"{result.source_name} has no place on Earth"
     if not math.isfinite(home.separation):
         return "the receiver does not report both heights; give --separation, metres from sea level to the ellipsoid"
     return ""

@@ -48,4 +48,4 @@ def test_a_flight_that_was_not_smoothed_names_the_cause(count: int, cause: str) 
 
 
 def test_no_motion_names_the_attitude() -> None:
-    assert "none with an attitude and no way over which the pictures tell it" in Trajectory((), RIG).reason
+    assert "none with an attitude and no way over which the pictures show it" in Trajectory((), RIG).reason

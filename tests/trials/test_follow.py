@@ -135,7 +135,7 @@ def test_a_vehicle_that_is_not_there_is_an_error(
     words = ["rehearse", "concrete", "--folder", str(tmp_path / "f"), "--follow", "udp:127.0.0.1:0", "--width", "80"]
     assert call(words) == 2
     said = capsys.readouterr().err
-    assert "no vehicle was heard" in said
+    assert "no message of a vehicle" in said
     assert "Traceback" not in said
 
 

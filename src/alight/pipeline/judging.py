@@ -43,8 +43,8 @@ GREY = (
 )
 MISSING = {
     MissingVeto.SECOND_CAMERA: (
-        "one camera sees the ground: no two pictures of one moment tell what moves (water, swaying plants), so P(safe) "
-        "is lower; a second camera would tell"
+        "one camera sees the ground: no two pictures of one moment show what moves (water, swaying plants), so P(safe) "
+        "is lower; a second camera would"
     ),
     MissingVeto.ATTITUDE: (
         "attitude was measured neither by a gimbal nor by GPS/INS: how level the map is rests on positions and "
@@ -130,8 +130,8 @@ class JudgingMemory:
     def with_reserve(self, kept: Reserve, frame: MapFrame) -> JudgingMemory:
         """The memory with another reserve; lost sites are noted in words."""
         later = replace(self, kept=kept, frame=frame)
-        said = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
-        return replace(later, lost=(self.lost + said)[-MOST_LOST:])
+        lost = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
+        return replace(later, lost=(self.lost + lost)[-MOST_LOST:])
 
 
 class JudgingLane:

@@ -41,7 +41,7 @@ def navigation_lane(
     """Choose the way to find the motion.
 
     Raises:
-        SettingsError: the settings ask for bundle adjustment, whose lane is the caller's.
+        SettingsError: the settings choose bundle adjustment, whose lane is the caller's.
     """
     if options.navigation is not None:
         return options.navigation

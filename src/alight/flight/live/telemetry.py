@@ -59,8 +59,8 @@ class TelemetryFeed:
         while not self.located:
             if time.monotonic() > end:
                 with self.lock:
-                    heard = self.autopilot.telemetry is not None
-                why = self.events_of.missing if heard else "no heartbeat of an autopilot is heard"
+                    connected = self.autopilot.telemetry is not None
+                why = self.events_of.missing if connected else "no heartbeat of an autopilot comes"
                 raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
             time.sleep(READ)
         assert self.events_of.local is not None
@@ -108,12 +108,12 @@ class TelemetryFeed:
         try:
             while not self._ended.is_set():
                 try:
-                    self._hear()
+                    self._receive()
                 except Exception as e:
                     self._complain(e)
         finally:
             if not self._ended.is_set():
-                log.error("%s: the listener has ended; the autopilot is not heard any more", self.name)
+                log.error("%s: the listener has ended; nothing is received any more", self.name)
 
     def _complain(self, error: Exception) -> None:
         """Log an error, once if it repeats, and wait a little before the next try."""
@@ -122,10 +122,10 @@ class TelemetryFeed:
             log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
         time.sleep(READ)
 
-    def _hear(self) -> None:
-        heard = self.link.read(READ)
+    def _receive(self) -> None:
+        datagrams = self.link.read(READ)
         with self.lock:
-            for data in heard:
+            for data in datagrams:
                 self.autopilot.receive(data, time.monotonic_ns())
             self.autopilot.tick(time.monotonic_ns())
             samples = self.autopilot.samples()

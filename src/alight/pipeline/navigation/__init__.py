@@ -77,7 +77,7 @@ class Trajectory:
         """Reason why there is no motion at all."""
         otherwise = (
             "there is no GPS/INS position with height to start from (nav0), none with an attitude and no way over "
-            "which the pictures tell it, or no picture could be placed"
+            "which the pictures show it, or no picture could be placed"
         )
         return "no motion: " + (self.warnings[-1] if self.warnings else otherwise)
 
