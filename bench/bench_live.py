@@ -115,7 +115,7 @@ class Flown:
                 now = time.perf_counter()
                 if first is None and now - begin > WARM:
                     first = now
-                    for times in live.watch.times.values():
+                    for times in live.watch.timings.stages.values():
                         times.clear()
                     counts = dict(live.watch.counts)
                 if memory and now - asked > memory:
@@ -124,7 +124,7 @@ class Flown:
                     print(f"  {now - begin:6.0f} s  {self.memory[-1]:7.1f} MB  {live.health.line}", flush=True)
             assert first is not None
             self.lasted = time.perf_counter() - first
-            self.times = {k: np.array(v) for k, v in live.watch.times.items()}
+            self.times = {k: np.array(v) for k, v in live.watch.timings.stages.items()}
             self.used = live.watch.counts["frames used"] - counts.get("frames used", 0)
             self.left_out = sum(
                 n - counts.get(k, 0) for k, n in live.watch.counts.items() if k.startswith("navigation: exposures left")

@@ -27,4 +27,8 @@ class Timings:
         """Measure a step of a stage; one that fails is not counted."""
         start = self._clock()
         yield
-        self.stages.setdefault(stage, deque(maxlen=self._most)).append(self._clock() - start)
+        self.add(stage, self._clock() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Add a step of a stage."""
+        self.stages.setdefault(stage, deque(maxlen=self._most)).append(seconds)

@@ -111,7 +111,9 @@ def follow_vehicle(
         opened.close()
 
 
-def _follow(link: Link, follower: VehicleFollower, seconds: float, print_line: Callable[[str], None]) -> Touchdown | None:
+def _follow(
+    link: Link, follower: VehicleFollower, seconds: float, print_line: Callable[[str], None]
+) -> Touchdown | None:
     begin = time.monotonic()
     end, found = begin + seconds, None
     while time.monotonic() < end:
@@ -125,9 +127,7 @@ def _follow(link: Link, follower: VehicleFollower, seconds: float, print_line: C
             print_line("the first picture is written")
         if follower.autopilot.vehicle is None and time.monotonic() - begin > 120.0:
             reason = f" ({link.broken})" if link.broken else ""
-            raise InputError(
-                f"{link.name}: no message of a vehicle for two minutes{reason}; is the autopilot running?"
-            )
+            raise InputError(f"{link.name}: no message of a vehicle for two minutes{reason}; is the autopilot running?")
         if found is None and (found := follower.touchdown) is not None:
             end = min(end, time.monotonic() + 5.0)  # for the reader of the pictures
     return found

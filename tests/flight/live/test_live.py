@@ -163,8 +163,8 @@ def replayed(schedule: Schedule) -> tuple[Results, Decision]:
 
 
 def assert_flies_again(results: Results, decision: Decision, schedule: Schedule) -> None:
-    """Assert that the schedule, as text, gives the same motions, heights, P and sites, in flight and at the end."""
-    again, same = replayed(Schedule.from_json(schedule.to_json()))
+    """Assert that the schedule gives the same motions, heights, P and sites, in flight and at the end."""
+    again, same = replayed(schedule)
     assert bits(results.motions) == bits(again.motions)
     assert [m.frame_id for m in results.motions] == [m.frame_id for m in again.motions]
     assert [verdict_bits(v) for v in results.verdicts] == [verdict_bits(v) for v in again.verdicts]

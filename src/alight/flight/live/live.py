@@ -224,7 +224,7 @@ class Live:
 
     def timings(self) -> dict[str, Sequence[float]]:
         """Seconds of the last steps, by stage."""
-        return dict(self.watch.times)
+        return dict(self.watch.timings.stages)
 
     def close(self) -> None:
         """End all lanes, whatever they do; `finish` does it as well."""
@@ -272,7 +272,7 @@ class Live:
 
     def _adapt_effort(self, seconds: float) -> None:
         """Adapt the effort of the next step of the map to the time of this one."""
-        self.watch.took(STEP, seconds)
+        self.watch.timings.add(STEP, seconds)
         control = self.policy.effort_control
         if control.took(seconds):
             self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1

@@ -6,7 +6,7 @@ adjustment of photos, whose motions all come at the end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
@@ -23,20 +23,13 @@ from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState,
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
 
 
-class Keyframes(Protocol):
-    """The keyframes after an exposure, by value."""
-
-    def posterior(self) -> KeyframePosterior:
-        """Their joint posterior, computed from this record alone."""
-
-
 @dataclass(frozen=True, eq=False)
 class Navigation:
     """One exposure with all data on its motion for the other lanes, by value."""
 
     frame: Frame
     motion: Motion | None  # None: it comes at the end, with all others (`TrueTrajectory`)
-    keyframes: Keyframes | None = None  # None: poses are exact
+    keyframes: Callable[[], KeyframePosterior] | None = None  # joint posterior after it, by value; None: exact poses
     attitude: bool = True  # one was measured by now, or the poses are given
 
     @cached_property
@@ -45,7 +38,7 @@ class Navigation:
 
         It is computed at first use, by the lane that uses it: only keyframes of the map need it.
         """
-        return None if self.keyframes is None else self.keyframes.posterior()
+        return None if self.keyframes is None else self.keyframes()
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,7 +120,8 @@ class FilterLane:
         self._motions.append(motion)
         self.next_frame = max(self.next_frame, motion.frame_id + 1)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
-        return Navigation(batch.frame, motion, self._filter.clone_window(), self._attitude)
+        window = self._filter.clone_window()
+        return Navigation(batch.frame, motion, None if window is None else window.posterior, self._attitude)
 
     def _take_rows(self, batch: FrameBatch) -> None:
         for row in batch.rows:

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from alight import __version__
+from alight.cluster import sources_digest
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
-from alight.program import sources_digest
 from alight.records import AlightError, InputError
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, Conditions, LandingRecord
 from alight.records.telemetry import FirmwareName

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from alight.program import DIGITS
 from alight.records import InputError
 from alight.settings import Settings
 from alight_sim.campaign import CampaignWorld, campaign_worlds
@@ -123,7 +122,7 @@ def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
     if model is not None and model != "default" and settings.terrain.enabled:
         named.append(Path(model))
     try:
-        return {str(p): hashlib.sha256(p.read_bytes()).hexdigest()[:DIGITS] for p in named if p.is_file()}
+        return {str(p): hashlib.sha256(p.read_bytes()).hexdigest()[:16] for p in named if p.is_file()}
     except OSError as e:
         raise InputError(f"{e.filename}: cannot be read ({e.strerror})") from e
 
