@@ -22,7 +22,7 @@ from alight.elevation import FIELDS
 from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline, PipelineOptions
-from alight.pipeline.judging import as_judged, land_cover
+from alight.pipeline.judging import as_judged, find_land_cover
 from alight.records import Datum, ElevationMap, Flag, Motion, TerrainMap
 from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
@@ -184,4 +184,4 @@ def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) 
 
 def cover_of(j: Judgeable, tables: Tables | None = None) -> TerrainMap:
     """Land cover by the tables of the package, or by other tables."""
-    return land_cover(j.elevation, Settings().stages().terrain, read_model(), tables)
+    return find_land_cover(j.elevation, Settings().stages().terrain, read_model(), tables)

@@ -13,7 +13,7 @@ from alight.elevation import FIELDS, on_cells_up_to
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
 from alight.parallax.orthophoto import orthophoto
-from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict, land_cover, observer
+from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict, find_land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
 from alight.pipeline.remembered import NOWHERE
@@ -87,12 +87,12 @@ def test_a_picture_is_asked_for_by_the_width_of_its_pixels(pixel: float, n: int)
 
 def test_land_cover_is_found_on_cells_that_fit_its_evidence_and_given_on_those_of_the_map() -> None:
     fine = cells((40, 40), 0.1, 2)
-    cover = land_cover(fine, TerrainSettings(), None)
+    cover = find_land_cover(fine, TerrainSettings(), None)
     assert cover.grid == fine.grid
     blocks = cells_as_blocks(cover.landable, 2)
     assert (blocks == blocks[:, :1, :, :1]).all()
     coarse = cells((20, 20), 0.2, 4)
-    assert land_cover(coarse, TerrainSettings(), None).grid == coarse.grid
+    assert find_land_cover(coarse, TerrainSettings(), None).grid == coarse.grid
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_a_snapshot_knows_which_veto_is_missing() -> None:
 def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:
     seen = cells((60, 60), 0.1, 1)
     grey = replace(seen, rgb=np.repeat(seen.rgb[..., :1], 3, axis=2), fine=None, fine_sampling=None)
-    cover, coloured = (land_cover(e, TerrainSettings(), None) for e in (grey, replace(seen, fine=None)))
+    cover, coloured = (find_land_cover(e, TerrainSettings(), None) for e in (grey, replace(seen, fine=None)))
     assert (cover.coloured, coloured.coloured) == (False, True)
     assert cover.on(Grid(0.0, 0.0, 0.2, 30, 30)).coloured is False
     stages = Settings().stages()

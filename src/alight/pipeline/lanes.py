@@ -30,7 +30,7 @@ class PipelineOptions:
     policy: FlightPolicy | None = None  # None: one by `sites.every`
     on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
     clock: Clock = lambda: 0.0  # seconds, for the time of the stages; the core has no clock of its own
-    far: TileStore | None = None  # of the tiles that the vehicle has left behind; None: memory
+    tile_store: TileStore | None = None  # of the tiles that the vehicle has left behind; None: memory
     jobs: Jobs | None = None  # workers for photos and tiles; None: this process
     history: bool = True  # keep the data for `finish`; without it a flight may last for ever
 
@@ -65,8 +65,8 @@ def mapping_lane(
         from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 
         anew = options.policy.mapping_anew if options.policy is not None else ()
-        return RecursiveMapper(rig, settings, options.far, timings, options.history, anew)
+        return RecursiveMapper(rig, settings, options.tile_store, timings, options.history, anew)
     from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
 
     mapper = PhotoMapper if at_end else BatchMapper
-    return mapper(rig, settings, options.far, timings, options.jobs or InTurn(), options.prior)
+    return mapper(rig, settings, options.tile_store, timings, options.jobs or InTurn(), options.prior)

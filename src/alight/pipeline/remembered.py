@@ -124,10 +124,10 @@ def who_came(grid: Grid, came: Mask) -> I64:
     return cells_at(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
 
 
-def traffic(passed: Remembered, grid: Grid, cover: TerrainMap | None) -> Mask:
+def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Mask:
     """The cells (R, C) of a grid that something moved across: of paved ground; all, if no land cover is known."""
     out = passed.on(grid)
-    return out if cover is None else out & (cover.label == Terrain.PAVED)
+    return out if land_cover is None else out & (land_cover.label == Terrain.PAVED)
 
 
 def _across(grid: Grid) -> int:

@@ -50,7 +50,7 @@ def replay(
     settings: Settings,
     poses: str | None = None,
     progress: StageProgress = unreported,
-    far: TileStore | None = None,
+    tile_store: TileStore | None = None,
     jobs: Jobs | None = None,
     prior: PriorHeights | None = None,
 ) -> RunResult:
@@ -61,7 +61,7 @@ def replay(
         settings: all settings.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
         progress: called with the stage and the share of it that is done.
-        far: tile store for the part of the map that the flight has left behind; None: memory.
+        tile_store: tile store for the part of the map that the flight has left behind; None: memory.
         jobs: workers for photos and for maps at the end; None: this process.
         prior: heights from another source; the search for heights begins with them, and the map is compared with them.
 
@@ -72,7 +72,7 @@ def replay(
     options = PipelineOptions(
         given, _adjustment(source, settings, jobs) if given is None else None, appearance_of(settings),
         source.imu_noise, prior, None if source.schedule is None else ScheduledPolicy(source.schedule),
-        clock=time.perf_counter, far=far, jobs=jobs, history=source.schedule is None,  # a live run has none
+        clock=time.perf_counter, tile_store=tile_store, jobs=jobs, history=source.schedule is None,
     )  # fmt: skip
     pipeline = Pipeline(source.rig, source.kind, settings, options)
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
@@ -171,9 +171,9 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
     given += [how.prior] if how.prior else []
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
-    with closing(FileStore(out)) as far:
+    with closing(FileStore(out)) as tile_store:
         if not digest:
-            return with_home(replay(source, settings, how.poses, progress, far, prior=prior), how.home)
+            return with_home(replay(source, settings, how.poses, progress, tile_store, prior=prior), how.home)
         from alight.cluster import open_jobs
         from alight.photos.work import SavedJobs, WorkFolder, work_key
 
@@ -181,7 +181,7 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
             try:
                 saved = SavedJobs(jobs, work)
-                return with_home(replay(source, settings, how.poses, progress, far, saved, prior), how.home)
+                return with_home(replay(source, settings, how.poses, progress, tile_store, saved, prior), how.home)
             except KeyboardInterrupt:
                 log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
                 raise

@@ -15,6 +15,7 @@ import pytest
 from faulty_lanes import Fault, FaultyJudging, FaultyMapping, FaultyNavigation, IdleOrBusy
 from length import first, long
 from numpy.testing import assert_allclose
+from stereo_flight import SMALL, flight
 from waiting import wait_until
 
 from alight.flight.live.health import FlightHealth, LaneState
@@ -22,43 +23,28 @@ from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.flight.live.mailbox import Closed, Mailbox
 from alight.flight.live.run import MOST_CELLS, for_flight
-from alight.geometry import Camera
 from alight.pipeline import Decision, Pipeline, PipelineOptions, ScheduledPolicy, Verdict
 from alight.pipeline.navigation.filter_lane import EventBatcher, FilterLane, FrameBatch
 from alight.pipeline.policy import EffortControl
 from alight.records import (
     AlightError,
     ElevationMap,
-    Event,
     Frame,
     ImuSample,
     Motion,
     MotionState,
     NavSample,
-    Rig,
-    RigCamera,
     Schedule,
     SettingsError,
 )
 from alight.records.executive import Need
 from alight.settings import Settings, load_settings
-from alight_sim import SimulatedFlight, default_rig, fly
 
-LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 WAIT: dict[str, Any] = {"drop": False, "schedule": None}
 
 
-@cache
-def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
-    """A flight 40 m over the demo's meadow, 15 m above it, with two cameras of 160 x 120."""
-    rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
-    f = fly("demo", 1, 5.0, rig=rig, rate_hz=6.0, height=15.0)
-    return f, tuple(f.events())
-
-
 def settings(*more: str) -> Settings:
-    small = ["tuning.tracks.count=40", "tuning.filter.points=16", "parallax.cell=0.25", "tuning.elevation.tile=64"]
-    return load_settings("", [*small, "sites.every=3", "hazards.p_safe=0.3", "sites.margin=0", *more])
+    return load_settings("", [*SMALL, "sites.every=3", *more])
 
 
 @cache

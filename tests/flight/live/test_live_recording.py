@@ -9,13 +9,13 @@ import signal
 import subprocess
 import sys
 import time
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from some_run import some_run
+from stereo_flight import SMALL, flight
 from waiting import wait_until
 
 import alight_sim
@@ -23,7 +23,6 @@ from alight.cli import call
 from alight.flight.live import run
 from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.flight.live.stream_clocks import StreamClock, StreamClocks
-from alight.geometry import Camera
 from alight.outputs import write_run
 from alight.outputs.folder_lock import release_folder
 from alight.outputs.recorder import Recorder, make_room
@@ -35,27 +34,14 @@ from alight.records import (
     Motion,
     NavSample,
     OutputError,
-    Rig,
-    RigCamera,
     Schedule,
 )
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
 from alight.runner import replay
 from alight.runner.opening import open_source
 from alight.settings import load_settings
-from alight_sim import SimulatedFlight, default_rig, fly
 
-LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
-SMALL = ("tuning.tracks.count=40", "tuning.filter.points=16", "parallax.cell=0.25", "tuning.elevation.tile=64",
-         "hazards.p_safe=0.3", "sites.margin=0")  # fmt: skip
 RASTERS = ("dem.tif", "flags.tif", "terrain.tif", "safe.tif", "reasons.tif", "ortho.tif")
-
-
-@cache
-def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
-    rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
-    f = fly("demo", 1, 5.0, rig=rig, rate_hz=6.0, height=15.0)
-    return f, tuple(f.events())
 
 
 def head() -> FlightHead:

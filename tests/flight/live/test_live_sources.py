@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 import pytest
 from damage import STEP, T0, change_field, write_camera, write_flight
+from stereo_flight import STEREO
 
 import alight_sim
 from alight.flight.live.telemetry import with_telemetry
-from alight.geometry import Camera
-from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
+from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_live, open_source
 from alight.runs import flown_home
 from alight.settings import Settings
@@ -29,18 +29,15 @@ from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
 from alight.sources.growing import GrowingLog, GrowingTable
 from alight.sources.live import LiveSource
 from alight.sources.paced import paced
-from alight_sim import default_rig, fly
+from alight_sim import fly
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
-
-LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a flight of 2 s as a log."""
-    rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     folder = tmp_path_factory.mktemp("log") / "flight"
-    alight_sim.write(fly("demo", 1, 2.0, rig=rig, rate_hz=6.0, height=15.0), folder)
+    alight_sim.write(fly("demo", 1, 2.0, rig=STEREO, rate_hz=6.0, height=15.0), folder)
     return folder
 
 

@@ -27,13 +27,13 @@ class BatchMapper:
         self,
         rig: Rig,
         settings: StageSettings,
-        far: TileStore | None,
+        tile_store: TileStore | None,
         timings: Timings,
         jobs: Jobs,
         prior: PriorHeights | None = None,
     ) -> None:
         self._rig, self._settings, self._timings = rig, settings, timings
-        self._map = BatchMap(settings, far, jobs=jobs, prior=prior)
+        self._map = BatchMap(settings, tile_store, jobs=jobs, prior=prior)
         self.store = FrameStore()
 
     def feed(self, navigation: Navigation, effort: int = 0) -> int:

@@ -51,7 +51,7 @@ class GroundMap:
     by_quality: ClassVar[bool]  # as for `cell_size`
 
     settings: StageSettings
-    far: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
+    tile_store: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
     elevation: TiledElevation | None = None
     ground: float | None = None  # metres above the origin, general ground height
     reason: str = ""  # why there is no map
@@ -92,7 +92,9 @@ class GroundMap:
         self.ground = float(np.median(self.points[:, 2]))
         if self.elevation is None:
             cell = first_cell(down, self.ground, self.settings, self.by_quality)
-            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
+            self.elevation = TiledElevation(
+                cell, self.settings.elevation.tile, self.tile_store, self.settings.elevation
+            )
         return True
 
     def searched_heights(

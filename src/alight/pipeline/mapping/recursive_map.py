@@ -59,10 +59,10 @@ class RecursiveMap(GroundMap):
         if self.elevation is None or self.ground is None:
             return False
         mapped = self.ground_here is not None
-        for name in list(self.far or ()):
-            del self.far[name]  # type: ignore[union-attr]
+        for name in list(self.tile_store or ()):
+            del self.tile_store[name]  # type: ignore[union-attr]
         self.elevation = TiledElevation(
-            self.elevation.cell, self.settings.elevation.tile, self.far, self.settings.elevation
+            self.elevation.cell, self.settings.elevation.tile, self.tile_store, self.settings.elevation
         )
         self.ground, self.points = self.ground + float(shift[2]), self.points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])

@@ -31,16 +31,16 @@ class RecursiveMapper:
     """
 
     def __init__(
-        self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings, history: bool,
+        self, rig: Rig, settings: StageSettings, tile_store: TileStore | None, timings: Timings, history: bool,
         anew: Collection[int] = (),
     ) -> None:  # fmt: skip
         self._rig, self._settings, self._tuning, self._timings = rig, settings, settings.mapping, timings
-        self._far, self._anew = far, frozenset(anew)
+        self._tile_store, self._anew = tile_store, frozenset(anew)
         self._most = settings.mapping.kept_to_look if history else settings.mapping.kept_by_ring
         self._begin()
 
     def _begin(self) -> None:
-        self._map = RecursiveMap(self._settings, self._far)
+        self._map = RecursiveMap(self._settings, self._tile_store)
         self.store, self._first_step = FrameStore(), self._tuning.first_step
         self._newest: Navigation | None = None  # keyframe
         self._frame: MapFrame | None = None  # of the map, by the newest exposure
@@ -91,13 +91,13 @@ class RecursiveMapper:
 
     def _grow(self, navigation: Navigation, effort: int) -> int:
         """Find the ground, or take the newest keyframe into the map; return the number of steps."""
-        look = self.store.taken % self._tuning.find_every == 0
+        due = self.store.taken % self._tuning.find_every == 0
         if self._map.ground is not None:
             steps = self._advance(self.store.keyframes[-1:], navigation, effort)
-            if self._map.out_of_range and look:
+            if self._map.out_of_range and due:
                 self._map.find_ground_again(self._views_now(), self._tuning.find_baseline)
             return steps
-        if look and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
+        if due and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
             return self._advance(self.store.keyframes, navigation, effort)
         if len(self.store) >= self._tuning.kept_by_ring:  # the height is not known, nor is the needed baseline
             self.store.thin()
