@@ -21,7 +21,7 @@ from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
 from alight.pipeline.mapping.cell_size import BYTES_A_CELL, cell_size, level_for, refuse_too_large
 from alight.pipeline.mapping.ground_map import GroundMap
-from alight.pipeline.mapping.view_geometry import bounds, ground_in, looking_down
+from alight.pipeline.mapping.view_geometry import ENOUGH, bounds, ground_in, looking_down
 from alight.pipeline.timing import Progress
 from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
 from alight.settings import ParallaxSettings
@@ -31,10 +31,6 @@ MARGIN = 24  # cells about a tile that are matched with it and thrown away: no s
 BLOCK = 2  # tiles across that are matched together: with more, the share of the margin is smaller
 SHARE = 0.5  # of the shorter side of the pictures: most that such a block covers
 PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
-ENOUGH = 40  # points or cells, least to estimate a height from
-BLANK = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
-MOST_POINTS = 2000  # by which the ground in a view is found
-NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +118,7 @@ class BatchMap(GroundMap):
     def ground_under(self, views: Sequence[View]) -> F64:
         """(N,) height of the ground in each view, metres: of the points in its picture, else that of the whole map."""
         assert self.ground is not None
-        points = self.points[:: -(-len(self.points) // MOST_POINTS) or 1]
+        points = self.points[:: -(-len(self.points) // 2000) or 1]  # so many at most
         for v in views:
             if v.key not in self._grounds:
                 self._grounds[v.key] = ground_in(v, points, self.ground)
@@ -158,9 +154,7 @@ class BatchMap(GroundMap):
                 heights = core(self._without_doubtful(found.heights, block.above), MARGIN)
                 self.elevation.add(heights)
                 self._matched.append(Matched.of(heights.grid, [block.views[k] for k in found.chosen.tolist()]))
-                self.elevation.roll(
-                    (block.grid.east, block.grid.north), NEAR_TILES * heights.grid.cell * block.grid.cols
-                )
+                self.elevation.roll((block.grid.east, block.grid.north), 3 * heights.grid.cell * block.grid.cols)
                 done += 1
             progress((n + 1) / len(seen))
         return done
@@ -229,7 +223,8 @@ class BatchMap(GroundMap):
         """Task to match a block; the pixels are sent apart, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
-        views = tuple(replace(v, image=BLANK) for v in block.views)
+        blank = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
+        views = tuple(replace(v, image=blank) for v in block.views)
         about = blake2b(repr((block.grid, block.searched, block.grounds.tolist())).encode())
         for v in views:
             about.update(repr(v.key).encode())
