@@ -22,7 +22,7 @@ from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
 from alight.landing.next_view import Observer
 from alight.landing.sites import choose_sites
-from alight.pipeline.judging import land_cover
+from alight.pipeline.judging import find_land_cover
 from alight.records import ElevationMap, HazardMap
 from alight.settings import HazardsSettings, Lander, Settings
 from alight.settings.tuning.hazards import SharpenTuning
@@ -120,7 +120,7 @@ def speed(cells: int = 600) -> None:
 
     def once() -> tuple[float, float, float, float]:
         at = [time.process_time()]
-        cover = land_cover(e, s.terrain, model)
+        cover = find_land_cover(e, s.terrain, model)
         at.append(time.process_time())
         danger = assess(e, cover, s.lander, s.hazards)
         at.append(time.process_time())

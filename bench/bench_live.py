@@ -28,7 +28,7 @@ from tables import Row, at_least, show
 import alight
 import alight_sim
 from alight.arrays import F64
-from alight.flight.live import Capacity, Listener, Live
+from alight.flight.live.live import Live, LiveOptions
 from alight.flight.live.run import for_flight
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, NavSample
@@ -101,12 +101,12 @@ class Flown:
         with tempfile.TemporaryDirectory() as folder:
             head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)
             recorder = Recorder(Path(folder) / "recording.mcap", head) if not memory else None
-            live = Live(
-                source.rig, settings, Listener(), Capacity(schedule=1000), Path(folder),
-                appearance_of(settings), source.imu_noise, recorder,
-            )  # fmt: skip
-            for p in live.posts.values():
-                p.worker.wait_until_ready()
+            options = LiveOptions(
+                recorder=recorder, folder=Path(folder), appearance=appearance_of(settings), imu=source.imu_noise
+            )
+            live = Live(source.rig, settings, options)
+            for lane in live.lanes.values():
+                lane.wait_until_ready()
             begin = measured = time.perf_counter()
             first, counts = None, dict[str, int]()
             for event in paced(around(source, seconds), 1.0):
@@ -114,7 +114,7 @@ class Flown:
                 now = time.perf_counter()
                 if first is None and now - begin > WARM:
                     first = now
-                    for times in live.watch.times.values():
+                    for times in live.watch.timings.stages.values():
                         times.clear()
                     counts = dict(live.watch.counts)
                 if memory and now - measured > memory:
@@ -123,7 +123,7 @@ class Flown:
                     print(f"  {now - begin:6.0f} s  {self.memory[-1]:7.1f} MB  {live.health.line}", flush=True)
             assert first is not None
             self.lasted = time.perf_counter() - first
-            self.times = {k: np.array(v) for k, v in live.watch.times.items()}
+            self.times = {k: np.array(v) for k, v in live.watch.timings.stages.items()}
             self.used = live.watch.counts["frames used"] - counts.get("frames used", 0)
             self.left_out = sum(
                 n - counts.get(k, 0) for k, n in live.watch.counts.items() if k.startswith("navigation: exposures left")

@@ -15,7 +15,7 @@ import numpy as np
 from ground_maps import FRESH, judgeable
 
 from alight.arrays import F64
-from alight.pipeline.judging import land_cover
+from alight.pipeline.judging import find_land_cover
 from alight.records import LANDABLE, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.appearance import read_model
@@ -36,7 +36,7 @@ def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
     rows = []
     for j in filter(None, (judgeable(name, "batch", scratch) for name in flights)):
         e = j.elevation
-        refused, looked = ~(land_cover(e, TerrainSettings(), known).landable >= 0.5), seen(e)
+        refused, looked = ~(find_land_cover(e, TerrainSettings(), known).landable >= 0.5), seen(e)
         cells = [looked & (j.label == kind) for kind in ALL]
         by = (refused, refused | ~e.trusted)
         rows.append([[100 * b[c].mean() if c.sum() >= LEAST else np.nan for b in by] for c in cells])

@@ -22,8 +22,8 @@ from alight.documents import parse_yaml, read_text
 from alight.elevation import FIELDS
 from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.geometry import Grid
-from alight.pipeline import Pipeline
-from alight.pipeline.judging import as_judged, land_cover
+from alight.pipeline import Pipeline, PipelineOptions
+from alight.pipeline.judging import as_judged, find_land_cover
 from alight.records import Datum, ElevationMap, Flag, Motion, TerrainMap
 from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
@@ -73,10 +73,10 @@ class Judgeable:
 
 def write_map(path: Path, e: ElevationMap, truth: FlightTruth, **more: object) -> None:
     """Keep a map beside its truth, and `more` arrays or numbers with it."""
-    gauge = e.gauge or Datum(0.0, 0.0, np.zeros((3, 3)))
+    datum = e.datum or Datum(0.0, 0.0, np.zeros((3, 3)))
     np.savez_compressed(
         path,
-        grid=_numbers(e.grid), gauge=np.concatenate([[gauge.east, gauge.north], gauge.covariance.ravel()]),
+        grid=_numbers(e.grid), datum=np.concatenate([[datum.east, datum.north], datum.covariance.ravel()]),
         fine=e.fine, fine_sampling=e.fine_sampling, truth_grid=_numbers(truth.grid),
         dem=truth.dem, label=truth.label,
         **{k: getattr(e, k) for k in FIELDS}, **more,
@@ -94,17 +94,17 @@ def _grid(g: F64) -> Grid:
 def read_map(path: Path, name: str) -> Judgeable:
     """Read a map that `write_map` kept."""
     with np.load(path) as z:
-        g = z["gauge"]
-        gauge = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
+        g = z["datum"]
+        datum = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
         fields = {k: z[k] for k in (*FIELDS, "fine", "fine_sampling")}
-        e = ElevationMap(_grid(z["grid"]), **fields, gauge=gauge)
+        e = ElevationMap(_grid(z["grid"]), **fields, datum=datum)
         return Judgeable(name, e, FlightTruth(z["dem"], z["label"], _grid(z["truth_grid"])))
 
 
 def _lane(source: Source | SimulatedFlight, how: How) -> Pipeline:
     settings = load_settings("", [f"parallax.method={how.split('-')[0]}"])
     poses = source.truth_trajectory if how.endswith("true") else None
-    return Pipeline(source.rig, source.kind, settings, poses, imu=source.imu_noise)
+    return Pipeline(source.rig, source.kind, settings, PipelineOptions(poses, imu=source.imu_noise))
 
 
 def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:
@@ -164,4 +164,4 @@ def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) 
 
 def cover_of(j: Judgeable, tables: Tables | None = None) -> TerrainMap:
     """Land cover by the tables of the package, or by other tables."""
-    return land_cover(j.elevation, Settings().stages().terrain, read_model(), tables)
+    return find_land_cover(j.elevation, Settings().stages().terrain, read_model(), tables)

@@ -19,7 +19,7 @@ from tables import Row, kept
 import alight_sim as simulate
 from alight.arrays import Mask
 from alight.pipeline import without_water
-from alight.pipeline.judging import land_cover
+from alight.pipeline.judging import find_land_cover
 from alight.records import ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
 from alight_sim import SceneTruth
@@ -43,7 +43,7 @@ def through(found: ElevationMap, truth: SceneTruth, limit: float, water: bool) -
     kind = label == Terrain.WATER if water else np.isin(label, OPEN)
     given = seen & found.trusted
     off = kind & (np.abs(found.height - height) > limit)
-    wrong, dry = given & off, seen & without_water(found, land_cover(found, TerrainSettings(), None)).trusted
+    wrong, dry = given & off, seen & without_water(found, find_land_cover(found, TerrainSettings(), None)).trusted
     return {
         OF_GIVEN: _share(wrong, given),
         OF_KIND: _share(wrong, seen & kind),

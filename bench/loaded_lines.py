@@ -87,7 +87,7 @@ def report(command: str, folder: Path) -> bool:
     rooms = Counter[str]()
     for name, count in lines.items():
         rooms[".".join(name.split(".")[:2])] += count
-    if command == "fly" and "alight.flight.live.__main__" not in lines:
+    if command == "fly" and "alight.flight.live.preload" not in lines:
         sys.exit("the flight was not begun: this machine was too busy for the simulation; measure again")
     simulator = sorted(name for name in lines if name.startswith("alight_sim"))
     print(f"alight {command}: {len(lines)} modules, {rooms.total()} lines (at most {MOST[command]})")

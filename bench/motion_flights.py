@@ -14,7 +14,7 @@ from tables import DATA, Row, at_least, recording, show
 
 from alight.arrays import F64, U8
 from alight.geometry import Pose
-from alight.pipeline.navigation import FilterLane
+from alight.pipeline.navigation.filter_lane import FilterLane
 from alight.records import Event, Motion, Rig
 from alight.settings import Settings, StageSettings, load_settings
 from alight.sources import Source

@@ -243,7 +243,7 @@ def flown(
 ) -> ElevationMap:
     """Return the recursive map with poses given one by one, or as the posterior that `told` makes of all so far."""
     ring, elevation, seen = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64), list[Motion]()
-    gauge: Datum | None = None
+    datum: Datum | None = None
     for view, motion in off(errors):
         seen.append(motion)
         poses = told(seen) if told else KeyframePosterior((motion,), motion.covariance)
@@ -252,8 +252,8 @@ def flown(
         elevation.add_plane(ring.plane, ring.about)
         for part in parts:
             elevation.add(part, replace_all=True)
-            gauge = part.gauge
-    return replace(elevation.read(GRID), gauge=gauge)
+            datum = part.datum
+    return replace(elevation.read(GRID), datum=datum)
 
 
 def white(seed: int) -> F64:
@@ -264,8 +264,8 @@ NOTHING = np.zeros((COUNT, 6))
 
 
 def shape(found: ElevationMap) -> tuple[float, F64]:
-    """Spread of the errors about their plane, and the plane at the gauge's centre."""
-    about = np.zeros(2) if found.gauge is None else np.array([found.gauge.east, found.gauge.north])
+    """Spread of the errors about their plane, and the plane at the datum's centre."""
+    about = np.zeros(2) if found.datum is None else np.array([found.datum.east, found.datum.north])
     ok = found.trusted
     e = (found.height - scene().surface(EAST, NORTH))[ok]
     A = np.c_[np.ones(len(e)), EAST[ok] - about[0], NORTH[ok] - about[1]]
@@ -291,9 +291,9 @@ def test_good_poses_are_left_alone() -> None:
     """With true poses and a claimed error, the shape stays, and the map's plane lies within its claimed covariance."""
     found = flown(NOTHING)
     spread, fit = shape(found)
-    assert found.gauge is not None
+    assert found.datum is not None
     assert spread < 1.1 * perfect()
-    assert (np.abs(fit) < np.sqrt(np.diag(found.gauge.covariance))).all()
+    assert (np.abs(fit) < np.sqrt(np.diag(found.datum.covariance))).all()
 
 
 def test_exact_poses_do_not_move() -> None:
@@ -307,7 +307,7 @@ def test_exact_poses_do_not_move() -> None:
 
 
 def test_the_gauge_follows_the_prior() -> None:
-    """No picture shows the error that all poses share: the map is raised and tilted by it, and the gauge covers it.
+    """No picture shows the error that all poses share: the map is raised and tilted by it, and the datum covers it.
 
     The poses have a common error, and the joint covariance claims such an error.
     """
@@ -319,11 +319,11 @@ def test_the_gauge_follows_the_prior() -> None:
 
     found = flown(common, told=told)
     spread, fit = shape(found)
-    assert found.gauge is not None
+    assert found.datum is not None
     assert spread < 1.25 * perfect()
     assert fit[0] == pytest.approx(common[0, 2], abs=0.05)
-    assert fit @ np.linalg.solve(found.gauge.covariance, fit) < 16.3  # 99.9 % of chi squared of three
-    sigma = np.sqrt(np.diag(found.gauge.covariance))
+    assert fit @ np.linalg.solve(found.datum.covariance, fit) < 16.3  # 99.9 % of chi squared of three
+    sigma = np.sqrt(np.diag(found.datum.covariance))
     assert SIGMA[0] < sigma[0] < 4 * SIGMA[0]
     assert 0.5 * SIGMA[3] < sigma[1:].max() < 2 * SIGMA[3]
 
@@ -332,16 +332,16 @@ def test_the_gauge_covers_what_the_map_is_off() -> None:
     for seed in (2, 3, 4):
         found = flown(white(seed))
         fit = shape(found)[1]
-        assert found.gauge is not None
-        assert fit @ np.linalg.solve(found.gauge.covariance, fit) < 16.3  # 99.9 %
+        assert found.datum is not None
+        assert fit @ np.linalg.solve(found.datum.covariance, fit) < 16.3  # 99.9 %
 
 
 def test_threads_do_not_matter(on_one_and_all: Callable[..., Any]) -> None:
     one, two = on_one_and_all(lambda: flown(white(5)))
     assert one.height.tobytes() == two.height.tobytes()
-    assert one.gauge is not None
-    assert two.gauge is not None
-    assert_array_equal(one.gauge.covariance, two.gauge.covariance)
+    assert one.datum is not None
+    assert two.datum is not None
+    assert_array_equal(one.datum.covariance, two.datum.covariance)
 
 
 def test_pictures_of_nothing_change_nothing() -> None:
@@ -400,8 +400,8 @@ def test_new_ground_is_as_near_to_the_plane_of_the_map_however_far_the_flight_ha
     """Its tilt wanders about the vehicle. About the first keyframe, 2e-4 rad would be 0.2 m of height 1 km away."""
     lane, here = known_plane(at(np.array([3.0, -2.0, UP]))), np.array([3.0 + away, -2.0 + 0.5 * away])
     lane.state = lane._prior(UP, here)
-    gauge = lane.gauge(Grid(here[0] - 1.9, here[1] + 1.9, 0.2, 20, 20))
-    assert gauge is not None
+    datum = lane.datum(Grid(here[0] - 1.9, here[1] + 1.9, 0.2, 20, 20))
+    assert datum is not None
     wander = ParallaxSettings().poses.wander
-    assert gauge.offset_sigma == pytest.approx(wander[0] * UP, rel=1e-3)
-    assert gauge.tilt_sigma == pytest.approx(wander[1], rel=1e-6)
+    assert datum.offset_sigma == pytest.approx(wander[0] * UP, rel=1e-3)
+    assert datum.tilt_sigma == pytest.approx(wander[1], rel=1e-6)

@@ -150,11 +150,11 @@ def rigid_covariance(sigma: F64) -> F64:
 def test_a_common_tilt_of_the_poses_is_the_tilt_of_the_map() -> None:
     """A tilt about east raises the north; a plane contains all of it, so that no warp is left."""
     found = datum_of(rigid_covariance(np.array([3e-3, 1e-3, 0, 0, 0, 0.2])))
-    assert found.gauge is not None
-    sigma = np.sqrt(np.diag(found.gauge.covariance))
+    assert found.datum is not None
+    sigma = np.sqrt(np.diag(found.datum.covariance))
     assert sigma[1:] == pytest.approx([1e-3, 3e-3], rel=1e-3)
     assert sigma[0] == pytest.approx(
-        np.hypot(0.2, np.hypot(3e-3 * found.gauge.north, 1e-3 * found.gauge.east)), rel=1e-3
+        np.hypot(0.2, np.hypot(3e-3 * found.datum.north, 1e-3 * found.datum.east)), rel=1e-3
     )
     assert found.warp is not None
     assert found.warp.max() < 1e-4
@@ -181,13 +181,13 @@ def test_errors_of_each_pose_bend_the_map_and_the_claim_holds() -> None:
     assert shared is not None
     e, n = GRID.xy()
     points = np.column_stack([e[shared.cols], n[shared.rows], np.zeros(len(shared.rows))])[::7]
-    B = np.column_stack([np.ones(len(points)), points[:, 0] - shared.gauge.east, points[:, 1] - shared.gauge.north])
+    B = np.column_stack([np.ones(len(points)), points[:, 0] - shared.datum.east, points[:, 1] - shared.datum.north])
     planes, left = [], []
     for _ in range(200):
         dz = (matched(motions, rng.normal(size=36) * sigma, points) - points)[:, 2]
         planes.append(np.linalg.lstsq(B, dz, rcond=None)[0])
         left.append(dz - B @ planes[-1])
-    np.testing.assert_allclose(np.std(planes, axis=0), np.sqrt(np.diag(shared.gauge.covariance)), rtol=0.2)
+    np.testing.assert_allclose(np.std(planes, axis=0), np.sqrt(np.diag(shared.datum.covariance)), rtol=0.2)
     assert np.sqrt(np.mean(np.square(left))) == pytest.approx(np.sqrt(np.mean(shared.bend**2)), rel=0.2)
 
 

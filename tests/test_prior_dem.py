@@ -75,17 +75,17 @@ def test_the_search_begins_with_the_prior_where_points_are_few() -> None:
     lane = BatchMap(load_settings("", []).stages(), prior=prior)
     without = BatchMap(load_settings("", []).stages())
     for m in (lane, without):
-        m._points = points
+        m.points = points
     high = Grid(60.0, 10.0, 0.25, 64, 64)
-    assert without._range(high, 100.0)[1] < 20.0  # the points hold no height there
-    low, top = lane._range(high, 100.0)
+    assert without.searched_heights(high, 100.0)[1] < 20.0  # the points hold no height there
+    low, top = lane.searched_heights(high, 100.0)
     assert low < 20.0 < top
     assert low > 10.0
     flat = Grid(-60.0, 10.0, 0.25, 64, 64)
-    assert lane._range(flat, 100.0)[0] == pytest.approx(without._range(flat, 100.0)[0], abs=0.5)
+    assert lane.searched_heights(flat, 100.0)[0] == pytest.approx(without.searched_heights(flat, 100.0)[0], abs=0.5)
     fixed = BatchMap(load_settings("", ["parallax.height_range=[-1,1]"]).stages(), prior=prior)
-    fixed._points = points
-    assert fixed._range(high, 100.0) == (-1.0, 1.0)
+    fixed.points = points
+    assert fixed.searched_heights(high, 100.0) == (-1.0, 1.0)
 
 
 def test_a_run_says_how_far_it_is_from_the_dem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,12 +25,13 @@ from alight.arrays import F64
 from alight.evaluation.flight import FlightTruth
 from alight.geometry import Grid
 from alight.parallax.window import part_of
-from alight.pipeline import Pipeline
+from alight.pipeline import Pipeline, PipelineOptions
 from alight.pipeline.judging import as_judged
 from alight.records import ElevationMap, Event, Frame, InputError
 from alight.settings import Settings, load_settings
 from alight.trials.campaign.flying import lit_world
-from alight.trials.campaign.plan import campaign_world, drawn_light
+from alight.trials.campaign.plan import drawn_light
+from alight.trials.campaign.worlds import campaign_world
 from alight_sim.oracle import OracleLander, safe_places
 from alight_sim.scene_world import SceneWorld
 from alight_sim.steered import SteeredFlight, Wanted
@@ -116,9 +117,8 @@ class _Vehicle:
         self.places = _places(world, self.rng)
         start = (self.places[0, 0] - 12.0, self.places[0, 1] - 11.0, START)
         self.flight = SteeredFlight(world, seed, start=start)
-        self.pipeline = Pipeline(
-            self.flight.rig, "flight", self.settings, history=False, imu=self.flight.imu_noise
-        )  # fmt: skip
+        options = PipelineOptions(imu=self.flight.imu_noise, history=False)
+        self.pipeline = Pipeline(self.flight.rig, "flight", self.settings, options)
         self.newest_ns = 0
         self.position: F64 | None = None  # (3,) metres, as the motion has it at `newest_ns`
 
@@ -202,7 +202,7 @@ def cut(e: ElevationMap, place: F64) -> ElevationMap:
     assert e.fine_sampling is not None
     n = e.fine.shape[0] // e.grid.rows
     fine = e.fine[n * rows.start : n * rows.stop, n * cols.start : n * cols.stop]
-    return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], gauge=e.gauge)
+    return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], datum=e.datum)
 
 
 def claims_of(look: Look) -> Claims:

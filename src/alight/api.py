@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from alight.evaluation import Evaluation
     from alight.sources import Source
     from alight.training.confusion import Confusion
-    from alight.trials.report import CampaignNumbers
+    from alight.trials.campaign.numbers import CampaignNumbers
     from alight_sim import SimulatedFlight
     from alight_sim.scene import Scene
 

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from alight.jobs import InProcesses, InTurn, Jobs, KeptHere, Sent, Task, do_alone, resolved, results
-from alight.program import sources_digest
 from alight.records import InputError, MissingExtraError
 
 OTHERS = "a worker has another Alight than this program; install the same everywhere, and start the workers again"
 WAIT = "20s"  # for the scheduler to answer, and for its first worker
-AHEAD = 2  # tasks a thread of the cluster that are sent before their turn
-MOST_SENT = 2_000_000_000  # bytes of arguments that the cluster must hold
+
+
+@cache
+def sources_digest() -> str:
+    """Digest of the program, so that landings of two states of it are not mixed."""
+    digest = hashlib.sha256()
+    for root in (Path(__file__).parents[1] / name for name in ("alight", "alight_sim")):  # installed together
+        for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".npz", ".yaml")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 @contextmanager
@@ -78,7 +88,8 @@ class ClusterJobs:
         yield from results(tasks, self._submit, most, any_order, (KilledWorker, CancelledError))
 
     def _ahead(self) -> int:
-        return AHEAD * max(sum(int(n) for n in self._client.nthreads().values()), 1)
+        """Number of tasks that are sent before their turn."""
+        return 2 * max(sum(int(n) for n in self._client.nthreads().values()), 1)
 
     def _submit(self, task: Task) -> Any:
         def of_client(kept: KeptHere) -> KeptHere:  # a worker has those of others as well
@@ -94,7 +105,7 @@ class ClusterJobs:
             value = np.asarray(sent.value) if hasattr(sent.value, "__array__") else sent.value
             there = self._client.scatter(value, hash=False), getattr(value, "nbytes", 0)
         self._sent[sent.name] = there
-        while sum(size for _, size in self._sent.values()) > MOST_SENT and len(self._sent) > 1:
+        while sum(size for _, size in self._sent.values()) > 2e9 and len(self._sent) > 1:
             del self._sent[next(iter(self._sent))]
         return there[0]
 

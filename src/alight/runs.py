@@ -55,12 +55,12 @@ def flown_home(wanted: Home | None, telemetry: Telemetry | None, separation: flo
 
     Args:
         wanted: by the user; None: the autopilot's own.
-        telemetry: the newest telemetry.
+        telemetry: the newest.
         separation: metres, ellipsoid minus sea level, of the user; None: the receiver's.
     """
     reported = math.nan if telemetry is None else telemetry.gps.separation
-    if wanted is None and telemetry is not None and telemetry.home is not None:
-        wanted = Home(telemetry.home.latitude, telemetry.home.longitude, telemetry.home.altitude_msl)
+    if wanted is None and telemetry is not None and (own := telemetry.home) is not None:
+        wanted = Home(own.latitude, own.longitude, own.altitude_msl)
     if wanted is None:
         return None
     return wanted.with_separation(reported if separation is None else separation)
@@ -88,7 +88,7 @@ def with_home(result: RunResult, home: Home | None) -> RunResult:
 def _of_no_use(result: RunResult, home: Home) -> str:
     """Reason why heights cannot refer to the home; empty: they can."""
     if not result.georeferenced:
-        return f"{result.source_name} says nothing about its place on Earth"
+        return f"{result.source_name} has no place on Earth"
     if not math.isfinite(home.separation):
         return "the receiver does not report both heights; give --separation, metres from sea level to the ellipsoid"
     return ""

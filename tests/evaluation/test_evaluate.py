@@ -156,9 +156,9 @@ def test_coverage_with_the_common_tilt(truth: Path, tmp_path: Path) -> None:
     assert result.elevation is not None
     e, _ = np.meshgrid(*result.elevation.grid.xy())
     lean = (4e-3 * e).astype(np.float32)
-    gauge = Datum(0.0, 0.0, np.diag([1.0, 4e-3, 4e-3]) ** 2)
+    datum = Datum(0.0, 0.0, np.diag([1.0, 4e-3, 4e-3]) ** 2)
     sigma = np.full(lean.shape, 0.5 * NOISE, np.float32)
-    leaning = replace(result.elevation, height=result.elevation.height + lean, sigma=sigma, gauge=gauge)
+    leaning = replace(result.elevation, height=result.elevation.height + lean, sigma=sigma, datum=datum)
     write_run(replace(result, elevation=leaning), tmp_path)
     found = evaluate(tmp_path, truth)
     alone = number(found, "ground within 1.96 sigma, %, registered")

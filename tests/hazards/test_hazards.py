@@ -484,9 +484,9 @@ def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
     leaning = replace(level, covariance=np.diag([0.1, 5e-3, 20e-3]) ** 2)
     assert leaning.tilt_sigma == pytest.approx(20e-3)
 
-    def p(gauge: Datum | None, said: float = 0.0) -> float:
+    def p(datum: Datum | None, said: float = 0.0) -> float:
         settings = HazardsSettings(tilt_sigma=said, smoothed=False)
-        return float(assess(replace(near, gauge=gauge), None, Lander(radius=1.0), settings).p_safe[MID])
+        return float(assess(replace(near, datum=datum), None, Lander(radius=1.0), settings).p_safe[MID])
 
     assert p(None) >= p(level) > p(leaning)
     assert p(level) > 0.999

@@ -8,9 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from alight.flight.live.lanes import JudgingProcess, MappingProcess, NavigationProcess
-from alight.pipeline.mapping import MapSnapshot, MapUpdate
-from alight.pipeline.navigation import FrameBatch, Navigation
+from alight import compiled
+from alight.flight.live.lanes import NavigationProcess
+from alight.pipeline import Verdict
+from alight.pipeline.judging import JudgingLane
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.navigation import Navigation
+from alight.pipeline.navigation.filter_lane import FrameBatch
+from alight.pipeline.timing import Timings
+from alight.records import Rig
+from alight.settings import StageSettings
 
 
 @dataclass(frozen=True)
@@ -42,28 +50,30 @@ class FaultyNavigation(NavigationProcess):
         return super().take(batch)
 
 
-class FaultyMapping(MappingProcess):
-    def __init__(self, fault: Fault, *given: Any) -> None:
-        super().__init__(*given)
+class FaultyMapping(RecursiveMapper):
+    def __init__(self, fault: Fault, rig: Rig, settings: StageSettings, folder: Path) -> None:
+        compiled.load_cached(parallel=True)
+        super().__init__(rig, settings, None, Timings(), history=False)
         self._fault = fault
 
-    def feed(self, navigation: Navigation, *more: Any) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> int:
         self._fault.strike(navigation.frame.t_ns)
-        return super().feed(navigation, *more)
+        return super().feed(navigation, effort)
 
 
-class FaultyJudging(JudgingProcess):
+class FaultyJudging(JudgingLane):
     """Fails at its second map, counted over its processes in a file: `stamps` has one number, of the map."""
 
-    def __init__(self, fault: Fault, count: Path, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, fault: Fault, count: Path, settings: StageSettings, *more: Any) -> None:
+        appearance, memory = more
+        super().__init__(settings, appearance, Timings(), memory)
         self._fault, self._count = fault, count
 
-    def judge_and_remember(self, seen: MapSnapshot) -> Any:
+    def judge(self, seen: MapSnapshot) -> Verdict:
         with self._count.open("a") as f:
             f.write(".")
         self._fault.strike(self._count.stat().st_size)
-        return super().judge_and_remember(seen)
+        return super().judge(seen)
 
 
 class IdleOrBusy:

@@ -101,22 +101,22 @@ def test_dem_is_above_the_ellipsoid_and_empty_where_refused(out: Path) -> None:
 
 def test_what_the_whole_map_shares_stands_in_tags_and_run_json(tmp_path: Path) -> None:
     """Offset and tilt come from the poses; without a covariance of the poses there are none."""
-    gauge = Datum(3.0, -4.0, np.array([[1.21, 0, 0], [0, 4e-6, 1e-6], [0, 1e-6, 9e-6]]))
+    datum = Datum(3.0, -4.0, np.array([[1.21, 0, 0], [0, 4e-6, 1e-6], [0, 1e-6, 9e-6]]))
     warp = np.full(GRID.shape, 0.04, np.float32)
-    write_run(some_run(elevation=replace(elevation(), gauge=gauge, warp=warp)), tmp_path)
+    write_run(some_run(elevation=replace(elevation(), datum=datum, warp=warp)), tmp_path)
     with rasterio.open(tmp_path / "dem.tif") as d:
         tags, sigma = d.tags(), d.read(2)
     assert float(tags["COMMON_OFFSET_SIGMA_M"]) == pytest.approx(1.1)
     assert [float(v) for v in tags["COMMON_TILT_SIGMA_RAD"].split(",")] == pytest.approx([2e-3, 3e-3])
     assert [float(v) for v in tags["COMMON_CENTRE_M"].split(",")] == pytest.approx([3.0, -4.0])
     covariance = np.array([float(v) for v in tags["COMMON_COVARIANCE"].split(",")]).reshape(3, 3)
-    np.testing.assert_allclose(covariance, gauge.covariance, rtol=1e-5)
+    np.testing.assert_allclose(covariance, datum.covariance, rtol=1e-5)
     assert np.nanmax(sigma) == pytest.approx(0.05)  # 0.03 of the match, 0.04 of the warp by the poses
     common = loaded(tmp_path / "run.json")["common_error"]
     assert common["offset_sigma_m"] == pytest.approx(1.1)
     assert common["tilt_sigma_rad"] == pytest.approx([2e-3, 3e-3])
     assert common["centre_m"] == [3.0, -4.0]
-    np.testing.assert_allclose(common["covariance"], gauge.covariance, rtol=1e-5)
+    np.testing.assert_allclose(common["covariance"], datum.covariance, rtol=1e-5)
 
 
 def test_exact_poses_share_nothing(out: Path) -> None:

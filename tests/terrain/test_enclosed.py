@@ -57,8 +57,8 @@ def test_a_map_that_leans_as_much_as_it_says_hides_no_canal() -> None:
     y = np.arange(400, dtype=np.float32)[:, None] * CELL
     leaning = ground(canal() + 0.015 * y, cell=CELL)
     assert middle(LevelSurfaces.of(leaning, SETTINGS).enclosed()) < 0.5
-    gauge = Datum(0.0, 0.0, np.diag([0.1, 0.01, 0.01]) ** 2)
-    assert middle(LevelSurfaces.of(replace(leaning, gauge=gauge), SETTINGS).enclosed()) > 0.95
+    datum = Datum(0.0, 0.0, np.diag([0.1, 0.01, 0.01]) ** 2)
+    assert middle(LevelSurfaces.of(replace(leaning, datum=datum), SETTINGS).enclosed()) > 0.95
 
 
 def test_doubtful_heights_are_no_bank() -> None:

@@ -42,8 +42,8 @@ def live(
     """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
     chosen = options.read_settings(settings, assign)
     options.refuse_unused(source, follow, rig, speed)
-    from alight.flight.live.run import fly_live
-    from alight.runner.live import open_live
+    from alight.flight.live.run import LiveRequest, fly_live
+    from alight.runner.opening import open_live
     from alight.runs import flown_home, wanted_home, with_home
 
     wanted = wanted_home(home, geoid)
@@ -54,11 +54,9 @@ def live(
         opened = with_telemetry(opened, telemetry, separation)
     compile_if_cold()  # a lane that compiles does not answer
     inputs = [path] if (path := Path(source)).is_file() else []
+    request = LiveRequest(out, chosen, record, opened.real_time, force, inputs)
     with live_table() as show:
-        result = fly_live(
-            opened.source, opened.events, out, chosen, record, opened.real_time, force,
-            lambda health: show((), [health.line]), inputs=inputs,
-        )  # fmt: skip
+        result = fly_live(opened.source, opened.events, request, lambda health: show((), [health.line]))
     save_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
 
 

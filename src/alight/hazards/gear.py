@@ -13,8 +13,7 @@ from alight.arrays import F32, F64, I64, Mask
 from alight.hazards import contact_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
 from alight.hazards.contact import Footprint
-from alight.raster import disc_spans
-from alight.raster import RIM
+from alight.raster import RIM, disc_spans
 from alight.settings import Lander
 
 COARSE = 3.0  # cells between the rails, or the ends of one, below which rounding to cells spoils the tilt

@@ -46,7 +46,7 @@ class Inputs:
     @property
     def common_tilt(self) -> float:
         """1-sigma of the tilt that all cells share, rad: from the poses of the map, and the user's setting besides."""
-        poses = 0.0 if self.elevation.gauge is None else self.elevation.gauge.tilt_sigma
+        poses = 0.0 if self.elevation.datum is None else self.elevation.datum.tilt_sigma
         return float(np.hypot(poses, self.settings.tilt_sigma))
 
 

@@ -128,9 +128,9 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
 
 def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
     """Common error of all heights of the map, as in dem.tif's tags; None: the poses came without covariance."""
-    if elevation is None or elevation.gauge is None:
+    if elevation is None or elevation.datum is None:
         return None
-    g = elevation.gauge
+    g = elevation.datum
     offset, east, north = np.sqrt(np.diag(g.covariance))
     return {
         "offset_sigma_m": vectors.number(float(offset), 4),

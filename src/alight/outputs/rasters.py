@@ -64,26 +64,26 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool) 
         "height_reference": "WGS84 ellipsoid" if georeferenced else "the recording's origin",
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
     }
-    common = common_tags(elevation.gauge)
+    common = common_tags(elevation.datum)
     if elevation.position_covariance is not None:
         sigmas = np.sqrt(np.maximum(np.diag(elevation.position_covariance), 0.0))
         common["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
     return RasterFile(elevation.grid, bands, ("height", "sigma"), ("m", "m"), np.nan, tags, common)
 
 
-def common_tags(gauge: Datum | None) -> dict[str, str]:
+def common_tags(datum: Datum | None) -> dict[str, str]:
     """Tags of the common error of all cells: sigma of offset and tilt, and the covariance about its centre.
 
     Empty if the poses came without covariance.
     """
-    if gauge is None:
+    if datum is None:
         return {}
-    offset, east, north = np.sqrt(np.diag(gauge.covariance))
+    offset, east, north = np.sqrt(np.diag(datum.covariance))
     return {
         "COMMON_OFFSET_SIGMA_M": f"{offset:.4f}",
         "COMMON_TILT_SIGMA_RAD": f"{east:.6f},{north:.6f}",
-        "COMMON_CENTRE_M": f"{gauge.east:.3f},{gauge.north:.3f}",
-        "COMMON_COVARIANCE": ",".join(f"{v:.6g}" for v in gauge.covariance.ravel()),
+        "COMMON_CENTRE_M": f"{datum.east:.3f},{datum.north:.3f}",
+        "COMMON_COVARIANCE": ",".join(f"{v:.6g}" for v in datum.covariance.ravel()),
     }
 
 

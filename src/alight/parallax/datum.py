@@ -27,7 +27,7 @@ SLOPE_CELLS = 1.5  # 1-sigma of the Gaussian over which the slope of the map is 
 class Shared:
     """Errors that neighbouring cells share, of the S sampled cells."""
 
-    gauge: Datum
+    datum: Datum
     rows: I64  # (S,) of the map
     cols: I64  # (S,)
     bend: F64  # (S,) metres up, 1-sigma of the rest that the plane leaves
@@ -40,7 +40,7 @@ def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframeP
     if shared is None:
         return found
     bend, shift = (_on(found.grid, shared, v) for v in (shared.bend, shared.shift))
-    return replace(found, gauge=shared.gauge, warp=np.hypot(bend, shift * steepness(found)))
+    return replace(found, datum=shared.datum, warp=np.hypot(bend, shift * steepness(found)))
 
 
 def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> Shared | None:
@@ -61,10 +61,10 @@ def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: Keyfram
     B = np.column_stack([np.ones(len(points)), points[:, :2] - centre])
     L = np.asarray(np.linalg.pinv(B) @ J[:, 2])
     covariance = L @ joint.covariance @ L.T
-    gauge = Datum(float(centre[0]), float(centre[1]), 0.5 * (covariance + covariance.T))
+    datum = Datum(float(centre[0]), float(centre[1]), 0.5 * (covariance + covariance.T))
     bend = _sigma(J[:, 2:] - (B @ L)[:, None], joint.covariance)
     shift = _sigma(J[:, :2] - J[:, :2].mean(axis=0), joint.covariance) / np.sqrt(2.0)
-    return Shared(gauge, rows, cols, bend, shift)
+    return Shared(datum, rows, cols, bend, shift)
 
 
 def steepness(found: ElevationMap) -> F32:

@@ -127,14 +127,14 @@ class RecursiveParallax:
         if not plan.refine:
             return []
         skyline = refine.Skyline.of(start, grid, np.array([k.fine.centre for k in window.kept]))
-        gauge, out = self._alignment.gauge(grid), []
+        datum, out = self._alignment.datum(grid), []
         for box in plan.refine:
             recolour = self._blocks.recolour and self._blocks.never_visited(box)
             found = self._refiner.refined(window, skyline, start, ratio, wrong, box, recolour)
             self._settle(None if found is None else found.heights, known, box)
             if found is not None:
                 ratio[box][found.changed] = np.nan  # swept again; untrusted until then
-                out.append(replace(found.heights, gauge=gauge))
+                out.append(replace(found.heights, datum=datum))
                 if found.came.any():
                     self._came.append((found.heights.grid, found.came))
         return out

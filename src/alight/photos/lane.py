@@ -7,7 +7,8 @@ from typing import cast
 from alight.jobs import Jobs, Task
 from alight.photos.bundle.adjust import adjust
 from alight.photos.bundle.matching import colmap
-from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory
+from alight.pipeline.navigation import Navigation, Trajectory
+from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, NavSample, Rig
 from alight.settings import BundleSettings
 

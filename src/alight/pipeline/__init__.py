@@ -2,12 +2,12 @@
 
 from alight.pipeline.decision import Decision
 from alight.pipeline.judging import Verdict, without_water
-from alight.pipeline.lanes import Lanes
+from alight.pipeline.lanes import PipelineOptions
 from alight.pipeline.navigation import TimedPoses
 from alight.pipeline.pipeline import Pipeline
-from alight.pipeline.policy import FlightPolicy, LanePolicy, ScheduledPolicy
+from alight.pipeline.policy import FlightPolicy, ScheduledPolicy
 
 __all__ = [
-    "Decision", "FlightPolicy", "LanePolicy", "Lanes", "Pipeline", "ScheduledPolicy", "TimedPoses", "Verdict",
+    "Decision", "FlightPolicy", "Pipeline", "PipelineOptions", "ScheduledPolicy", "TimedPoses", "Verdict",
     "without_water",
 ]  # fmt: skip

@@ -31,24 +31,24 @@ class CoverMemory:
     novelty: F32 = field(default_factory=_nothing)  # (R, C) at that look, and more the older it is
     t_ns: int = 0
 
-    def with_seen(self, cover: TerrainMap, t_ns: int) -> CoverMemory:
+    def with_seen(self, land_cover: TerrainMap, t_ns: int) -> CoverMemory:
         """The memory after a newer look at `t_ns`; only the cells of its grid are kept."""
-        if cover.bears is None or cover.novelty is None:
+        if land_cover.bears is None or land_cover.novelty is None:
             return self
-        bears, novelty = cover.bears, cover.novelty
+        bears, novelty = land_cover.bears, land_cover.novelty
         if self.grid is not None:
             age = max(t_ns - self.t_ns, 0) * 1e-9
-            before = self.grid.nearest_on(cover.grid, self.bears, np.nan)
-            unlike = self.grid.nearest_on(cover.grid, self.novelty, np.nan) * np.float32(2 ** (age / FADES))
+            before = self.grid.nearest_on(land_cover.grid, self.bears, np.nan)
+            unlike = self.grid.nearest_on(land_cover.grid, self.novelty, np.nan) * np.float32(2 ** (age / FADES))
             keeps = ~np.isnan(before) & (np.isnan(bears) | ~(unlike >= novelty))
             bears, novelty = np.where(keeps, before, bears), np.where(keeps, unlike, novelty)
-        return CoverMemory(cover.grid, bears, novelty, t_ns)
+        return CoverMemory(land_cover.grid, bears, novelty, t_ns)
 
-    def doubted(self, cover: TerrainMap) -> TerrainMap:
+    def doubted(self, land_cover: TerrainMap) -> TerrainMap:
         """The land cover on the memory's grid, with the lower of both probabilities: a memory never permits."""
-        if cover.bears is None or self.grid != cover.grid:
-            return cover
-        return replace(cover, bears=np.where(self.bears < cover.bears, self.bears, cover.bears))
+        if land_cover.bears is None or self.grid != land_cover.grid:
+            return land_cover
+        return replace(land_cover, bears=np.where(self.bears < land_cover.bears, self.bears, land_cover.bears))
 
     def moved(self, shift: F64, sigma: float) -> CoverMemory:
         """The memory in a frame where positions are larger by `shift`, metres; nothing where that is not known well."""

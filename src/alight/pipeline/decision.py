@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from alight.landing.route import plan_route
-from alight.pipeline.judging import Verdict, reserve_notes
-from alight.pipeline.lanes import Judge
-from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot
-from alight.pipeline.navigation import MotionSource, Trajectory
-from alight.pipeline.timing import Tell, Timings
+from alight.pipeline.judging import JudgingLane, reserve_notes
+from alight.pipeline.mapping import MappingLane, MapSnapshot
+from alight.pipeline.navigation import NavigationLane
+from alight.pipeline.timing import StageProgress, Timings
 from alight.records import ElevationMap, HazardMap, Motion, PhotoOutcome, Route, Sites, TerrainMap
 from alight.settings import RouteSettings, StageSettings
 
@@ -30,49 +30,37 @@ class Decision:
     notes: Mapping[str, object] = field(default_factory=dict)
     photos: tuple[PhotoOutcome, ...] = ()
 
-    @classmethod
-    def none(cls, trajectory: Trajectory, reason: str, *warnings: str, judge: Judge | None = None) -> Decision:
-        """Decision without a site, with the reason, and the warnings of a judge and its sites in reserve."""
-        said, notes = [*trajectory.warnings, *warnings], dict(trajectory.notes)
-        if judge is not None:
-            said, notes = [*said, *judge.memory.warnings], notes | reserve_notes(judge.memory.reserve.sites)
-        return cls(Sites((), reason), list(trajectory.motions), warnings=said, notes=notes, photos=trajectory.photos)
 
-    @classmethod
-    def of(
-        cls,
-        trajectory: Trajectory,
-        found: FinishedMap,
-        verdict: Verdict,
-        route: Route | None,
-        judge: Judge,
-    ) -> Decision:
-        """The verdict on the finished map, in the world, and the way to the best site."""
-        warnings = [*trajectory.warnings, *found.warnings, *judge.memory.warnings, *verdict.warnings]
-        above = None if found.snapshot is None else found.snapshot.vehicle.height_above_ground
-        return cls(
-            verdict.sites, list(trajectory.motions), verdict.elevation, verdict.land_cover, verdict.hazards, route,
-            above, warnings, {**trajectory.notes, **found.notes, **judge.notes(verdict)}, trajectory.photos,
-        )  # fmt: skip
+def unreported(stage: str, share: float) -> None:
+    """Report no progress. Another process can import this function, and call it."""
 
 
 def conclude(
-    navigation: MotionSource, mapping: MappingLane, judging: Judge, settings: StageSettings, timings: Timings,
-    tell: Tell = lambda stage, share: None,
+    navigation: NavigationLane, mapping: MappingLane, judging: JudgingLane, settings: StageSettings, timings: Timings,
+    progress: StageProgress = unreported,
 ) -> Decision:  # fmt: skip
     """Refine the motion, build the map, judge it and choose; all results are in the world."""
     with timings.of("motion, all frames together"):
-        trajectory = navigation.finish(lambda f: tell("motion", f))
+        trajectory = navigation.finish(partial(progress, "motion"))
+    motions, warnings, photos = list(trajectory.motions), list(trajectory.warnings), trajectory.photos
     if not trajectory.usable:
-        return Decision.none(trajectory, trajectory.reason)
-    found = mapping.finish(trajectory, lambda f: tell("heights", f))
+        sites = Sites((), trajectory.reason)
+        return Decision(sites, motions, warnings=warnings, notes=trajectory.notes, photos=photos)
+    found = mapping.finish(trajectory, partial(progress, "heights"))
+    warnings += found.warnings
     if found.snapshot is None:
-        return Decision.none(trajectory, found.reason, *found.warnings, judge=judging)
-    tell("judging", 0.2)
+        notes = {**trajectory.notes, **reserve_notes(judging.memory.reserve.sites)}
+        warnings += judging.memory.warnings
+        return Decision(Sites((), found.reason), motions, warnings=warnings, notes=notes, photos=photos)
+    progress("judging", 0.2)
     verdict = judging.judge(found.snapshot).in_world()
-    way = _route(verdict.sites, found.snapshot, settings.route)
-    tell("judging", 1.0)
-    return Decision.of(trajectory, found, verdict, way, judging)
+    route = _route(verdict.sites, found.snapshot, settings.route)
+    progress("judging", 1.0)
+    return Decision(
+        verdict.sites, motions, verdict.elevation, verdict.land_cover, verdict.hazards, route,
+        found.snapshot.vehicle.height_above_ground, [*warnings, *judging.memory.warnings, *verdict.warnings],
+        {**trajectory.notes, **found.notes, **judging.notes(verdict)}, photos,
+    )  # fmt: skip
 
 
 def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | None:

@@ -16,8 +16,7 @@ from alight.parallax.orthophoto import orthophoto
 from alight.pipeline.cover_memory import NO_COVER_SEEN, CoverMemory
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.mapping.passing import traffic
-from alight.pipeline.remembered import NOWHERE, Remembered, shown_at
+from alight.pipeline.remembered import NOWHERE, Remembered, shown_at, traffic
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import (
@@ -44,8 +43,8 @@ GREY = (
 )
 MISSING = {
     MissingVeto.SECOND_CAMERA: (
-        "one camera sees the ground: no two pictures of one moment tell what moves (water, swaying plants), so P(safe) "
-        "is lower; a second camera would tell"
+        "one camera sees the ground: no two pictures of one moment show what moves (water, swaying plants), so P(safe) "
+        "is lower; a second camera would"
     ),
     MissingVeto.ATTITUDE: (
         "attitude was measured neither by a gimbal nor by GPS/INS: how level the map is rests on positions and "
@@ -69,8 +68,8 @@ class Verdict:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Evidence that the verdict had to do without."""
-        cover = self.land_cover
-        about = (NO_COVER,) if cover is None else () if cover.coloured else (GREY,)
+        land_cover = self.land_cover
+        about = (NO_COVER,) if land_cover is None else () if land_cover.coloured else (GREY,)
         return about + tuple(words for veto, words in MISSING.items() if veto in self.missing)
 
     @property
@@ -81,11 +80,11 @@ class Verdict:
 
     def in_world(self) -> Verdict:
         """The verdict in the world, for results that leave the pipeline."""
-        frame, cover = self.frame, self.land_cover
+        frame, land_cover = self.frame, self.land_cover
         return replace(
             self,
             elevation=frame.elevation(self.elevation),
-            land_cover=None if cover is None else frame.on_grid(cover),
+            land_cover=None if land_cover is None else frame.on_grid(land_cover),
             hazards=frame.on_grid(self.hazards),
             sites=frame.sites(self.sites),
             frame=replace(frame, offset_world=np.zeros(3)),
@@ -131,8 +130,8 @@ class JudgingMemory:
     def with_reserve(self, kept: Reserve, frame: MapFrame) -> JudgingMemory:
         """The memory with another reserve; lost sites are noted in words."""
         later = replace(self, kept=kept, frame=frame)
-        said = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
-        return replace(later, lost=(self.lost + said)[-MOST_LOST:])
+        lost = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
+        return replace(later, lost=(self.lost + lost)[-MOST_LOST:])
 
 
 class JudgingLane:
@@ -160,31 +159,31 @@ class JudgingLane:
         with self._timings.of("finer pixels"):
             elevation = as_judged(seen, s.lander)
         _tidy(elevation)
-        cover = None
+        land_cover = None
         if s.terrain.enabled:
             with self._timings.of("terrain"):
-                cover = land_cover(elevation, s.terrain, self._appearance)
-                cover = self._with_earlier(cover, max((v.t_ns for v in seen.views), default=0))
+                land_cover = find_land_cover(elevation, s.terrain, self._appearance)
+                land_cover = self._with_earlier(land_cover, max((v.t_ns for v in seen.views), default=0))
             _tidy(elevation)
         with self._timings.of("hazards"):
-            passed, came = traffic(seen.passed, elevation.grid, cover), seen.came.on(elevation.grid)
-            danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing, passed, came)
+            passed, came = traffic(seen.passed, elevation.grid, land_cover), seen.came.on(elevation.grid)
+            found = hazards.assess(elevation, land_cover, s.lander, s.hazards, seen.missing, passed, came)
         _tidy(elevation)
         with self._timings.of("sites"):
-            chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
-            self._keep(chosen, danger, frame)
-        return Verdict(without_water(seen.elevation, cover), cover, danger, chosen, frame, seen.missing)
+            chosen = sites.choose_sites(found, land_cover, elevation, s.sites, s.lander, observer(seen))
+            self._keep(chosen, found, frame)
+        return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
 
-    def _with_earlier(self, cover: TerrainMap, t_ns: int) -> TerrainMap:
+    def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
         """Land cover with the roofs (G13c) and the doubts (T8) of this map and of earlier ones."""
-        self.memory = replace(self.memory, cover=self.memory.cover.with_seen(cover, t_ns))
-        cover = self.memory.cover.doubted(cover)
-        if cover.raised is None:
-            return cover
-        grid = cover.grid
-        roofs = self.memory.roofs.with_seen(shown_at(grid, cover.raised > 0.5), t_ns)
+        self.memory = replace(self.memory, cover=self.memory.cover.with_seen(land_cover, t_ns))
+        land_cover = self.memory.cover.doubted(land_cover)
+        if land_cover.raised is None:
+            return land_cover
+        grid = land_cover.grid
+        roofs = self.memory.roofs.with_seen(shown_at(grid, land_cover.raised > 0.5), t_ns)
         self.memory = replace(self.memory, roofs=roofs)
-        return cover.with_roofs(np.maximum(cover.raised, roofs.on(grid)))
+        return land_cover.with_roofs(np.maximum(land_cover.raised, roofs.on(grid)))
 
     def _follow(self, frame: MapFrame) -> None:
         """Move the memory of earlier maps into the frame of a newer one.
@@ -196,9 +195,9 @@ class JudgingLane:
             m = m.tied(m.frame.tie(frame), frame)
         self.memory = replace(m, kept=replace(m.kept, frame_id=frame.frame_id), frame=frame)
 
-    def _keep(self, found: Sites, danger: HazardMap, frame: MapFrame) -> None:
+    def _keep(self, chosen: Sites, found: HazardMap, frame: MapFrame) -> None:
         apart = sites.separation(self._settings.sites, self._settings.lander)
-        self.memory = self.memory.with_reserve(self.memory.kept.updated(found, danger, apart), frame)
+        self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """Notes of a run on a verdict: sites of earlier maps, and the reasons why others were given up."""
@@ -238,7 +237,7 @@ def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
     return replace(elevation, fine=picture, fine_sampling=sampling)
 
 
-def land_cover(
+def find_land_cover(
     elevation: ElevationMap,
     settings: TerrainSettings,
     appearance: terrain.Model | None,
@@ -259,13 +258,13 @@ def observer(seen: MapSnapshot) -> Observer | None:
     return Observer(vehicle.position, vehicle.height_above_ground, newest[-1].camera.fu, stereo)
 
 
-def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> ElevationMap:
+def without_water(elevation: ElevationMap, land_cover: TerrainMap | None) -> ElevationMap:
     """The map with the heights of water refused: flat and smooth, with a small sigma, they are those of the bed.
 
     On the sample flight this takes the wrong heights that are given out from 10 % of all to 1 %.
     """
-    if cover is None:
+    if land_cover is None:
         return elevation
     rows, cols = elevation.grid.shape
-    water = upsample(terrain.open_water(cover), round(cover.grid.cell / elevation.grid.cell))[:rows, :cols]
+    water = upsample(terrain.open_water(land_cover), round(land_cover.grid.cell / elevation.grid.cell))[:rows, :cols]
     return replace(elevation, flags=elevation.flags | np.where(water, WET, np.uint16(0)))

@@ -1,119 +1,72 @@
-"""The three lanes of a run, and lanes that a replay makes anew where one was lost in flight."""
+"""Options of a run, and the lanes that they and the settings call for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 from alight import terrain
-from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
-from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
-from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, mapping_lane
-from alight.pipeline.navigation import FilterLane, Navigation, NavigationLane, TimedPoses, Trajectory, navigation_lane
-from alight.pipeline.policy import LanePolicy
-from alight.pipeline.timing import Timings
-from alight.records import Event, Frame, PriorHeights, Rig
-from alight.settings import StageSettings
-
-Progress = Callable[[float], None]
+from alight.pipeline.judging import Verdict
+from alight.pipeline.mapping import MappingLane
+from alight.pipeline.navigation import NavigationLane, TimedPoses
+from alight.pipeline.policy import FlightPolicy
+from alight.pipeline.timing import Clock, Timings
+from alight.records import PriorHeights, Rig, SettingsError
+from alight.settings import ImuNoise, StageSettings
 
 
-class Judge(Protocol):
-    """One way to judge a map: in this process, or in another one."""
+@dataclass(frozen=True, eq=False)
+class PipelineOptions:
+    """Options of a run; none is needed."""
 
-    @property
-    def memory(self) -> JudgingMemory:
-        """The sites of all maps judged so far, and warnings on them."""
-
-    def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map."""
-
-    def notes(self, found: Verdict) -> dict[str, object]:
-        """Notes of a run on a verdict."""
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """Navigation, mapping and judging; they exchange records only."""
-
-    navigation: NavigationLane
-    mapping: MappingLane
-    judging: Judge
-
-    @classmethod
-    def of(
-        cls,
-        rig: Rig,
-        kind: Literal["flight", "photos"],
-        stages: StageSettings,
-        timings: Timings,
-        poses: TimedPoses | None = None,
-        far: TileStore | None = None,
-        history: bool = True,
-        appearance: terrain.Model | None = None,
-        policy: LanePolicy | None = None,
-        jobs: Jobs | None = None,
-        prior: PriorHeights | None = None,
-        navigation: NavigationLane | None = None,
-    ) -> Lanes:
-        """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
-        jobs = jobs or InTurn()
-        judging = JudgingLane(stages, appearance, timings)
-        if policy is not None and (policy.navigation_anew or policy.mapping_anew):
-            from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
-
-            again = FilterAgain(
-                lambda number: FilterLane(rig, stages, history, frame_id=number), policy.navigation_anew
-            )
-            mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), policy.mapping_anew)
-            return cls(again, mapping, judging)
-        return cls(
-            navigation or navigation_lane(rig, kind, stages, poses, history),
-            mapping_lane(rig, stages, navigation is not None, far, timings, history, jobs, prior),
-            judging,
-        )
+    poses: TimedPoses | None = None  # body poses that replace the estimated ones, for evaluation
+    navigation: NavigationLane | None = None  # used instead of the usual lane
+    appearance: terrain.Model | None = None  # None: land cover from the map's own evidence alone
+    imu: ImuNoise | None = None  # noise of the recording's IMU
+    prior: PriorHeights | None = None  # heights from elsewhere, with which the search at the end begins
+    policy: FlightPolicy | None = None  # None: one by `sites.every`
+    on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
+    clock: Clock = lambda: 0.0  # seconds, for the time of the stages; the core has no clock of its own
+    tile_store: TileStore | None = None  # of the tiles that the vehicle has left behind; None: memory
+    jobs: Jobs | None = None  # workers for photos and tiles; None: this process
+    history: bool = True  # keep the data for `finish`; without it a flight may last for ever
 
 
-class FilterAgain:
-    """The filter's lane, made anew before the exposures of these stamps; frame numbers go on."""
+def navigation_lane(
+    rig: Rig, kind: Literal["flight", "photos"], settings: StageSettings, options: PipelineOptions
+) -> NavigationLane:
+    """Choose the way to find the motion.
 
-    def __init__(self, make: Callable[[int], FilterLane], before: Collection[int]) -> None:
-        self._make, self._before, self._lane = make, frozenset(before), make(0)
+    Raises:
+        SettingsError: the settings choose bundle adjustment, whose lane is the caller's.
+    """
+    if options.navigation is not None:
+        return options.navigation
+    if options.poses is not None:
+        from alight.pipeline.navigation.given import GivenLane
 
-    def feed(self, event: Event) -> Navigation | None:
-        """As the lane; a new lane first takes the rows since the last exposure of the one before."""
-        if isinstance(event, Frame) and event.t_ns in self._before:
-            rows = self._lane.batcher.rest().rows
-            self._lane = self._make(self._lane.next_frame)
-            for row in rows:
-                self._lane.feed(row)
-        return self._lane.feed(event)
+        return GivenLane(rig, options.poses, settings.motion, options.history)
+    if settings.motion.bundles(kind):
+        raise SettingsError("motion.method: give the lane of the bundle adjustment as `navigation`, or use filter")
+    from alight.pipeline.navigation.filter_lane import FilterLane
 
-    def finish(self, progress: Progress) -> Trajectory:
-        """Finish the present lane."""
-        return self._lane.finish(progress)
+    anew = options.policy.navigation_anew if options.policy is not None else ()
+    return FilterLane(rig, settings, options.history, photos=kind == "photos", anew=anew)
 
 
-class MappingAgain:
-    """The recursive mapper, made anew before the exposures of these stamps."""
+def mapping_lane(
+    rig: Rig, settings: StageSettings, options: PipelineOptions, timings: Timings, at_end: bool
+) -> MappingLane:
+    """Choose the way to map; `at_end`: all motions come at the end of the recording."""
+    if not at_end and (settings.parallax.method == "recursive" or not options.history):  # no end, no batch
+        from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
 
-    def __init__(self, make: Callable[[], MappingLane], before: Collection[int]) -> None:
-        self._make, self._before = make, frozenset(before)
-        self._lane = make()
+        anew = options.policy.mapping_anew if options.policy is not None else ()
+        return RecursiveMapper(rig, settings, options.tile_store, timings, options.history, anew)
+    from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
 
-    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
-        """Feed the present mapper, or a new one from its first exposure on."""
-        if navigation.frame.t_ns in self._before:
-            self._lane = self._make()
-        return self._lane.feed(navigation, effort)
-
-    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
-        """Snapshot of the present mapper."""
-        return self._lane.snapshot(about)
-
-    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
-        """Finish the present mapper."""
-        return self._lane.finish(trajectory, progress)
+    mapper = PhotoMapper if at_end else BatchMapper
+    return mapper(rig, settings, options.tile_store, timings, options.jobs or InTurn(), options.prior)

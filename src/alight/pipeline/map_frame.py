@@ -73,21 +73,21 @@ class MapFrame:
 
     def elevation(self, elevation: ElevationMap) -> ElevationMap:
         """A map of this frame in the world, with its frame number and the covariance of its place."""
-        gauge, up = elevation.gauge, np.float32(self.offset_world[2])
+        datum, up = elevation.datum, np.float32(self.offset_world[2])
         return replace(
             elevation,
             grid=self.grid(elevation.grid),
             height=elevation.height + up if up else elevation.height,
-            gauge=None if gauge is None else self._gauge(gauge),
+            datum=None if datum is None else self._datum(datum),
             frame_id=self.frame_id,
             position_covariance=self.covariance,
         )
 
-    def _gauge(self, gauge: Datum) -> Datum:
+    def _datum(self, datum: Datum) -> Datum:
         """Common error of all heights in the world: the offset is applied there, and is no error any more."""
-        covariance = gauge.covariance.copy()
+        covariance = datum.covariance.copy()
         covariance[0, 0] = max(covariance[0, 0] - self.offset_world[2] ** 2, 0.0)
-        return Datum(gauge.east + self.offset_world[0], gauge.north + self.offset_world[1], covariance)
+        return Datum(datum.east + self.offset_world[0], datum.north + self.offset_world[1], covariance)
 
     def on_grid(self, found: OnGrid) -> OnGrid:
         """Land cover or hazards of this frame in the world."""

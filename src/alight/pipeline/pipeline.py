@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from alight import terrain
-from alight.elevation import TileStore
-from alight.jobs import Jobs
 from alight.landing.reserve import Reserve
-from alight.pipeline.decision import Decision, conclude
-from alight.pipeline.judging import Verdict
-from alight.pipeline.lanes import Lanes
+from alight.pipeline.decision import Decision, conclude, unreported
+from alight.pipeline.judging import JudgingLane, Verdict
+from alight.pipeline.lanes import PipelineOptions, mapping_lane, navigation_lane
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses
-from alight.pipeline.policy import FlightPolicy, LanePolicy
-from alight.pipeline.timing import Clock, Tell, Timings
-from alight.records import Event, Motion, PriorHeights, Rig
-from alight.settings import ImuNoise, Settings
+from alight.pipeline.navigation import Navigation
+from alight.pipeline.policy import FlightPolicy
+from alight.pipeline.timing import StageProgress, Timings
+from alight.records import Event, Motion, Rig
+from alight.settings import Settings
 
 
 class Pipeline:
@@ -25,15 +22,8 @@ class Pipeline:
 
     Args:
         rig, kind: the cameras; `flight` (continuous) or `photos` (far apart).
-        poses: body poses that replace the estimated ones, for evaluation.
-        clock: seconds, for the time of the stages; the core has none of its own.
-        far: store of the tiles that the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
-        history: keep the data for `finish`; without it a flight may last for ever.
-        appearance: model of appearance; None: land cover from the map's own evidence alone.
-        policy: chooses exposures, effort and the maps that are judged; None: a `FlightPolicy` by `sites.every`.
-        on_verdict: called with the verdict on a map that was judged in flight, and the stamp of its newest exposure.
-        lanes, navigation: used instead of the usual ones; one whose motions all come at the end (bundle adjustment).
-        imu, jobs, prior: noise of the recording's IMU; workers for photos; heights known from elsewhere.
+        settings: all settings; None: the defaults.
+        options: what else there is: a model of appearance, workers, a policy; see `PipelineOptions`.
     """
 
     def __init__(
@@ -41,26 +31,16 @@ class Pipeline:
         rig: Rig,
         kind: Literal["flight", "photos"] = "flight",
         settings: Settings | None = None,
-        poses: TimedPoses | None = None,
-        clock: Clock = lambda: 0.0,
-        far: TileStore | None = None,
-        history: bool = True,
-        appearance: terrain.Model | None = None,
-        policy: LanePolicy | None = None,
-        on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None,
-        lanes: Lanes | None = None,
-        navigation: NavigationLane | None = None,
-        imu: ImuNoise | None = None,
-        jobs: Jobs | None = None,
-        prior: PriorHeights | None = None,
+        options: PipelineOptions | None = None,
     ) -> None:
-        self._settings = stages = (settings or Settings()).stages(imu)
-        self._timings, self._on_verdict = Timings(clock, history), on_verdict
-        self._policy = policy or FlightPolicy(stages.sites.every)
-        lanes = lanes or Lanes.of(
-            rig, kind, stages, self._timings, poses, far, history, appearance, self._policy, jobs, prior, navigation
-        )
-        self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
+        options = options or PipelineOptions()
+        self._settings = stages = (settings or Settings()).stages(options.imu)
+        self._timings, self._on_verdict = Timings(options.clock, options.history), options.on_verdict
+        self._policy = options.policy or FlightPolicy(stages.sites.every)
+        self._navigation = navigation_lane(rig, kind, stages, options)
+        at_end = options.poses is None and stages.motion.bundles(kind)
+        self._mapping = mapping_lane(rig, stages, options, self._timings, at_end)
+        self._judging = JudgingLane(stages, options.appearance, self._timings)
 
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion when that is known at once."""
@@ -77,8 +57,8 @@ class Pipeline:
         policy = self._policy
         if not policy.maps(navigation):
             return None
-        update = self._mapping.feed(navigation, policy.effort(navigation))  # docs/method/parallax.md
-        due = policy.due_verdict(navigation, update)
+        keyframes = self._mapping.feed(navigation, policy.effort(navigation))  # docs/method/parallax.md
+        due = policy.due_verdict(navigation, keyframes)
         return None if due is None else self._mapping.snapshot(due.about)
 
     def judge(self, seen: MapSnapshot) -> Verdict:
@@ -95,6 +75,6 @@ class Pipeline:
         """Seconds of every step, by stage; in flight the last ones."""
         return self._timings.stages
 
-    def finish(self, tell: Tell = lambda stage, share: None) -> Decision:
+    def finish(self, progress: StageProgress = unreported) -> Decision:
         """Refine the motion, build the map, judge it and choose."""
-        return conclude(self._navigation, self._mapping, self._judging, self._settings, self._timings, tell)
+        return conclude(self._navigation, self._mapping, self._judging, self._settings, self._timings, progress)

@@ -1,4 +1,9 @@
-"""Places that are remembered beyond the map that showed them."""
+"""Places that are remembered beyond the map that showed them: roofs, traffic, people.
+
+A road between two cars looks as level and empty as a yard. `Flag.MOVING` marks motion of the moment, and the
+next map has forgotten it. On plants or water these move themselves; on paved ground it is traffic. Bare ground
+does not count: dry grass is often classified so, and it sways.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +12,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from alight.arrays import F64, I64, Mask
+from alight.arrays import F64, I64, U16, Mask
 from alight.geometry import Grid
 from alight.landing.reserve import SIGMAS_OF_TIE
-from alight.raster import cells_as_blocks, upsample
+from alight.raster import cells_as_blocks, upsample, without_specks
+from alight.records import Flag, Terrain, TerrainMap
 
 CELL = 0.5  # metres, of the remembered places
 SHARE = 0.5  # of such a cell that must be covered
-MOST_GROWN = 5.0  # metres: most that a place grows by, however uncertain it is in another frame
-NEARLY = 1e-6  # metres: a cell that ends where another begins does not reach into it
-CROSS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
-SQUARE = np.array([(east, north) for east in (-1, 0, 1) for north in (-1, 0, 1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +43,13 @@ class Remembered:
     def moved(self, shift: F64, sigma: float = 0.0) -> Remembered:
         """The cells in a frame where positions are larger by `shift`, metres, known to `sigma` metres on the ground.
 
-        Cells grow by 2 sigma, as far as the clearance of a site must reach there, but not beyond `MOST_GROWN`.
+        Cells grow by 2 sigma, as far as the clearance of a site must reach there, but by 5 m at most.
         """
         out = Remembered(self.cells + np.rint(shift[:2] / CELL).astype(np.int64), self.t_ns)
-        for k in range(math.ceil(min(MOST_GROWN, SIGMAS_OF_TIE * sigma) / CELL)):
-            out = out._spread(CROSS if k % 2 else SQUARE)  # in turn: an octagon about the disc
+        square = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
+        cross = square[(square == 0).any(axis=1)]
+        for k in range(math.ceil(min(5.0, SIGMAS_OF_TIE * sigma) / CELL)):
+            out = out._spread(cross if k % 2 else square)  # in turn: an octagon about the disc
         return out
 
     def _spread(self, beside: I64) -> Remembered:
@@ -100,6 +104,32 @@ def cells_at(grid: Grid, where: Mask) -> I64:
     return np.unique(np.column_stack([columns[column], rows[row]]), axis=0)
 
 
+def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
+    """Cells (N, 2) of `CELL` to remember: `SHARE` of each is MOVING by the flags (R, C), with enough side by side.
+
+    `anew`: (R, C), of the cells whose flags are new; the others were remembered before.
+    """
+    moves = (flags & np.uint16(Flag.MOVING)) != 0
+    if not moves.any():
+        return np.zeros((0, 2), np.int64)
+    there, low = shown(grid, moves)
+    there = without_specks(there, CELL, 2.0, neighbours=4)  # m^2; less is noise: a car with its rim covers 8 to 15
+    if anew is not None:
+        there &= shown(grid, anew)[0]
+    return np.asarray(np.argwhere(there) + low, np.int64)
+
+
+def who_came(grid: Grid, came: Mask) -> I64:
+    """Cells (N, 2) of `CELL` to remember, touched by patches, large enough, of a mask (R, C) of where somebody came."""
+    return cells_at(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
+
+
+def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Mask:
+    """The cells (R, C) of a grid that something moved across: of paved ground; all, if no land cover is known."""
+    out = passed.on(grid)
+    return out if land_cover is None else out & (land_cover.label == Terrain.PAVED)
+
+
 def _across(grid: Grid) -> int:
     """Points across a cell of a grid, each way, that hit every cell of `CELL` it covers; its centre where it is small.
 
@@ -111,7 +141,7 @@ def _across(grid: Grid) -> int:
 def _numbers(grid: Grid) -> tuple[I64, I64]:
     """East of columns (k C,) and north of rows (k R,) of a grid in cells of `CELL`, at k = `_across` points of each."""
     k = _across(grid)
-    inner = 0.5 * grid.cell - NEARLY if k > 1 else 0.0
+    inner = 0.5 * grid.cell - 1e-6 if k > 1 else 0.0  # a cell that ends where another begins does not reach into it
     beside = np.linspace(-inner, inner, k)
     x, y = grid.xy()
     points = (x[:, None] + beside, y[:, None] - beside)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Clock = Callable[[], float]  # seconds
-Tell = Callable[[str, float], None]  # stage, share done
-LAST_STEPS = 1000  # steps whose times are kept in flight
+Progress = Callable[[float], None]  # share done
+StageProgress = Callable[[str, float], None]  # stage, share done
 
 
 class Timings:
@@ -19,7 +19,7 @@ class Timings:
     """
 
     def __init__(self, clock: Clock = lambda: 0.0, history: bool = True) -> None:
-        self._clock, self._most = clock, None if history else LAST_STEPS
+        self._clock, self._most = clock, None if history else 1000
         self.stages: dict[str, deque[float]] = {}
 
     @contextmanager
@@ -27,4 +27,8 @@ class Timings:
         """Measure a step of a stage; one that fails is not counted."""
         start = self._clock()
         yield
-        self.stages.setdefault(stage, deque(maxlen=self._most)).append(self._clock() - start)
+        self.add(stage, self._clock() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Add a step of a stage."""
+        self.stages.setdefault(stage, deque(maxlen=self._most)).append(seconds)

@@ -173,12 +173,6 @@ class LandingRecord(_Line):
         """True if its process died, so that nothing is known of the landing."""
         return self.error is not None and self.error.startswith(LOST)
 
-    @property
-    def last_looks(self) -> tuple[LookLine, ...]:
-        """The looks since the last place was found."""
-        found = max((x.t for x in self.transitions if x.after == "approach"), default=0.0)
-        return tuple(x for x in self.looks if x.t >= found)
-
     def repeatable(self) -> dict[str, Any]:
         """Every field that a repeated landing reproduces."""
         return self.model_dump(mode="json", exclude={"cpu_s", "cpu_of"})

@@ -34,7 +34,7 @@ class RigCamera:
     name: str
     camera: Camera
     body_from_cam: Pose
-    readout: float | None = None  # s, from the exposure of the first row to that of the last; None: nobody said
+    readout: float | None = None  # s, from the exposure of the first row to that of the last; None: unknown
 
 
 @dataclass(frozen=True, eq=False)

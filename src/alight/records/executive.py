@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 
 from alight.arrays import F32, F64, U8
 from alight.records.landing import HazardMap, Sites, p_safe_text
@@ -12,7 +12,7 @@ from alight.records.motion import MotionState
 from alight.records.surface import ElevationMap
 
 
-class FlightState(Enum):
+class FlightState(StrEnum):
     """State of a landing."""
 
     SEARCH = "search"
@@ -27,7 +27,7 @@ class FlightState(Enum):
     HANDED_OVER = "handed over"
 
 
-class FlightEvent(Enum):
+class FlightEvent(StrEnum):
     """Event that takes a landing from one state to the next."""
 
     PILOT = "the pilot has taken over"
@@ -76,7 +76,7 @@ class Situation:
     picture_age: float = 0.0  # s, of the newest picture that is no repetition
     frozen: bool = False  # pictures come, each equal to the one before bit for bit
     height: float | None = None  # metres above the ground below; None: not known
-    link: bool = True  # the autopilot is heard
+    link: bool = True  # the autopilot reports
     pilot: bool = False  # somebody else flies
     standing: bool = False  # on the ground, motors off
     battery: float = 1.0  # share that is left; NaN: it was known, and is not reported any more
@@ -130,10 +130,7 @@ class Transition:
 
     def as_tree(self) -> dict[str, object]:
         """The transition as a tree of JSON."""
-        return {
-            "kind": "transition", "t": self.t, "before": self.before.value, "event": self.event.value,
-            "after": self.after.value, "reason": self.reason, "place": self.place, "p_safe": self.p_safe,
-        }  # fmt: skip
+        return {"kind": "transition", **asdict(self)}
 
 
 @dataclass(frozen=True)
@@ -156,10 +153,7 @@ class LookRecord:
 
     def as_tree(self) -> dict[str, object]:
         """The look as a tree of JSON."""
-        return {
-            "kind": "look", "t": self.t, "place": self.place, "height": self.height, "verdict": self.verdict,
-            "p_safe": self.p_safe, "doubt": self.doubt,
-        }  # fmt: skip
+        return {"kind": "look", **asdict(self)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ class PhotoOutcome:
     """Outcome of one photo: whether the pictures agree with its tags."""
 
     t_ns: int
-    attitude: str = ""  # believed, turned back, overruled or ignored; empty where there was none
+    attitude: str = ""  # kept ("believed"), turned back, overruled or ignored; empty where there was none
     position: str = ""
     left_out: str = ""  # reason why it could not be registered
 
@@ -55,10 +55,10 @@ class PhotoRow:
         focal = "" if f.focal_px is None else f"{f.focal_px:.0f} px, {f.focal_from}"
         place = "none" if f.place is None else f"{f.place[0]:.6f} {f.place[1]:.6f}, {f.position_from}"
         altitude = "" if f.altitude is None else f"{f.altitude:.1f} m, {f.altitude_kind}"
-        said = "" if o is None or o.position == "believed" else o.position
+        place += f" ({o.position})" if o is not None and o.position not in ("", "believed") else ""
         attitude = f"{f.attitude_from or 'none'}" + (f" ({o.attitude})" if o is not None and o.attitude else "")
         return (
-            f.name, f"{f.size[0]} x {f.size[1]}", f.camera, focal, place + (f" ({said})" if said else ""), altitude,
+            f.name, f"{f.size[0]} x {f.size[1]}", f.camera, focal, place, altitude,
             attitude, f.taken, f.group, f"left out: {self.left_out}" if self.left_out else "used",
         )  # fmt: skip
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, fields
-from typing import Any
-
-from alight.documents import parse_json
+from dataclasses import dataclass
 
 Spot = tuple[float, float]  # east, north, metres in the map's frame
 
@@ -22,23 +18,6 @@ class Schedule:
     mapped: tuple[int, ...] = ()  # exposures that the mapping lane took
     effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 full, higher numbers less
     judged: tuple[int, ...] = ()  # exposures whose map was judged
-    about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none was asked for
+    about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none
     navigation_anew: tuple[int, ...] = ()  # exposures before which the navigation lane began anew
     mapping_anew: tuple[int, ...] = ()  # exposures before which the mapping lane began anew
-
-    def to_json(self) -> str:
-        """Encode the schedule as JSON."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> Schedule:
-        """Decode the schedule from JSON."""
-        tree = parse_json(text)
-        return cls(**{f.name: tuple(_entry(v) for v in tree[f.name]) for f in fields(cls)})
-
-
-def _entry(value: Any) -> Any:
-    if isinstance(value, list):
-        east, north = value
-        return float(east), float(north)
-    return None if value is None else int(value)

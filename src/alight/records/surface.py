@@ -116,7 +116,6 @@ class Terrain(IntEnum):
     STRUCTURE = 8
 
 
-NEARLY = 0.9  # share of a wanted pixel width that counts as that width
 LANDABLE = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)  # kinds of ground that may be landed on
 
 
@@ -132,23 +131,14 @@ class Heights:
     rgb: U8  # (R, C, 3) colours from the cameras
     residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
     sampling: F32  # (R, C) metres of ground that one sample of the match covers: its cell or, if larger, its pixel
-    gauge: Datum | None = None  # None: not known, as for poses that came without covariance
+    datum: Datum | None = None  # None: not known, as for poses that came without covariance
 
 
 @dataclass(frozen=True, eq=False)
-class ElevationMap:
-    """One map of the ground, fused from many steps. Fields as in `Heights`."""
+class ElevationMap(Heights):
+    """One map of the ground, fused from many steps."""
 
-    grid: Grid
-    height: F32
-    sigma: F32
-    flags: U16
-    views: U8
-    rgb: U8
-    residual: F32
-    sampling: F32
-    gauge: Datum | None = None
-    warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from bend and turn by pose errors, beside the gauge
+    warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from bend and turn by pose errors, beside the datum
     fine: U8 | None = None  # (f R, f C, 3) orthophoto on finer pixels, the mean of several views; None: not known
     fine_sampling: F32 | None = None  # (R, C) metres of ground that a pixel of these views covers; None: as the heights
     frame_id: int = 0  # of the poses that it was made with (`Motion.frame_id`)
@@ -163,7 +153,7 @@ class ElevationMap:
     def pixels_a_cell(self, pixel: float) -> int:
         """Pixels a cell of `picture`, along each axis; `pixel` in metres."""
         n = self.finest[1]
-        while n % 2 == 0 and self.grid.cell / n < NEARLY * pixel:
+        while n % 2 == 0 and self.grid.cell / n < 0.9 * pixel:  # nearly as wide as wanted
             n //= 2
         return n
 
@@ -221,3 +211,38 @@ class TerrainMap:
 
         arrays = [f.name for f in fields(self) if f.name not in ("grid", "coloured")]
         return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
+
+
+@dataclass(frozen=True, eq=False)
+class PriorHeights:
+    """A DEM in the world. Its vertical datum need not be known: the pictures give its offset."""
+
+    name: str
+    grid: Grid
+    height: F32  # (R, C) metres above the origin, as if counted from the ellipsoid; NaN = unknown
+
+    def at(self, east: F64, north: F64) -> F64:
+        """The height of the nearest cell to each place (metres), NaN where it is unknown."""
+        return self.grid.nearest_at(self.height, east, north).astype(np.float64)
+
+    def over(self, grid: Grid) -> F64:
+        """Its heights on another grid, (R, C) metres."""
+        return self.grid.nearest_on(grid, self.height).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class PriorComparison:
+    """A map against a DEM from elsewhere: map less DEM, over the heights that are given out."""
+
+    name: str
+    bias: float  # metres, median
+    nmad: float  # metres
+    area: float  # m^2 where both have heights
+
+    @property
+    def line(self) -> str:
+        """The comparison in words."""
+        return (
+            f"{self.name}: the map lies {self.bias:+.2f} m above it (median), NMAD {self.nmad:.2f} m "
+            f"over {self.area:,.0f} m²"
+        )

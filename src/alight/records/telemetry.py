@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from enum import Enum
+from enum import Enum, IntFlag
 from typing import Literal
 
 import numpy as np
@@ -16,12 +16,8 @@ FirmwareName = Literal["ardupilot", "px4"]
 _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3
-HIGHEST = 10_000.0  # metres above or below the sea: no aircraft takes off there
 FARTHEST_FROM_SEA = 120.0  # metres, largest height of the geoid above or below the ellipsoid
-ESTIMATOR = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")  # messages with the estimator's flags
-OLD_REPORT = 10.0  # s, age of the estimator's flags from which they count as unknown
-_ABSOLUTE, _CONSTANT = 16, 128  # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share
-_DOUBTFUL = 1024 | 32768  # not initialised, or GPS glitches
+HIGHEST = 10_000.0  # metres above or below the sea: no aircraft takes off there
 
 
 class FlightMode(Enum):
@@ -116,9 +112,19 @@ class Battery:
     voltage: float = _NAN  # V
 
 
+class EstimatorFlag(IntFlag):
+    """Bits of EKF_STATUS_REPORT and ESTIMATOR_STATUS."""
+
+    ABSOLUTE = 16
+    CONSTANT = 128
+    UNINITIALISED = 1024
+    GPS_GLITCH = 32768
+
+
 def is_absolute(estimator_flags: int) -> bool:
-    """True if the estimator's flags report a position on Earth that is not in doubt."""
-    return bool(estimator_flags & _ABSOLUTE) and not estimator_flags & (_CONSTANT | _DOUBTFUL)
+    """Whether the estimator's flags report a position on Earth that is not in doubt."""
+    doubtful = EstimatorFlag.CONSTANT | EstimatorFlag.UNINITIALISED | EstimatorFlag.GPS_GLITCH
+    return bool(estimator_flags & EstimatorFlag.ABSOLUTE) and not estimator_flags & doubtful
 
 
 def _unknown() -> F64:
@@ -127,10 +133,10 @@ def _unknown() -> F64:
 
 @dataclass(frozen=True, eq=False)
 class Telemetry:
-    """A snapshot of the vehicle. None and NaN: not heard yet."""
+    """A snapshot of the vehicle. None and NaN: not received yet."""
 
     firmware: str  # "ArduPilot" or "PX4"
-    boot_ns: int = 0  # the autopilot's own clock, newest heard
+    boot_ns: int = 0  # the autopilot's own clock, the newest
     armed: bool = False
     mode: FlightMode = FlightMode.OTHER
     mode_name: str = ""  # the autopilot's own word
@@ -146,13 +152,14 @@ class Telemetry:
     home: Place | None = None
     wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, where the air goes
     battery: Battery = Battery()
-    ages: dict[str, float] = field(default_factory=dict)  # s since each kind of message was heard
+    ages: dict[str, float] = field(default_factory=dict)  # s since each kind of message came
 
     @property
     def has_position(self) -> bool:
         """True if the estimator has reported, some seconds ago at most, an absolute position that is not in doubt."""
-        age = min((self.ages[name] for name in ESTIMATOR if name in self.ages), default=0.0)
-        return self.estimator_flags is not None and age < OLD_REPORT and is_absolute(self.estimator_flags)
+        messages = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
+        age = min((self.ages[name] for name in messages if name in self.ages), default=0.0)
+        return self.estimator_flags is not None and age < 10.0 and is_absolute(self.estimator_flags)
 
     @property
     def ready(self) -> bool:
@@ -168,7 +175,7 @@ class Telemetry:
 class NoticeKind(Enum):
     """Subject of a notice."""
 
-    FOUND = "found"  # the vehicle was heard for the first time
+    FOUND = "found"  # the vehicle's first message
     LINK_LOST = "link lost"
     LINK_BACK = "link back"
     REBOOT = "reboot"

@@ -205,9 +205,9 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
     if e.trusted.any():
         sigma = float(np.median(e.relative_sigma[e.trusted]))
         facts.append(("height 1-sigma within the map, median", words.metres(sigma)))
-    if e.gauge is not None:
-        facts.append(("height 1-sigma of the whole map", words.metres(e.gauge.offset_sigma)))
-        facts.append(("tilt 1-sigma of the whole map", f"{1e3 * e.gauge.tilt_sigma:.1f} mrad"))
+    if e.datum is not None:
+        facts.append(("height 1-sigma of the whole map", words.metres(e.datum.offset_sigma)))
+        facts.append(("tilt 1-sigma of the whole map", f"{1e3 * e.datum.tilt_sigma:.1f} mrad"))
     return facts
 
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
+
+if TYPE_CHECKING:
+    from alight.sources.live import LiveSource
 
 VIDEOS = (".mp4", ".mov", ".m4v")
 LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
@@ -57,3 +62,34 @@ def _open(path: Path, settings: Settings) -> Source:
     raise InputError(
         f"{path}: nothing usable in it{closed}; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
     )
+
+
+def open_live(
+    name: str,
+    settings: Settings,
+    speed: float = 1.0,
+    follow: bool = False,
+    rig: Path | None = None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> LiveSource:
+    """Open the source of a live run.
+
+    Args:
+        name: a flight log or a recording, a folder that is being filled, or cameras with commas between them.
+        speed: of a recording: 2 is twice as fast as the flight.
+        follow: the folder is being filled.
+        rig: folder with the calibration of cameras.
+        stopped: called now and then; True ends the events.
+
+    Raises:
+        InputError: it is no source, or cannot be used; the message names what was looked for.
+    """
+    from alight.sources.live import LiveSource, is_cameras, open_sensors
+    from alight.sources.paced import paced
+
+    if follow or is_cameras(name):
+        return open_sensors(name, settings, rig, stopped)
+    source = open_source(name, settings)
+    if source.kind != "flight":
+        raise InputError(f"{name}: photos have no speed of their own; use alight run")
+    return LiveSource(source, paced(source.events(), speed, stopped), False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +11,17 @@ from pathlib import Path
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, is_finished, prepare_folder
-from alight.pipeline import Pipeline, ScheduledPolicy, TimedPoses
+from alight.pipeline import Pipeline, PipelineOptions, ScheduledPolicy, TimedPoses
+from alight.pipeline.decision import unreported
 from alight.pipeline.navigation import NavigationLane
-from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
+from alight.pipeline.timing import StageProgress
+from alight.records import Frame, Home, InputError, PhotoRow, PriorHeights, RunResult
 from alight.runner.opening import open_source
 from alight.runs import appearance_of, result_of, with_home
 from alight.settings import Settings
 from alight.sources import Source
 
 log = logging.getLogger(__name__)
-
-Tell = Callable[[str, float], None]  # stage, share done
 
 
 def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
@@ -50,8 +49,8 @@ def replay(
     source: Source,
     settings: Settings,
     poses: str | None = None,
-    tell: Tell = lambda stage, share: None,
-    far: TileStore | None = None,
+    progress: StageProgress = unreported,
+    tile_store: TileStore | None = None,
     jobs: Jobs | None = None,
     prior: PriorHeights | None = None,
 ) -> RunResult:
@@ -61,8 +60,8 @@ def replay(
         source: the recording.
         settings: all settings.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
-        tell: called with the stage and the share of it that is done.
-        far: tile store for the part of the map that the flight has left behind; None: memory.
+        progress: called with the stage and the share of it that is done.
+        tile_store: tile store for the part of the map that the flight has left behind; None: memory.
         jobs: workers for photos and for maps at the end; None: this process.
         prior: heights from another source; the search for heights begins with them, and the map is compared with them.
 
@@ -70,41 +69,33 @@ def replay(
         InputError: no part of the recording can be used.
     """
     given = given_poses(source, poses)
-    pipeline = Pipeline(
-        source.rig,
-        source.kind,
-        settings,
-        given,
-        time.perf_counter,
-        far,
-        history=source.schedule is None,  # a live run has none
-        appearance=appearance_of(settings),
-        policy=None if source.schedule is None else ScheduledPolicy(source.schedule),
-        navigation=_adjustment(source, settings, jobs) if given is None else None,
-        imu=source.imu_noise,
-        jobs=jobs,
-        prior=prior,
-    )
+    options = PipelineOptions(
+        given, _adjustment(source, settings, jobs) if given is None else None, appearance_of(settings),
+        source.imu_noise, prior, None if source.schedule is None else ScheduledPolicy(source.schedule),
+        clock=time.perf_counter, tile_store=tile_store, jobs=jobs, history=source.schedule is None,
+    )  # fmt: skip
+    pipeline = Pipeline(source.rig, source.kind, settings, options)
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
     for event in source.events():
         pipeline.feed(event)
         if isinstance(event, Frame):
             frames += 1
-            tell("reading", frames / max(source.length, 1))
+            progress("reading", frames / max(source.length, 1))
     if not frames:
         raise InputError(f"{source.name}: not one image could be read; {' '.join(source.warnings[:2])}")
-    decision = pipeline.finish(tell)
+    decision = pipeline.finish(progress)
     for stage, seconds in pipeline.timings.items():
         log.info("%s: %.2f s in %d step(s)", stage, sum(seconds), len(seconds))
-    photos = _photo_table(source.photos, decision.photos)
+    outcomes = {o.t_ns: o for o in decision.photos}
+    photos = [PhotoRow(p, None if p.t_ns is None else outcomes.get(p.t_ns)) for p in source.photos]
     for row in photos:
         log.info("%s", row.line)
     return result_of(source, settings, decision, pipeline.timings, photos)
 
 
 def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> NavigationLane | None:
-    """The lane of the bundle adjustment; None: the settings ask for the filter."""
+    """The lane of the bundle adjustment; None: the settings choose the filter."""
     if not settings.motion.bundles(source.kind):
         return None
     from alight.photos.lane import BundleLane
@@ -126,17 +117,12 @@ def prior_heights(source: Source, settings: Settings, dem: Path | None) -> Prior
     if dem is None:
         return None
     if not source.georeferenced:
-        raise InputError(f"--prior-dem: {source.name} says nothing about its place on Earth; run it without")
+        raise InputError(f"--prior-dem: {source.name} has no place on Earth; run it without")
     if settings.parallax.method == "recursive":
         raise InputError("--prior-dem: is for maps made at the end; run it without, or with parallax.method=batch")
     from alight.sources.prior_dem import read_prior
 
     return read_prior(dem, source.local)
-
-
-def _photo_table(photos: Sequence[PhotoFacts], outcomes: Sequence[PhotoOutcome]) -> list[PhotoRow]:
-    of = {o.t_ns: o for o in outcomes}
-    return [PhotoRow(p, None if p.t_ns is None else of.get(p.t_ns)) for p in photos]
 
 
 def settings_for(source: Source, given: Settings) -> Settings:
@@ -162,14 +148,14 @@ class Find:
     home: Home | None = None  # of the vehicle that is to fly the route
 
 
-def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: None) -> RunResult:
+def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported) -> RunResult:
     """Find a landing site in a flight log, a recording or a folder of photos; write the results to `out`, tested first.
 
     A recording is replayed with the settings of its flight where no others are given, and then gives the same bits.
     The work of photos is saved in the folder piece by piece, until the results are written.
 
     Raises:
-        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+        AlightError: the input cannot be used, or the output cannot be written.
     """
     source = open_source(path, how.settings)
     settings = settings_for(source, how.settings)
@@ -180,14 +166,14 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
         raise InputError(f"--resume: {out} holds a finished run; run without it to begin anew")
     given_poses(source, how.poses)  # wrong ones are reported before any work
     if how.home is not None and not source.georeferenced:
-        raise InputError(f"--home: {source.name} says nothing about its place on Earth; run it without")
+        raise InputError(f"--home: {source.name} has no place on Earth; run it without")
     prior = prior_heights(source, settings, how.prior)
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
     given += [how.prior] if how.prior else []
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
-    with closing(FileStore(out)) as far:
+    with closing(FileStore(out)) as tile_store:
         if not digest:
-            return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
+            return with_home(replay(source, settings, how.poses, progress, tile_store, prior=prior), how.home)
         from alight.cluster import open_jobs
         from alight.photos.work import SavedJobs, WorkFolder, work_key
 
@@ -195,7 +181,7 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
             try:
                 saved = SavedJobs(jobs, work)
-                return with_home(replay(source, settings, how.poses, tell, far, saved, prior), how.home)
+                return with_home(replay(source, settings, how.poses, progress, tile_store, saved, prior), how.home)
             except KeyboardInterrupt:
                 log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
                 raise

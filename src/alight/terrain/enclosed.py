@@ -40,13 +40,13 @@ class LevelSurfaces:
         """Find the level surfaces of a map.
 
         Args:
-            elevation: its trusted heights are surfaces, all its heights are rims; its gauge gives their common tilt.
+            elevation: its trusted heights are surfaces, all its heights are rims; its datum gives their common tilt.
             settings: scales.
         """
         size = max(1, round(settings.block / elevation.grid.cell))
         block = size * elevation.grid.cell
         bed = block_quantile(np.where(elevation.trusted, elevation.height, np.float32(np.nan)), size, 0.5)
-        tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
+        tilt = 0.0 if elevation.datum is None else elevation.datum.tilt_sigma
         count, parts = _level_parts(bed, block, tilt, settings)
         areas = (np.bincount(parts.ravel(), minlength=count) * block**2).astype(np.float64)
         areas[0] = np.nan

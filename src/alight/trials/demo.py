@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight.outputs import prepare_folder
+from alight.pipeline.timing import StageProgress
 from alight.records import RunResult
 from alight.records.executive import FlightState
 from alight.runs import appearance_of, result_of
@@ -22,8 +22,6 @@ SHARE = {  # of a landing that is done, about
     FlightState.SEARCH: 0.05, FlightState.APPROACH: 0.2, FlightState.LOOK: 0.5, FlightState.DESCEND: 0.6,
     FlightState.COMMIT: 0.8,
 }  # fmt: skip
-
-Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +46,7 @@ class DemoLanding:
         return [*out, f"touchdown by the simulator's truth: {safe}; {shape}, {t.sink:.1f} m/s down"]
 
 
-def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -> DemoLanding:
+def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, progress: StageProgress) -> DemoLanding:
     """Search simulated ground for a place, look at it again from lower down, and land or give up.
 
     Raises:
@@ -61,12 +59,12 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
 
     def happening(trial: Trial) -> None:
         done[0] = max(done[0], SHARE.get(trial.state, 0.0))
-        tell(trial.state.value, done[0])
+        progress(trial.state.value, done[0])
 
     flown = fly_landing(vehicle, settings, appearance_of(settings), happening, map_all=True)
     assert flown.decision is not None
     ended, _ = flown.diary.end or (flown.state, "")
-    tell(ended.value, 1.0)
+    progress(ended.value, 1.0)
     result = result_of(vehicle, settings, flown.decision, flown.timings)
     notes = {**result.notes, "landing": ended.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there

@@ -17,7 +17,7 @@ from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive import ENDS
 from alight.flight.session.pilot import LandingPilot
 from alight.flight.session.preflight import judge_motion
-from alight.pipeline import Decision, FlightPolicy, Pipeline, Verdict
+from alight.pipeline import Decision, FlightPolicy, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
@@ -82,24 +82,16 @@ def fly_landing(
 class _MeasuredPipeline(Pipeline):
     """The pipeline of a vehicle, which adds the time that mapping and judging take to `costs`."""
 
-    def __init__(
-        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings,
-        policy: FlightPolicy, on_verdict: Callable[[Verdict, int], None],
-    ) -> None:  # fmt: skip
-        super().__init__(
-            vehicle.rig, "flight", settings, clock=time.perf_counter, history=False, appearance=appearance,
-            policy=policy, on_verdict=on_verdict, imu=vehicle.imu_noise,
-        )  # fmt: skip
-        self._costs = costs
+    costs: Timings
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
         """As `Pipeline.map`, measured."""
-        with self._costs.of("mapping"):
+        with self.costs.of("mapping"):
             return super().map(navigation)
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """As `Pipeline.judge`, measured."""
-        with self._costs.of("judging"):
+        with self.costs.of("judging"):
             return super().judge(seen)
 
 
@@ -144,7 +136,12 @@ class Trial:
         self._vehicle, self._settings = vehicle, as_flown(settings)
         self._costs = Timings(time.process_time)
         policy = FlightPolicy(every=0)  # judged when the executive needs it
-        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs, policy, self._judged)
+        options = PipelineOptions(
+            appearance=appearance, imu=vehicle.imu_noise, policy=policy, on_verdict=self._judged,
+            clock=time.perf_counter, history=False,
+        )  # fmt: skip
+        self._pipeline = _MeasuredPipeline(vehicle.rig, "flight", self._settings, options)
+        self._pipeline.costs = self._costs
         local, self._flown = vehicle.local, FlownVehicle(vehicle)
         home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
         dialect = SpokenPx4() if firmware == "px4" else SpokenArduPilot()

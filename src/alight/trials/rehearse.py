@@ -18,8 +18,6 @@ from alight_sim.rehearsal import CameraFolder
 RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
 SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
 STEP = 0.02  # s
-UNHEARD = 120.0  # s without a vehicle, after which this is an error; a SITL waits for the first link before this one
-LINGER = 5.0  # s after the touchdown, for the reader of the pictures
 
 
 class _TrackReader:
@@ -63,26 +61,27 @@ class VehicleFollower:
     @property
     def touchdown(self) -> Touchdown | None:
         """The oracle's verdict, once the vehicle has flown and stands disarmed; None: not yet."""
-        heard = self.autopilot.telemetry
-        return self._cameras.touchdown() if self._flown and heard is not None and heard.is_down else None
+        telemetry = self.autopilot.telemetry
+        down = self._flown and telemetry is not None and telemetry.is_down
+        return self._cameras.touchdown() if down else None
 
     def tick(self, now_ns: int) -> None:
         """Let time pass, and draw the exposures that are due."""
         self.autopilot.tick(now_ns)
         self.autopilot.notices()
-        heard, places = self.autopilot.telemetry, self._cameras.track.places
-        if heard is None:
+        telemetry, places = self.autopilot.telemetry, self._cameras.track.places
+        if telemetry is None:
             return
-        self._flown |= heard.armed
-        if heard.has_position and heard.place is not None and places:
-            self._cameras.place(places[-1].position, heard.place.above_home)
+        self._flown |= telemetry.armed
+        if telemetry.has_position and telemetry.place is not None and places:
+            self._cameras.place(places[-1].position, telemetry.place.above_home)
         for t_ns, frame in self._cameras.take():
             self._folder.write(frame, t_ns)
             self.exposures += 1
 
 
 def follow_vehicle(
-    link: str, cameras: FollowedCameras, folder: Path, seconds: float, say: Callable[[str], None]
+    link: str, cameras: FollowedCameras, folder: Path, seconds: float, print_line: Callable[[str], None]
 ) -> Touchdown | None:
     """Fill a folder with pictures of a scene at the poses that an autopilot reports, until it has landed.
 
@@ -91,28 +90,30 @@ def follow_vehicle(
         cameras: of the scene.
         folder: for the pictures, in the layout of a flight log.
         seconds: after which it ends in any case.
-        say: called with a line when `alight fly` may be started, and when the first picture was written.
+        print_line: called with a line when `alight fly` may be started, and when the first picture was written.
 
     Returns:
         The oracle's verdict on the touchdown; None: there was none.
 
     Raises:
-        InputError: the link's name is wrong, or no supported vehicle is heard.
+        InputError: the link's name is wrong, or no supported vehicle answers.
         OutputError: the folder cannot be made, or holds pictures already.
     """
     opened = open_link(link, patient=True)
     try:
         pictures = CameraFolder(folder, cameras.rig, cameras.rate_hz)
         try:
-            say(f"ready: alight fly --link LINK --camera {shlex.quote(str(folder))} --out OUT --take-off 30")
-            return _follow(opened, VehicleFollower(cameras, pictures), seconds, say)
+            print_line(f"ready: alight fly --link LINK --camera {shlex.quote(str(folder))} --out OUT --take-off 30")
+            return _follow(opened, VehicleFollower(cameras, pictures), seconds, print_line)
         finally:
             pictures.close()
     finally:
         opened.close()
 
 
-def _follow(link: Link, follower: VehicleFollower, seconds: float, say: Callable[[str], None]) -> Touchdown | None:
+def _follow(
+    link: Link, follower: VehicleFollower, seconds: float, print_line: Callable[[str], None]
+) -> Touchdown | None:
     begin = time.monotonic()
     end, found = begin + seconds, None
     while time.monotonic() < end:
@@ -123,12 +124,10 @@ def _follow(link: Link, follower: VehicleFollower, seconds: float, say: Callable
         for data in follower.autopilot.pending():
             link.write(data)
         if not before and follower.exposures:
-            say("the first picture is written")
-        if follower.autopilot.vehicle is None and time.monotonic() - begin > UNHEARD:
+            print_line("the first picture is written")
+        if follower.autopilot.vehicle is None and time.monotonic() - begin > 120.0:
             reason = f" ({link.broken})" if link.broken else ""
-            raise InputError(
-                f"{link.name}: no vehicle was heard for {UNHEARD:.0f} s{reason}; is the autopilot running?"
-            )
+            raise InputError(f"{link.name}: no message of a vehicle for two minutes{reason}; is the autopilot running?")
         if found is None and (found := follower.touchdown) is not None:
-            end = min(end, time.monotonic() + LINGER)
+            end = min(end, time.monotonic() + 5.0)  # for the reader of the pictures
     return found

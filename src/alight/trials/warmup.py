@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import alight_sim as simulate
 from alight import compiled
+from alight.pipeline.timing import StageProgress
 from alight.runner import replay
 from alight.runner.opening import open_source
 from alight.settings import Settings
 
-Tell = Callable[[str, float], None]
 
-
-def compile_kernels(tell: Tell) -> None:
+def compile_kernels(progress: StageProgress) -> None:
     """Compile all loops and keep them, by running each stage over a flight of a second."""
     folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
     try:
         flight = simulate.fly("demo", 0, 1.0)
-        simulate.write(flight, folder / "flight", lambda done, total: tell("flying", done / total))
+        simulate.write(flight, folder / "flight", lambda done, total: progress("flying", done / total))
         for method in ("batch", "recursive"):
             settings = Settings.model_validate({"parallax": {"method": method}})
-            replay.replay(open_source(folder / "flight", settings), settings, None, tell)
+            replay.replay(open_source(folder / "flight", settings), settings, None, progress)
         compiled.mark_warm()
     finally:
         shutil.rmtree(folder, ignore_errors=True)

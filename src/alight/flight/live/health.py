@@ -10,9 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 
-LATE = 0.9  # s that a lane may be busy with one piece of work until it is called late
-REMEMBERED = 1000  # last steps whose times are kept
-ARRIVALS = 1000  # exposures whose arrival is remembered
+from alight.pipeline.timing import Timings
 
 
 class LaneState(Enum):
@@ -20,7 +18,7 @@ class LaneState(Enum):
 
     WAITING = "waiting"  # for work
     BUSY = "busy"
-    LATE = "late"  # busy for longer than `LATE`; not killed yet
+    LATE = "late"  # busy for longer than 0.9 s; not killed yet
     STARTING = "starting"  # its process is new
     LOST = "lost"  # given up
 
@@ -58,7 +56,7 @@ class Watch:
         self._since: dict[str, float | None] = dict.fromkeys(lanes)
         self._state = dict.fromkeys(lanes, LaneState.STARTING)
         self._motions: deque[float] = deque(maxlen=100)
-        self.times: dict[str, deque[float]] = {}
+        self.timings = Timings(history=False)
         self.counts: Counter[str] = Counter()
         self.restarts: Counter[str] = Counter()
 
@@ -66,15 +64,15 @@ class Watch:
         """Note the time at which an exposure arrived."""
         with self._lock:
             self._arrived[t_ns] = time.perf_counter()
-            if len(self._arrived) > ARRIVALS:
+            if len(self._arrived) > 1000:
                 self._arrived.popitem(last=False)
 
-    def known(self, what: str, t_ns: int) -> None:
+    def reached(self, what: str, t_ns: int) -> None:
         """Take the time since an exposure arrived, under the name `what`; a pose counts for the rate as well."""
         now = time.perf_counter()
         with self._lock:
             if (then := self._arrived.get(t_ns)) is not None:
-                self._step(what, now - then)
+                self.timings.add(what, now - then)
             if what == POSE:
                 self._motions.append(now)
 
@@ -91,8 +89,7 @@ class Watch:
         else:
             self._state[lane] = LaneState.WAITING
             if what:
-                with self._lock:
-                    self._step(what, time.perf_counter() - begin)
+                self.timings.add(what, time.perf_counter() - begin)
         finally:
             self._since[lane] = None
 
@@ -101,9 +98,9 @@ class Watch:
         self._state[lane] = LaneState.LOST
 
     def state(self, lane: str) -> LaneState:
-        """The state of a lane now; busy for longer than `LATE` seconds is late."""
+        """The state of a lane now; busy for longer than 0.9 s is late."""
         since, state = self._since[lane], self._state[lane]
-        if state is LaneState.BUSY and since is not None and time.perf_counter() - since > LATE:
+        if state is LaneState.BUSY and since is not None and time.perf_counter() - since > 0.9:
             return LaneState.LATE
         return state
 
@@ -118,20 +115,12 @@ class Watch:
         with self._lock:
             recent = [t for t in self._motions if now - t < 3.0]
             rate = (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 else 0.0
-            median = {k: 1e3 * sorted(v)[len(v) // 2] for k, v in self.times.items() if v}
+            median = {k: 1e3 * sorted(v)[len(v) // 2] for k, v in list(self.timings.stages.items())}
         return FlightHealth(
             {name: self.state(name) for name in self._since}, dict(self.restarts), rate, median,
             sum(n for name, n in self.counts.items() if name.startswith("navigation: exposures left out")),
             effort, frame_id,
         )  # fmt: skip
-
-    def took(self, what: str, seconds: float) -> None:
-        """Take the seconds of a step under the name `what`."""
-        with self._lock:
-            self._step(what, seconds)
-
-    def _step(self, what: str, seconds: float) -> None:
-        self.times.setdefault(what, deque(maxlen=REMEMBERED)).append(seconds)
 
 
 POSE, STEP, VERDICT = "frame to pose", "map step", "frame to verdict"

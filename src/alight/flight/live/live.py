@@ -8,32 +8,30 @@ turn and gives the same bits. Memory does not grow with the flight unless the wh
 from __future__ import annotations
 
 import logging
-import os
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
 from typing import Any, NamedTuple
 
 from alight import terrain
 from alight.arrays import F64
-from alight.flight.live import lanes as processes
 from alight.flight.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
-from alight.flight.live.interface import IN_FLIGHT, SILENT, Capacity, Diary, Listener, NoDiary
-from alight.flight.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
+from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
+from alight.flight.live.lanes import NavigationProcess, make_judging, make_mapping
 from alight.flight.live.mailbox import Closed, Mailbox
-from alight.flight.live.nursery import Nursery
-from alight.flight.live.schedule_log import ScheduleLog
-from alight.flight.live.stream_clock import Clocks
-from alight.flight.live.worker import LaneLost, Spec
-from alight.pipeline import Decision, FlightPolicy
+from alight.flight.live.stream_clocks import StreamClocks
+from alight.outputs.recorder import Recorder
+from alight.pipeline import Decision, FlightPolicy, Verdict
 from alight.pipeline.decision import conclude
+from alight.pipeline.judging import JudgingMemory
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.navigation import FrameBatch, Navigation
-from alight.pipeline.navigation.filter_lane import EventBatcher
+from alight.pipeline.navigation import Navigation
+from alight.pipeline.navigation.filter_lane import EventBatcher, FrameBatch
 from alight.pipeline.timing import Timings
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
 from alight.settings import ImuNoise, Settings
@@ -41,15 +39,56 @@ from alight.settings import ImuNoise, Settings
 log = logging.getLogger(__name__)
 
 NAVIGATION, MAPPING, JUDGING = LANES = ("navigation", "mapping", "judging")
-PATIENCE = {NAVIGATION: 0.9, MAPPING: 15.0, JUDGING: 30.0}  # s without an answer, after which a process is lost
-NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 6}  # navigation never waits for mapping, nor mapping for judging
-AT_END = 120.0  # s that the last judgement may take, of the map of the whole flight
-SPARE = 2  # processors that mapping leaves to the other lanes
 
 
-class _Shown(NamedTuple):
-    """A map on its way to the judging lane."""
+@dataclass(frozen=True)
+class Listener:
+    """Functions that are called with results as soon as they exist, each on its lane's thread."""
 
+    motion: Callable[[Motion], None] = lambda motion: None
+    verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
+    lost: Callable[[str, str], None] = lambda lane, why: None
+
+
+@dataclass(frozen=True, eq=False)
+class LiveOptions:
+    """Options of a live run. `drop`: a lane that is busy leaves out the oldest exposure (flight); else all wait."""
+
+    listener: Listener = field(default_factory=Listener)
+    recorder: Recorder | None = None
+    drop: bool = True
+    waiting: int = 2  # exposures that may wait for the navigation lane, and for the mapping lane
+    schedule: int | None = 1000  # last entries of the schedule that are kept; None: all of them
+    folder: Path | None = None  # for tiles that the vehicle has left behind; None: the system's temporary folder
+    appearance: terrain.Model | None = None
+    imu: ImuNoise | None = None  # stated for the IMU
+    real_time: bool = False  # find late events and clocks that jump, by the arrival of the events
+    makers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)  # of lanes that replace the usual ones
+    policy: FlightPolicy | None = None  # of the mapping and judging lanes; None: one by `sites.every`
+
+
+class ScheduleLog:
+    """The last exposures that each lane used; the recorder gets every one. Each lane adds entries of its own kind."""
+
+    def __init__(self, most: int | None, recorder: Recorder | None) -> None:
+        self._recorder = recorder
+        self._kinds = {kind: deque[Any](maxlen=most) for kind in Schedule.__dataclass_fields__}
+
+    @property
+    def schedule(self) -> Schedule:
+        """The entries so far."""
+        return Schedule(**{k: tuple(v) for k, v in self._kinds.items()})
+
+    def add(self, kind: str, t_ns: int, **value: Any) -> None:
+        """Add an exposure to a list of `Schedule`, with its `effort` or the place that it is `about`."""
+        self._kinds[kind].append(t_ns)
+        for name, v in value.items():
+            self._kinds[name].append(v)
+        if self._recorder is not None:
+            self._recorder.entry(kind, t_ns, value.get("effort", 0), value.get("about"))
+
+
+class _MapToJudge(NamedTuple):
     t_ns: int  # of the newest exposure that it holds
     seen: MapSnapshot
     about: F64 | None  # (2,) metres in the map's frame, the place that it shows as well
@@ -58,81 +97,41 @@ class _Shown(NamedTuple):
 class Live:
     """The three lanes as processes. Feed events in the order of arrival, `finish` at the end.
 
-    Args:
-        listener: called with motions and verdicts as soon as they exist.
-        capacity: number of items that may wait, and whether the oldest is left out then.
-        folder: for tiles of the map that the vehicle has left behind; None: the system's temporary folder.
-        appearance: model of the appearance of ground; None: none.
-        imu: noise that is stated for the IMU.
-        diary: log of the run; None: none.
-        clocks: find late events and clocks that jump, by the arrival of the events; None: stamps are right.
-        nursery: process that forks the lanes; None: one of its own, which ends with the flight.
-        makers: of lanes that replace the usual ones, by the lane's name.
-        policy: of the mapping and judging lanes; None: one by `sites.every`.
-
     Raises:
         SettingsError: the settings are for recordings only.
         AlightError: a lane cannot be started.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        settings: Settings,
-        listener: Listener = SILENT,
-        capacity: Capacity = IN_FLIGHT,
-        folder: Path | None = None,
-        appearance: terrain.Model | None = None,
-        imu: ImuNoise | None = None,
-        diary: Diary | None = None,
-        clocks: Callable[[Callable[[str], None]], Clocks] | None = None,
-        nursery: Nursery | None = None,
-        makers: Mapping[str, Callable[..., Any]] | None = None,
-        policy: FlightPolicy | None = None,
-    ) -> None:
+    def __init__(self, rig: Rig, settings: Settings, options: LiveOptions | None = None) -> None:
         if settings.motion.method == "bundle":
             raise SettingsError("motion.method: a flight needs the filter; bundle is for recordings")
-        self._listener, self._capacity = listener, capacity
-        self._diary: Diary = diary or NoDiary()
+        self._options = options = options or LiveOptions()
         self.watch, self.warnings = Watch(LANES), list[str]()
-        self._clocks = clocks(self._warn) if clocks else None
-        self._batcher, self._used = EventBatcher(), ScheduleLog(capacity.schedule, self._diary)
-        drop = capacity.drop
-        self._batches = Mailbox[FrameBatch](capacity.tracking, self._later_batch if drop else None)
-        self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
-        self._maps = Mailbox[_Shown](1, (lambda old, new: new) if drop else None)
-        self.policy, self._judge_waits = policy or FlightPolicy(settings.sites.every), threading.Event()
+        self._clocks = StreamClocks(self._warn_of_clock) if options.real_time else None
+        self._batcher, self._used = EventBatcher(), ScheduleLog(options.schedule, options.recorder)
+        drop, waiting = options.drop, options.waiting
+        self._batches = Mailbox[FrameBatch](waiting, self._later_batch if drop else None)
+        self._exposures = Mailbox[Navigation](waiting, self._later_exposure if drop else None)
+        self._maps = Mailbox[_MapToJudge](1, (lambda old, new: new) if drop else None)
+        self.policy, self._judge_waits = options.policy or FlightPolicy(settings.sites.every), threading.Event()
         self._newest: Motion | None = None
         self._failed: list[BaseException] = []
-        self._cores = max(1, (os.cpu_count() or 1) - SPARE)
-        self._own_nursery = None if nursery is not None else Nursery(self._cores)
-        self._nursery = nursery or self._own_nursery
-        self._start_lanes(rig, settings, folder or Path(tempfile.gettempdir()), appearance, imu, makers or {})
-        self.threads = self._start_threads()
-
-    # -- the start
-
-    def _start_lanes(
-        self, rig: Rig, settings: Settings, folder: Path, appearance: terrain.Model | None, imu: ImuNoise | None,
-        makers: Mapping[str, Callable[..., Any]],
-    ) -> None:  # fmt: skip
-        self._settings, nursery = (stages := settings.stages(imu)), self._nursery
-        assert nursery is not None
-        navigation, judging = self._navigation, self._judging = RemoteNavigation(), RemoteJudging()
-        usual: dict[str, tuple[Any, Callable[[], tuple[Any, ...]]]] = {
-            NAVIGATION: (processes.NavigationProcess, lambda: (rig, stages, navigation.next_frame)),
-            MAPPING: (processes.MappingProcess, lambda: (rig, stages, folder)),
-            JUDGING: (processes.JudgingProcess, lambda: (stages, appearance, judging.memory)),
+        self._settings = stages = settings.stages(options.imu)
+        folder = options.folder or Path(tempfile.gettempdir())
+        # navigation never waits for mapping, nor mapping for judging: the last arguments are the niceness
+        specs = (
+            LaneSpec(NAVIGATION, NavigationProcess, (rig, stages), 0.9, "next_frame", 0),
+            LaneSpec(MAPPING, make_mapping, (rig, stages, folder), 15.0, "", 5),
+            LaneSpec(JUDGING, make_judging, (stages, options.appearance), 30.0, "memory", 6),
+        )
+        memories = {NAVIGATION: 0, JUDGING: JudgingMemory()}
+        self.lanes = {
+            s.name: LaneProcess(
+                replace(s, make=options.makers.get(s.name, s.make)), memories.get(s.name), self._replaced
+            )
+            for s in specs
         }
-
-        def post(name: str) -> Post:
-            make, given = usual[name]
-            make, threads = makers.get(name, make), self._cores if name == MAPPING else 1
-            return Post(nursery, lambda: Spec(name, make, given(), NICENESS[name], threads), PATIENCE[name], self._lost)
-
-        self.posts = {name: post(name) for name in LANES}
-        navigation.post, judging.post = self.posts[NAVIGATION], self.posts[JUDGING]
-        self._mapping = RemoteMapping(self.posts[MAPPING])
+        self.threads = self._start_threads()
 
     def _start_threads(self) -> list[Thread]:
         """A thread for each lane; at its end the mailbox that it feeds is closed."""
@@ -170,20 +169,31 @@ class Live:
     @property
     def compiled(self) -> list[str]:
         """Names of the loops that were compiled in flight; they should be none."""
-        return sorted(set[str]().union(*(p.compiled for p in self.posts.values())))
+        return sorted(set[str]().union(*(lane.compiled for lane in self.lanes.values())))
+
+    def wait_until_ready(self) -> None:
+        """Wait until the navigation lane is made; the others may take longer.
+
+        Raises:
+            AlightError: it cannot be made.
+        """
+        try:
+            self.lanes[NAVIGATION].wait_until_ready()
+        except LaneLost as e:
+            raise AlightError(f"the navigation lane is lost: it cannot be started: {e}") from e
 
     def feed(self, event: Event) -> None:
-        """Take an event; motions and verdicts come by themselves.
+        """Take an event; the listener gets motions and verdicts.
 
         Raises:
             AlightError: the navigation lane cannot be started again.
         """
         self._raise()
-        arrival = time.perf_counter()
-        stamped = event if self._clocks is None else self._clocks.stamped(event, arrival)
+        stamped = event if self._clocks is None else self._clocks.stamped(event, time.perf_counter())
         if stamped is None:
             return
-        self._diary.event(stamped)
+        if self._options.recorder is not None:
+            self._options.recorder.event(stamped)
         if isinstance(stamped, Frame):
             self.watch.arrived(stamped.t_ns)
             self.watch.counts["frames"] += 1
@@ -203,9 +213,10 @@ class Live:
             for t in self.threads:
                 t.join()
             self._raise()
-            for p in self.posts.values():
-                p.patience = AT_END
-            return self._said(conclude(self._navigation, self._mapping, self._judging, self._settings, Timings()))
+            for lane in self.lanes.values():
+                lane.patience = 120.0  # the last judgement is of the map of the whole flight
+            navigation, mapping, judging = list[Any](self.lanes.values())
+            return self._with_warnings(conclude(navigation, mapping, judging, self._settings, Timings()))
         except LaneLost as e:
             raise AlightError(f"a lane was lost when the flight was over: {e}; the recording can be replayed") from e
         finally:
@@ -213,21 +224,19 @@ class Live:
 
     def timings(self) -> dict[str, Sequence[float]]:
         """Seconds of the last steps, by stage."""
-        return dict(self.watch.times)
+        return dict(self.watch.timings.stages)
 
     def close(self) -> None:
         """End all lanes, whatever they do; `finish` does it as well."""
         for box in (self._batches, self._exposures, self._maps):
             box.close()
         self._judge_waits.set()
-        for p in self.posts.values():
-            p.close()
+        for lane in self.lanes.values():
+            lane.close()
         for t in self.threads:
             t.join(5.0)
-        if self._own_nursery is not None:
-            self._own_nursery.close()
 
-    def _said(self, decision: Decision) -> Decision:
+    def _with_warnings(self, decision: Decision) -> Decision:
         repeated = self._batcher.repeated
         same = [f"motion: {repeated} exposures have the stamp of an earlier one and are left out"] if repeated else []
         names = self.compiled
@@ -240,30 +249,34 @@ class Live:
         if self._failed:
             raise self._failed[0]
 
-    def _warn(self, sentence: str) -> None:
-        self.warnings.append(sentence)
-        self._diary.note("clocks", sentence)
+    def _note(self, lane: str, words: str) -> None:
+        if self._options.recorder is not None:
+            self._options.recorder.note(lane, words)
 
-    def _lost(self, lane: str, why: str) -> None:
+    def _warn_of_clock(self, sentence: str) -> None:
+        self.warnings.append(sentence)
+        self._note("clocks", sentence)
+
+    def _replaced(self, lane: str, why: str) -> None:
         """Report that a process is lost; the flight goes on."""
         self.watch.restarts[lane] += 1
-        if self.posts[lane].given_up:
+        if self.lanes[lane].given_up:
             self.watch.gave_up(lane)
         log.warning("the %s lane was lost: %s; it begins anew", lane, why)
         if (count := self.watch.restarts[lane]) <= 3:
             self.warnings.append(f"live: the {lane} lane was lost and began anew ({why})")
         elif count == 4:
-            self.warnings.append(f"live: the {lane} lane was lost more than 3 times; the counts say how often")
-        self._diary.note(lane, why)
-        self._listener.lost(lane, why)
+            self.warnings.append(f"live: the {lane} lane was lost more than 3 times; the counts give the number")
+        self._note(lane, why)
+        self._options.listener.lost(lane, why)
 
-    def _stepped(self, seconds: float) -> None:
+    def _adapt_effort(self, seconds: float) -> None:
         """Adapt the effort of the next step of the map to the time of this one."""
-        self.watch.took(STEP, seconds)
+        self.watch.timings.add(STEP, seconds)
         control = self.policy.effort_control
         if control.took(seconds):
             self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
-            self._diary.note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
+            self._note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
 
     def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
         if old.frame is not None:
@@ -290,36 +303,40 @@ class Live:
             self._judge_waits.set()
 
     def _navigate(self) -> None:
-        unheard, anew = FrameBatch(None, ()), False
+        lane, recorder = self.lanes[NAVIGATION], self._options.recorder
+        lost_rows, anew = FrameBatch(None, ()), False
         while True:
-            batch = self._batches.get().after(unheard)
-            t_ns = None if batch.frame is None else batch.frame.t_ns
+            batch = self._batches.get().after(lost_rows)
             try:
                 with self.watch.work(NAVIGATION):
-                    found = self._navigation.take(batch)
+                    found: Navigation | None = lane.call("take", batch)
             except LaneLost as e:
-                if self.posts[NAVIGATION].given_up:
-                    raise AlightError(f"the navigation lane is lost: {self.posts[NAVIGATION].given_up}") from e
-                self.watch.counts["navigation: exposures left out, lane lost"] += t_ns is not None
-                unheard, anew = replace(batch, frame=None), True
+                if lane.given_up:
+                    raise AlightError(f"the navigation lane is lost: {lane.given_up}") from e
+                self.watch.counts["navigation: exposures left out, lane lost"] += batch.frame is not None
+                lost_rows, anew = replace(batch, frame=None), True
                 continue
-            unheard = FrameBatch(None, ())
-            if t_ns is None:
+            lost_rows = FrameBatch(None, ())
+            if batch.frame is None:
                 continue
+            t_ns = batch.frame.t_ns
             if anew:
-                self._used.anew(NAVIGATION, t_ns)
+                self._used.add("navigation_anew", t_ns)
                 anew = False
-            self._used.tracked(t_ns)
+            self._used.add("tracked", t_ns)
             self.watch.counts["frames used"] += 1
-            if found is not None:
-                self._exposures.put(found)
-                if found.motion is not None:
-                    self.watch.known(POSE, t_ns)
-                    self._newest = found.motion
-                    self._listener.motion(found.motion)
+            if found is None:
+                continue
+            self._exposures.put(replace(found, frame=batch.frame))
+            if found.motion is not None:
+                self.watch.reached(POSE, t_ns)
+                self._newest = found.motion
+                if recorder is not None:
+                    recorder.motion(found.motion)
+                self._options.listener.motion(found.motion)
 
     def _map(self) -> None:
-        anew = False
+        lane, anew = self.lanes[MAPPING], False
         while True:
             navigation = self._exposures.get()
             t_ns = navigation.frame.t_ns
@@ -327,43 +344,46 @@ class Live:
                 with self.watch.work(MAPPING):
                     begin = time.perf_counter()
                     effort = self.policy.effort(navigation)
-                    update = self._mapping.feed(navigation, effort)
-                    if update is not None:
-                        self._stepped(time.perf_counter() - begin)
+                    keyframes: int = lane.call("feed", navigation, effort)
+                    if keyframes:
+                        self._adapt_effort(time.perf_counter() - begin)
             except LaneLost:
                 self.watch.counts["mapping: exposures left out, lane lost"] += 1
                 anew = True
-                if self.posts[MAPPING].given_up:
+                if lane.given_up:
                     raise Closed from None
                 continue
             if anew:
-                self._used.anew(MAPPING, t_ns)
-            self._used.mapped(t_ns, effort)
-            due = self.policy.due_verdict(navigation, update, self._judge_waits.is_set() or not self._capacity.drop)
-            anew = due is not None and not self._hand_to_judge(navigation, due.about)
+                self._used.add("mapping_anew", t_ns)
+            self._used.add("mapped", t_ns, effort=effort)
+            due = self.policy.due_verdict(navigation, keyframes, self._judge_waits.is_set() or not self._options.drop)
+            anew = due is not None and not self._pass_to_judging(navigation, due.about)
 
-    def _hand_to_judge(self, navigation: Navigation, about: F64 | None) -> bool:
+    def _pass_to_judging(self, navigation: Navigation, about: F64 | None) -> bool:
         """Pass the map on to be judged; False: the mapping lane was lost."""
         try:
-            seen = self._mapping.snapshot(about)
+            seen = self.lanes[MAPPING].call("snapshot", about)
         except LaneLost:
             return False
         if seen is not None:
             self._judge_waits.clear()
-            self._maps.put(_Shown(navigation.frame.t_ns, seen, about))
+            self._maps.put(_MapToJudge(navigation.frame.t_ns, seen, about))
         return True
 
     def _judge(self) -> None:
+        lane, recorder = self.lanes[JUDGING], self._options.recorder
         while True:
             self._judge_waits.set()
-            shown = self._maps.get()
+            t_ns, seen, about = self._maps.get()
             try:
                 with self.watch.work(JUDGING, "verdict"):
-                    verdict = self._judging.judge(shown.seen)
+                    verdict: Verdict = lane.call("judge", seen)
             except LaneLost:
-                if self.posts[JUDGING].given_up:
+                if lane.given_up:
                     raise Closed from None
                 continue
-            self._used.judged(shown.t_ns, shown.about)
-            self.watch.known(VERDICT, shown.t_ns)
-            self._listener.verdict(verdict, shown.t_ns)
+            self._used.add("judged", t_ns, about=None if about is None else (float(about[0]), float(about[1])))
+            self.watch.reached(VERDICT, t_ns)
+            if recorder is not None:
+                recorder.sites(t_ns, verdict.in_world().sites)
+            self._options.listener.verdict(verdict, t_ns)

@@ -32,19 +32,14 @@ class Mailbox(Generic[T]):
                 self._items[0] = self._merge(oldest, self._items[0])
             self._changed.notify_all()
 
-    def get(self, timeout: float | None = None) -> T:
+    def get(self) -> T:
         """Wait for an item and take it.
-
-        Args:
-            timeout: seconds; None: for ever.
 
         Raises:
             Closed: it is empty and will stay so.
-            TimeoutError: no item has come in time.
         """
         with self._changed:
-            if not self._changed.wait_for(lambda: self._items or self._closed, timeout):
-                raise TimeoutError
+            self._changed.wait_for(lambda: self._items or self._closed)
             if not self._items:
                 raise Closed
             item = self._items.popleft()

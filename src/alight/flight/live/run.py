@@ -5,17 +5,15 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight.flight.live.health import FlightHealth
-from alight.flight.live.interface import SILENT, Listener
-from alight.flight.live.live import NAVIGATION, Live
-from alight.flight.live.stream_clock import Clocks
+from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder, make_room
-from alight.pipeline import FlightPolicy, Verdict
-from alight.records import AlightError, Event, Frame, Motion, RunResult
+from alight.pipeline import FlightPolicy
+from alight.records import AlightError, Event, Frame, RunResult
 from alight.records.codec import FlightHead
 from alight.runs import appearance_of, result_of
 from alight.settings import Settings
@@ -25,42 +23,39 @@ log = logging.getLogger(__name__)
 
 RECORDING = "recording.mcap"
 MOST_CELLS = 2_000_000  # of the map of the whole flight
-TELL_EVERY = 0.5  # s between two lines of status
 
-Tell = Callable[[FlightHealth], None]
+
+@dataclass(frozen=True)
+class LiveRequest:
+    """Folder and options of a live run."""
+
+    out: Path  # the folder of the results; the recording goes there while the flight lasts
+    settings: Settings
+    record: bool = True
+    real_time: bool = False  # the events come from sensors: late ones and clocks that jump are found by their arrival
+    overwrite: bool = False
+    inputs: Sequence[Path] = ()  # files that the source reads; they may not lie in `out`
 
 
 def fly_live(
-    source: Source,
-    events: Iterator[Event],
-    out: Path,
-    settings: Settings,
-    record: bool = True,
-    real_time: bool = False,
-    overwrite: bool = False,
-    tell: Tell = lambda health: None,
-    listener: Listener = SILENT,
-    inputs: Sequence[Path] = (),
-) -> RunResult:
+    source: Source, events: Iterator[Event], request: LiveRequest,
+    on_health: Callable[[FlightHealth], None] = lambda health: None,
+) -> RunResult:  # fmt: skip
     """Run the lanes on events as they come, until there are no more or Ctrl-C is pressed.
 
     Args:
         source: of the events.
         events: its events, each when it is due.
-        out: the folder of the results; the recording goes there while the flight lasts.
-        record: make the recording.
-        real_time: the events come from sensors: late ones and clocks that jump are found by the time of arrival.
-        tell: called with the health of the lanes, about twice a second.
-        listener: called with motions and verdicts.
-        inputs: files that the source reads; they may not lie in `out`.
+        request: folder and options.
+        on_health: called with the health of the lanes, about twice a second.
 
     Raises:
-        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+        AlightError: the input cannot be used, or the output cannot be written.
     """
-    run = LiveRun(source, out, settings, record, real_time, overwrite, listener, inputs)
+    run = LiveRun(source, request)
     try:
-        run.live.posts[NAVIGATION].worker.wait_until_ready()
-        _feed(run.live, events, tell)
+        run.live.wait_until_ready()
+        _feed(run.live, events, on_health)
         return run.finish()
     finally:
         run.close()
@@ -72,30 +67,24 @@ class LiveRun:
     A recording in the folder is replaced with the finished run that it is of. That of a run that did not end is kept
     under another name.
 
-    Args:
-        source, out, settings, record, real_time, overwrite, listener, inputs: as of `fly_live`.
-        policy: as of `Live`.
-
     Raises:
-        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+        AlightError: the input cannot be used, or the output cannot be written.
     """
 
     def __init__(
-        self, source: Source, out: Path, settings: Settings, record: bool = True, real_time: bool = False,
-        overwrite: bool = False, listener: Listener = SILENT, inputs: Sequence[Path] = (),
-        policy: FlightPolicy | None = None,
-    ) -> None:  # fmt: skip
-        prepare_folder(out, overwrite, inputs)
-        self._source, self._settings = source, (settings := for_flight(settings))
+        self, source: Source, request: LiveRequest, listener: Listener | None = None, policy: FlightPolicy | None = None
+    ) -> None:
+        prepare_folder(request.out, request.overwrite, request.inputs)
+        self._source, self._settings = source, (settings := for_flight(request.settings))
         head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
-        if (kept := make_room(out / RECORDING)) is not None:
-            log.warning("%s: the recording of a run that did not end is kept as %s", out, kept.name)
-        self.recorder = Recorder(out / RECORDING, head) if record else None
-        told = _Told(listener, self.recorder)
-        self.live = Live(
-            source.rig, settings, told.listener, folder=out, appearance=appearance_of(settings), imu=source.imu_noise,
-            diary=self.recorder, clocks=Clocks if real_time else None, policy=policy,
+        if (kept := make_room(request.out / RECORDING)) is not None:
+            log.warning("%s: the recording of a run that did not end is kept as %s", request.out, kept.name)
+        self.recorder = Recorder(request.out / RECORDING, head) if request.record else None
+        options = LiveOptions(
+            listener or Listener(), self.recorder, folder=request.out, appearance=appearance_of(settings),
+            imu=source.imu_noise, real_time=request.real_time, policy=policy,
         )  # fmt: skip
+        self.live = Live(source.rig, settings, options)
 
     def finish(self) -> RunResult:
         """Wait until all is done, judge the map of the whole flight, and end the lanes and the recording.
@@ -130,31 +119,13 @@ def for_flight(settings: Settings) -> Settings:
     return settings.model_copy(update={"elevation": settings.elevation.model_copy(update={"most_cells": most})})
 
 
-def _feed(live: Live, events: Iterator[Event], tell: Tell) -> None:
-    said = time.perf_counter()
+def _feed(live: Live, events: Iterator[Event], on_health: Callable[[FlightHealth], None]) -> None:
+    reported = time.perf_counter()
     try:
         for event in events:
             live.feed(event)
-            if isinstance(event, Frame) and time.perf_counter() - said > TELL_EVERY:
-                tell(live.health)
-                said = time.perf_counter()
+            if isinstance(event, Frame) and time.perf_counter() - reported > 0.5:
+                on_health(live.health)
+                reported = time.perf_counter()
     except KeyboardInterrupt:
         live.warnings.append("live: ended by Ctrl-C; what was seen until then is judged")
-
-
-class _Told:
-    """Passes on motions and verdicts, and records them."""
-
-    def __init__(self, listener: Listener, recorder: Recorder | None) -> None:
-        self._to, self._recorder = listener, recorder
-        self.listener = Listener(self._motion, self._verdict, listener.lost)
-
-    def _motion(self, motion: Motion) -> None:
-        if self._recorder is not None:
-            self._recorder.motion(motion)
-        self._to.motion(motion)
-
-    def _verdict(self, verdict: Verdict, t_ns: int) -> None:
-        if self._recorder is not None:
-            self._recorder.sites(t_ns, verdict.in_world().sites)
-        self._to.verdict(verdict, t_ns)

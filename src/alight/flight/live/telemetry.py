@@ -39,7 +39,7 @@ class TelemetryFeed:
         rates: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self.name = link
-        self._link = open_link(link)
+        self.link = open_link(link)
         self.events_of = TelemetryEvents(local, separation)
         self.autopilot = Autopilot(rates, self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
@@ -59,8 +59,8 @@ class TelemetryFeed:
         while not self.located:
             if time.monotonic() > end:
                 with self.lock:
-                    heard = self.autopilot.telemetry is not None
-                why = self.events_of.missing if heard else "no heartbeat of an autopilot is heard"
+                    connected = self.autopilot.telemetry is not None
+                why = self.events_of.missing if connected else "no heartbeat of an autopilot comes"
                 raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
             time.sleep(READ)
         assert self.events_of.local is not None
@@ -88,7 +88,7 @@ class TelemetryFeed:
             with self.lock:
                 out = self.autopilot.pending()
             for datagram in out:
-                self._link.write(datagram)
+                self.link.write(datagram)
 
     def events(self) -> Iterator[Event]:
         """Rows of GPS/INS and IMU samples as they come, until `close`."""
@@ -101,19 +101,19 @@ class TelemetryFeed:
     def close(self) -> None:
         """Stop listening, and close the link."""
         self._ended.set()
-        self._link.close()
+        self.link.close()
 
     def _listen(self) -> None:
         """Listen until `close`, whatever happens: a flight must not go on without telemetry."""
         try:
             while not self._ended.is_set():
                 try:
-                    self._hear()
+                    self._receive()
                 except Exception as e:
                     self._complain(e)
         finally:
             if not self._ended.is_set():
-                log.error("%s: the listener has ended; the autopilot is not heard any more", self.name)
+                log.error("%s: the listener has ended; nothing is received any more", self.name)
 
     def _complain(self, error: Exception) -> None:
         """Log an error, once if it repeats, and wait a little before the next try."""
@@ -122,10 +122,10 @@ class TelemetryFeed:
             log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
         time.sleep(READ)
 
-    def _hear(self) -> None:
-        heard = self._link.read(READ)
+    def _receive(self) -> None:
+        datagrams = self.link.read(READ)
         with self.lock:
-            for data in heard:
+            for data in datagrams:
                 self.autopilot.receive(data, time.monotonic_ns())
             self.autopilot.tick(time.monotonic_ns())
             samples = self.autopilot.samples()

@@ -12,9 +12,9 @@ from pathlib import Path
 from alight import compiled
 from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
-from alight.flight.live import FlightHealth, Listener
-from alight.flight.live.live import NAVIGATION
-from alight.flight.live.run import LiveRun
+from alight.flight.live.health import FlightHealth
+from alight.flight.live.live import Listener
+from alight.flight.live.run import LiveRequest, LiveRun
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
 from alight.flight.session.arrivals import Arrivals
@@ -203,9 +203,8 @@ class _Cabin:
         self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, policy, self)
         self._loop = FlightLoop(feed, self._vehicle, self._hand, self._pilot, self._status)
         listener = Listener(self._pilot.inputs.add_motion, self._pilot.inputs.add_verdict)
-        self._run = LiveRun(
-            opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener, policy=policy
-        )
+        request = LiveRequest(plan.out, settings, plan.record, True, plan.overwrite)
+        self._run = LiveRun(opened.source, request, listener, policy)
         self._arrivals, self._failed = Arrivals(), list[BaseException]()
         self._told = self._recorded = -math.inf
         self._checks: list[CheckResult] = []
@@ -218,7 +217,7 @@ class _Cabin:
 
     def fly(self) -> FlightOutcome:
         """Check, take off, land."""
-        self._run.live.posts[NAVIGATION].worker.wait_until_ready()
+        self._run.live.wait_until_ready()
         events = as_they_arrive(self._opened.events, self._feed.events())
         feeder = threading.Thread(target=self._pass_on, args=(events,), daemon=True)
         feeder.start()

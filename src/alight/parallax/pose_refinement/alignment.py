@@ -128,7 +128,7 @@ class Alignment:
         """Correction of the map's heights that the last step found, (R, C) metres."""
         return plane_on(*grid.xy(), self.plane, self.about)
 
-    def gauge(self, grid: Grid) -> Datum | None:
+    def datum(self, grid: Grid) -> Datum | None:
         """Offset and tilt that all heights of a window share, about its middle, with covariance."""
         if self.state is None or not self._mapped:
             return None

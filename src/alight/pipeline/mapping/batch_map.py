@@ -19,10 +19,10 @@ from alight.parallax.datum import with_datum
 from alight.parallax.pose_error import Matched
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
-from alight.pipeline.mapping.cell_size import cell_size, level_for
+from alight.pipeline.mapping.cell_size import BYTES_A_CELL, cell_size, level_for, refuse_too_large
 from alight.pipeline.mapping.ground_map import GroundMap
-from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
-from alight.pipeline.mapping.view_geometry import bounds, ground_in, looking_down
+from alight.pipeline.mapping.view_geometry import ENOUGH, bounds, ground_in, looking_down
+from alight.pipeline.timing import Progress
 from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
 from alight.settings import ParallaxSettings
 from alight.spread import nmad
@@ -31,12 +31,6 @@ MARGIN = 24  # cells about a tile that are matched with it and thrown away: no s
 BLOCK = 2  # tiles across that are matched together: with more, the share of the margin is smaller
 SHARE = 0.5  # of the shorter side of the pictures: most that such a block covers
 PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
-ENOUGH = 40  # points or cells, least to estimate a height from
-BLANK = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
-MOST_POINTS = 2000  # by which the ground in a view is found
-NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +104,7 @@ class BatchMap(GroundMap):
         views = looking_down(views)
         if self.elevation is None or self.ground is None or not views:
             return 0
-        levels = list(self._levels(views))
+        levels = list(self.levels(views))
         done = 0
         for n, (level, asking, beside) in enumerate(levels):
             done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
@@ -124,13 +118,13 @@ class BatchMap(GroundMap):
     def ground_under(self, views: Sequence[View]) -> F64:
         """(N,) height of the ground in each view, metres: of the points in its picture, else that of the whole map."""
         assert self.ground is not None
-        points = self._points[:: -(-len(self._points) // MOST_POINTS) or 1]
+        points = self.points[:: -(-len(self.points) // 2000) or 1]  # so many at most
         for v in views:
             if v.key not in self._grounds:
                 self._grounds[v.key] = ground_in(v, points, self.ground)
         return np.array([self._grounds[v.key] for v in views])
 
-    def _levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
+    def levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
         """Levels from coarse to fine: a level, its views, and these with those of the levels beside it."""
         assert self.elevation is not None
         level, of = 0, []
@@ -152,7 +146,7 @@ class BatchMap(GroundMap):
         grids = [g for g in self._grids(asking, (west, east), (south, north), level) if only(g)]
         self._step += 1
         images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
-        seen = [self._seen(grid, asking, views) for grid in grids]
+        seen = [self.block_of(grid, asking, views) for grid in grids]
         done = 0
         matched = self.jobs.run((self._task(images, b) for b in seen), at_once=True)
         for n, (block, found) in enumerate(zip(seen, matched, strict=True)):
@@ -160,18 +154,16 @@ class BatchMap(GroundMap):
                 heights = core(self._without_doubtful(found.heights, block.above), MARGIN)
                 self.elevation.add(heights)
                 self._matched.append(Matched.of(heights.grid, [block.views[k] for k in found.chosen.tolist()]))
-                self.elevation.roll(
-                    (block.grid.east, block.grid.north), NEAR_TILES * heights.grid.cell * block.grid.cols
-                )
+                self.elevation.roll((block.grid.east, block.grid.north), 3 * heights.grid.cell * block.grid.cols)
                 done += 1
             progress((n + 1) / len(seen))
         return done
 
-    def _range(
+    def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
         """Heights to search, with those of the prior there; those of the prior alone where points are few."""
-        low, high = super()._range(grid, camera, known, part)
+        low, high = super().searched_heights(grid, camera, known, part)
         if self.prior is None or self.settings.parallax.height_range:
             return low, high
         heights = self.prior.over(grid.coarser(PRIOR_EVERY))
@@ -190,14 +182,14 @@ class BatchMap(GroundMap):
         """True if the points near a grid suffice to find its ground height."""
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
         away = np.hypot(
-            self._points[:, 0] - grid.east - 0.5 * wide, self._points[:, 1] - grid.north + 0.5 * tall
+            self.points[:, 0] - grid.east - 0.5 * wide, self.points[:, 1] - grid.north + 0.5 * tall
         )  # fmt: skip
         return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
 
     def _above_prior(self) -> tuple[float, float]:
         """Median height of the points above the prior, metres, and their NMAD; NaN if there are too few."""
         assert self.prior is not None
-        off = self._points[:, 2] - self.prior.at(self._points[:, 0], self._points[:, 1])
+        off = self.points[:, 2] - self.prior.at(self.points[:, 0], self.points[:, 1])
         off = off[np.isfinite(off)]
         return (float(np.median(off)), nmad(off)) if len(off) >= ENOUGH else (np.nan, np.nan)
 
@@ -211,10 +203,10 @@ class BatchMap(GroundMap):
             return None
         return PriorComparison(self.prior.name, float(np.median(off)), nmad(off), len(off) * found.grid.cell**2)
 
-    def _seen(self, grid: Grid, asking: list[View], views: Sequence[View]) -> TileBlock:
+    def block_of(self, grid: Grid, asking: list[View], views: Sequence[View]) -> TileBlock:
         """A grid with the views that it will be matched with, and those of the same moments."""
         camera, above = self._over(grid, asking)
-        searched, s = self._range(grid, camera), self.settings.parallax
+        searched, s = self.searched_heights(grid, camera), self.settings.parallax
         middle = 0.5 * (searched[0] + searched[1])
         near = [views[k] for k in may_see(views, grid, middle, middle)]
         at = {near[k].t_ns for k in choose_views(near, grid, middle, s.views, s.sweep.max_tangent)}
@@ -224,14 +216,15 @@ class BatchMap(GroundMap):
     def _over(self, grid: Grid, views: list[View]) -> tuple[float, float]:
         """Median height of the views that may see a grid, and above the ground in them, metres; of all if none may."""
         up, ground = np.array([v.centre[2] for v in views]), self.ground_under(views)
-        here = may_see(views, grid, *super()._range(grid, float(np.median(up)))) or slice(None)
+        here = may_see(views, grid, *super().searched_heights(grid, float(np.median(up)))) or slice(None)
         return float(np.median(up[here])), float(np.median((up - ground)[here]))
 
     def _task(self, images: KeptHere, block: TileBlock) -> Task:
         """Task to match a block; the pixels are sent apart, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
-        views = tuple(replace(v, image=BLANK) for v in block.views)
+        blank = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
+        views = tuple(replace(v, image=blank) for v in block.views)
         about = blake2b(repr((block.grid, block.searched, block.grounds.tolist())).encode())
         for v in views:
             about.update(repr(v.key).encode())

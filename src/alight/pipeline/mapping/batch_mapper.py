@@ -8,13 +8,12 @@ from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.geometry import Grid
 from alight.jobs import Jobs
+from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, vehicle_at_end
 from alight.pipeline.mapping.batch_map import BatchMap
-from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
-from alight.pipeline.mapping.keyframe import is_keyframe
-from alight.pipeline.mapping.lane import NO_HEIGHT, FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
+from alight.pipeline.mapping.keyframes import FrameStore, in_world, is_keyframe, views_of, with_motions
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
-from alight.pipeline.timing import Timings
+from alight.pipeline.timing import Progress, Timings
 from alight.records import MotionState, PriorHeights, Rig
 from alight.settings import StageSettings
 
@@ -28,20 +27,20 @@ class BatchMapper:
         self,
         rig: Rig,
         settings: StageSettings,
-        far: TileStore | None,
+        tile_store: TileStore | None,
         timings: Timings,
         jobs: Jobs,
         prior: PriorHeights | None = None,
     ) -> None:
         self._rig, self._settings, self._timings = rig, settings, timings
-        self._map = BatchMap(settings, far, jobs=jobs, prior=prior)
+        self._map = BatchMap(settings, tile_store, jobs=jobs, prior=prior)
         self.store = FrameStore()
 
-    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> int:
         """Keep the exposure if it is a keyframe; the map comes at the end, with all effort."""
         motion = navigation.motion
         if motion is None or motion.state is MotionState.LOST:
-            return None
+            return 0
         ground, tuning = self._map.ground, self._settings.mapping
         if is_keyframe(motion, self.store.last, ground, tuning.first_step, self._settings):
             self.store.keep(navigation.frame, motion)
@@ -49,7 +48,7 @@ class BatchMapper:
                 self._map.find_ground(views_of(self.store.keyframes, self._rig))
         if self.store.bytes > self._settings.parallax.store_mb * 1_000_000:
             self._make_room()
-        return None
+        return 0
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
         """None: there is a map at the end only."""
@@ -93,7 +92,7 @@ class BatchMapper:
             return FinishedMap(reason=NO_HEIGHT)
         frame = trajectory.place
         vehicle = vehicle_at_end(trajectory, self._map.ground, frame)
-        seen = MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame, trajectory.attitude)
+        seen = MapSnapshot(elevation, tuple(looking_down(views)), vehicle, frame, trajectory.attitude)
         compared = self._map.against_prior()
         return FinishedMap(seen, notes={"prior_dem": compared.line} if compared else {})
 
@@ -101,7 +100,7 @@ class BatchMapper:
 class PhotoMapper(BatchMapper):
     """Batch mapper of photos, whose motions all come at the end: every photo is kept."""
 
-    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> int:
         """Keep the photo."""
         self.store.keep(navigation.frame)
-        return None
+        return 0

@@ -51,12 +51,12 @@ class GroundMap:
     by_quality: ClassVar[bool]  # as for `cell_size`
 
     settings: StageSettings
-    far: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
+    tile_store: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
     elevation: TiledElevation | None = None
     ground: float | None = None  # metres above the origin, general ground height
     reason: str = ""  # why there is no map
-    gauge: Datum | None = None  # common error of all heights
-    _points: F64 = field(default_factory=lambda: NO_POINTS)
+    datum: Datum | None = None  # common error of all heights
+    points: F64 = field(default_factory=lambda: NO_POINTS)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """Find the ground height and the cell size; False (see `reason`) when nothing can be measured.
@@ -88,14 +88,16 @@ class GroundMap:
         if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
             self.reason = "the aircraft hardly moved for its height, so no height can be measured"
             return False
-        self._points = below[:: -(-len(below) // self.settings.mapping.most_points)]
-        self.ground = float(np.median(self._points[:, 2]))
+        self.points = below[:: -(-len(below) // self.settings.mapping.most_points)]
+        self.ground = float(np.median(self.points[:, 2]))
         if self.elevation is None:
             cell = first_cell(down, self.ground, self.settings, self.by_quality)
-            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
+            self.elevation = TiledElevation(
+                cell, self.settings.elevation.tile, self.tile_store, self.settings.elevation
+            )
         return True
 
-    def _range(
+    def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
         """Heights to search: those of the map there, where it has enough, else of points near it.
@@ -106,7 +108,7 @@ class GroundMap:
             return self.settings.parallax.height_range
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
         near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
-        low, high = height_range(self._points, camera, near)
+        low, high = height_range(self.points, camera, near)
         heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
         if len(heights) < self.settings.mapping.least_known:
             return low, high
@@ -133,4 +135,4 @@ class GroundMap:
     def snapshot(self) -> ElevationMap | None:
         """The whole map so far, by value; None where nothing was seen."""
         found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
-        return None if found is None else replace(found, gauge=self.gauge)
+        return None if found is None else replace(found, datum=self.datum)

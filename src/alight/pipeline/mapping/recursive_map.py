@@ -12,12 +12,10 @@ from alight.arrays import F64, U16, Mask
 from alight.elevation import TiledElevation, doublings_up_to
 from alight.geometry import Grid
 from alight.parallax.recursive import RecursiveParallax
-from alight.pipeline.mapping.cell_size import cell_size, level_for
+from alight.pipeline.mapping.cell_size import BYTES_A_CELL, BYTES_A_STEP, cell_size, level_for, refuse_too_large
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
-from alight.pipeline.mapping.passing import what_moves, who_came
-from alight.pipeline.mapping.size import BYTES_A_CELL, BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
-from alight.pipeline.remembered import NOWHERE, Remembered
+from alight.pipeline.remembered import NOWHERE, Remembered, what_moves, who_came
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 
 COARSE = 4  # cells: every n-th of them is used for the ground height
@@ -34,10 +32,10 @@ class RecursiveMap(GroundMap):
     level: int = 0  # of the newest keyframe's cells
     passed: Remembered = NOWHERE  # places where something moved, in the frame of the poses
     came: Remembered = NOWHERE  # places where somebody came to stand, in the same frame
-    _ring: RecursiveParallax | None = None
+    estimator: RecursiveParallax | None = None
 
     @property
-    def ground_below(self) -> float | None:
+    def ground_height(self) -> float | None:
         """Ground height under the vehicle as far as known, metres above the origin."""
         return self.ground if self.ground_here is None else self.ground_here
 
@@ -45,8 +43,8 @@ class RecursiveMap(GroundMap):
         """Find the ground if it lies beyond the searched heights; then the map begins anew, from the heights it has."""
         if self.find_ground(views, least):
             self.ground_here = self.ground
-            if self._ring is not None:
-                self._ring.look_anew()
+            if self.estimator is not None:
+                self.estimator.look_anew()
         self.out_of_range = False
 
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
@@ -61,14 +59,14 @@ class RecursiveMap(GroundMap):
         if self.elevation is None or self.ground is None:
             return False
         mapped = self.ground_here is not None
-        for name in list(self.far or ()):
-            del self.far[name]  # type: ignore[union-attr]
+        for name in list(self.tile_store or ()):
+            del self.tile_store[name]  # type: ignore[union-attr]
         self.elevation = TiledElevation(
-            self.elevation.cell, self.settings.elevation.tile, self.far, self.settings.elevation
+            self.elevation.cell, self.settings.elevation.tile, self.tile_store, self.settings.elevation
         )
-        self.ground, self._points = self.ground + float(shift[2]), self._points + shift
+        self.ground, self.points = self.ground + float(shift[2]), self.points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
-        self._ring, self.gauge, self.out_of_range = None, None, False
+        self.estimator, self.datum, self.out_of_range = None, None, False
         self.passed, self.came = self.passed.moved(shift, sigma), self.came.moved(shift, sigma)
         return mapped
 
@@ -87,24 +85,24 @@ class RecursiveMap(GroundMap):
         size = cell_size(newest, self.ground_here, self.settings, self.by_quality)
         self.level = level_for(size, self.elevation.cell, self.level, self.settings.mapping.level_slack)
         cell = self.elevation.cell_at(self.level)
-        if self._ring is None:
-            self._ring = RecursiveParallax(self.settings.parallax, cell, self.ground_here)
-        self._ring.work_at(cell, self.ground_here)
-        self._ring.push(down, poses)
-        return self._improve(down, self._ring, self.ground_here, effort)
+        if self.estimator is None:
+            self.estimator = RecursiveParallax(self.settings.parallax, cell, self.ground_here)
+        self.estimator.work_at(cell, self.ground_here)
+        self.estimator.push(down, poses)
+        return self._improve(down, self.estimator, self.ground_here, effort)
 
-    def _improve(self, down: list[View], ring: RecursiveParallax, ground: float, effort: int) -> bool:
+    def _improve(self, down: list[View], estimator: RecursiveParallax, ground: float, effort: int) -> bool:
         assert self.elevation is not None
         low, high = bounds(down, ground)
         grid = _window(self.elevation, low, high, self.level, BYTES_A_STEP)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
-        parts = ring.step(grid, known, *self._range(grid, up, known, ring.beginning), effort)
-        if ring.plane.any():
-            self.elevation.add_plane(ring.plane, ring.about)
-            known = replace(known, height=known.height + ring.plane_on(grid))
+        parts = estimator.step(grid, known, *self.searched_heights(grid, up, known, estimator.beginning), effort)
+        if estimator.plane.any():
+            self.elevation.add_plane(estimator.plane, estimator.about)
+            known = replace(known, height=known.height + estimator.plane_on(grid))
         if not parts:
             return False
-        self.gauge = parts[0].gauge
+        self.datum = parts[0].datum
         height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags.copy()
         given, anew = is_trusted(known.flags), np.zeros(grid.shape, np.bool_)
         for part in parts:
@@ -116,7 +114,7 @@ class RecursiveMap(GroundMap):
             flags[where], anew[where] = found.flags, True
             self.elevation.add(changed(found, known, where), replace_all=True)
         self._note_traffic(grid, flags, anew, down[0].t_ns, up - ground)
-        self._note_who_came(ring, down[0].t_ns)
+        self._note_who_came(estimator, down[0].t_ns)
         at_an_end = ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean()
         self.out_of_range = bool(at_an_end > self.settings.mapping.beyond or not is_trusted(flags).any())
         heights = height[np.isfinite(height)]
@@ -135,10 +133,10 @@ class RecursiveMap(GroundMap):
         if height >= keys.traffic_height and keys.traffic_memory > 0:
             self.passed = self.passed.with_seen(what_moves(grid, flags, anew), t_ns)
 
-    def _note_who_came(self, ring: RecursiveParallax, t_ns: int) -> None:
+    def _note_who_came(self, estimator: RecursiveParallax, t_ns: int) -> None:
         """Remember the places where somebody came to stand (G6c)."""
         self.came = self.came.since(t_ns - round(self.settings.hazards.came_memory * 1e9))
-        for grid, came in ring.came:
+        for grid, came in estimator.came:
             self.came = self.came.with_seen(who_came(grid, came), t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
@@ -158,7 +156,7 @@ class RecursiveMap(GroundMap):
         here = self.elevation.cell_at(self.level)
         level = self.level + doublings_up_to(here, self.settings.lander.judging_cell)
         found = self.elevation.read(_window(self.elevation, low, high, level, BYTES_A_CELL))
-        return replace(found, gauge=self.gauge) if found.trusted.any() else None
+        return replace(found, datum=self.datum) if found.trusted.any() else None
 
 
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:

@@ -13,7 +13,7 @@ from alight.parallax.views import radius2_limit
 from alight.records import View
 
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
-ENOUGH = 40  # points in a picture that show its ground
+ENOUGH = 40  # points or cells, least to estimate a height from
 
 
 def looking_down(views: Sequence[View]) -> list[View]:

@@ -4,29 +4,19 @@ from __future__ import annotations
 
 import bisect
 from collections import deque
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from alight.geometry import Pose
-from alight.pipeline.navigation.lane import Navigation, Progress, TimedPoses, Trajectory, sparse
+from alight.pipeline.navigation import Navigation, TimedPoses, Trajectory, sparse
+from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, KeyframePosterior, Motion, Rig
 from alight.settings import MotionSettings
 
 GIVEN_SIGMA = 1e-3  # metres and radians, 1-sigma of poses that are taken as exact
 LONGEST_GAP_NS = 1_000_000_000  # ns, most between given poses that are interpolated
-
-
-@dataclass(frozen=True, eq=False)
-class GivenKeyframe:
-    """One given pose, whose errors are its own."""
-
-    motion: Motion
-
-    def posterior(self) -> KeyframePosterior:
-        """The motion by itself."""
-        return KeyframePosterior((self.motion,), self.motion.covariance)
 
 
 class GivenLane:
@@ -65,7 +55,8 @@ class GivenLane:
         cams = tuple(pose @ c.body_from_cam for c in self._rig.cameras)
         motion = Motion(event.t_ns, pose, cams, self._covariance)
         self._motions.append(motion)
-        return Navigation(event, motion, None if self._exact else GivenKeyframe(motion))
+        keyframes = None if self._exact else partial(KeyframePosterior, (motion,), motion.covariance)
+        return Navigation(event, motion, keyframes)
 
     def finish(self, progress: Progress) -> Trajectory:
         """The motions given out before; their errors are independent."""

@@ -1,7 +1,7 @@
 """Campaigns: closed-loop landings over worlds, winds and faults, drawn from a seed, one line of a file each."""
 
-from alight.trials.campaign.factories import FORM, is_factory
 from alight.trials.campaign.folder import CampaignFolder
+from alight.trials.campaign.page import comparison
 from alight.trials.campaign.run import (
     Campaign,
     Ended,
@@ -12,7 +12,7 @@ from alight.trials.campaign.run import (
     outcome_lines,
     wanted_landings,
 )
-from alight.trials.report.page import comparison
+from alight.trials.campaign.worlds import FORM, is_factory
 
 __all__ = [
     "FORM",

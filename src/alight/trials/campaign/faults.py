@@ -1,36 +1,34 @@
-"""Faults and events of a landing: the ranges of their numbers, and their effect on the vehicle."""
+"""Faults and events of a landing: the ranges of their numbers, and their effect on vehicle, link and autopilot."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from alight.flight.executive import ENDS
 from alight.records.campaign import FaultRecord
 from alight.records.executive import FlightState
-from alight.trials.campaign.link_faults import LINK_FAULTS
 from alight.trials.landing import Trial
+from alight_sim.autopilot.dialects import Doing
 from alight_sim.steered import SteeredFlight
 
 Range = tuple[float, float]
 Numbers = Mapping[str, float]
 TURN: Range = (0.0, 2.0 * math.pi)
-IN_TIME = 2.5  # m above the ground: a body arrives before a vehicle that sinks by 1 m/s is lower. A landing is not
-# broken off below 1.5 m, and from there no camera that looks down sees a car come in time
-BRAKES = 2.0  # s, the most that braking adds to the time of arrival
-WALK = 1.4  # m/s
 
 
 @dataclass(frozen=True)
 class CampaignFault:
-    """A kind of fault or event: the ranges of its numbers, and its effect on the vehicle."""
+    """A kind of fault or event: its effect, and the ranges of its numbers."""
 
-    ranges: Mapping[str, Range]  # its numbers are uniform in them
-    act: Callable[[SteeredFlight, Numbers], object]
+    act: Callable[[Any, Numbers], object]  # on a `SteeredFlight`; in `LINK_FAULTS`, on a `Trial`
+    ranges: Mapping[str, Range] = field(default_factory=dict)  # its numbers are uniform in them
     is_body: bool = False  # a car or person that comes to the place of the vehicle
+    takes_control: bool = False  # the landing is to be handed over
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Draw each of its numbers, uniform in its range."""
@@ -42,14 +40,17 @@ def _along(n: Numbers) -> tuple[float, float]:
 
 
 def _time_left(v: SteeredFlight) -> float:
-    """Seconds in which a body must arrive, for a vehicle that sinks by 1 m/s."""
+    """Seconds in which a body must arrive: before a vehicle that sinks by 1 m/s is lower than 2.5 m.
+
+    A landing is not broken off below 1.5 m, and from there no camera that looks down sees a car come in time.
+    """
     east, north, up = (float(c) for c in v.true_pose.translation)
-    return up - v.world.height_at(east, north) - IN_TIME
+    return up - v.world.height_at(east, north) - 2.5
 
 
 def _start(v: SteeredFlight, n: Numbers, speed: float) -> tuple[float, float]:
-    """Start of a body, east and north in metres: nearer than planned if it would be late."""
-    (x, y), away = _along(n), min(n["from"], speed * max(_time_left(v) - BRAKES, 0.0))
+    """Start of a body, east and north in metres: nearer than planned if it would be late; braking takes up to 2 s."""
+    (x, y), away = _along(n), min(n["from"], speed * max(_time_left(v) - 2.0, 0.0))
     return float(v.true_pose.translation[0] + away * x), float(v.true_pose.translation[1] + away * y)
 
 
@@ -58,9 +59,9 @@ def _car(v: SteeredFlight, n: Numbers) -> None:
     v.park(float(east), float(north), start=_start(v, n, n["speed"]), speed=n["speed"])
 
 
-def _person(v: SteeredFlight, n: Numbers) -> None:
+def _person(v: SteeredFlight, n: Numbers, speed: float = 1.4) -> None:
     east, north, _ = v.true_pose.translation
-    v.walk_in(float(east), float(north), start=_start(v, n, WALK), speed=WALK)
+    v.walk_in(float(east), float(north), start=_start(v, n, speed), speed=speed)
 
 
 def _gust(v: SteeredFlight, n: Numbers) -> None:
@@ -79,21 +80,28 @@ def _jump(v: SteeredFlight, n: Numbers) -> None:
 
 
 FAULTS: Mapping[str, CampaignFault] = {
-    "car": CampaignFault({"direction": TURN, "from": (20.0, 35.0), "speed": (4.0, 8.0)}, _car, is_body=True),
-    "person": CampaignFault({"direction": TURN, "from": (6.0, 12.0)}, _person, is_body=True),
-    "gust": CampaignFault({"direction": TURN, "push": (1.5, 3.0), "seconds": (1.5, 4.0)}, _gust),
-    "strong wind": CampaignFault({"direction": TURN, "speed": (9.0, 12.0)}, _wind),
-    "cameras frozen": CampaignFault({"seconds": (2.0, 10.0)}, lambda v, n: v.freeze_camera(n["seconds"])),
-    "cameras lost": CampaignFault({"seconds": (2.0, 25.0)}, lambda v, n: v.lose_camera(n["seconds"])),
-    "one camera lost": CampaignFault({"seconds": (2.0, 60.0)}, lambda v, n: v.lose_camera(n["seconds"], 1)),
-    "cameras covered": CampaignFault({"seconds": (3.0, 10.0)}, lambda v, n: v.cover_camera(n["seconds"])),
+    "car": CampaignFault(_car, {"direction": TURN, "from": (20.0, 35.0), "speed": (4.0, 8.0)}, is_body=True),
+    "person": CampaignFault(_person, {"direction": TURN, "from": (6.0, 12.0)}, is_body=True),
+    "gust": CampaignFault(_gust, {"direction": TURN, "push": (1.5, 3.0), "seconds": (1.5, 4.0)}),
+    "strong wind": CampaignFault(_wind, {"direction": TURN, "speed": (9.0, 12.0)}),
+    "cameras frozen": CampaignFault(lambda v, n: v.freeze_camera(n["seconds"]), {"seconds": (2.0, 10.0)}),
+    "cameras lost": CampaignFault(lambda v, n: v.lose_camera(n["seconds"]), {"seconds": (2.0, 25.0)}),
+    "one camera lost": CampaignFault(lambda v, n: v.lose_camera(n["seconds"], 1), {"seconds": (2.0, 60.0)}),
+    "cameras covered": CampaignFault(lambda v, n: v.cover_camera(n["seconds"]), {"seconds": (3.0, 10.0)}),
     "pictures late": CampaignFault(
-        {"seconds": (5.0, 20.0), "by": (0.3, 0.9)}, lambda v, n: v.delay_frames(n["seconds"], n["by"])
+        lambda v, n: v.delay_frames(n["seconds"], n["by"]), {"seconds": (5.0, 20.0), "by": (0.3, 0.9)}
     ),
-    "GPS lost": CampaignFault({"seconds": (5.0, 60.0)}, lambda v, n: v.lose_gps(n["seconds"])),
-    "GPS jump": CampaignFault({"direction": TURN, "by": (3.0, 8.0), "up": (-2.0, 2.0), "seconds": (10.0, 30.0)}, _jump),
-    "IMU lost": CampaignFault({"seconds": (0.3, 2.0)}, lambda v, n: v.lose_imu(n["seconds"])),
-    "battery low": CampaignFault({"share": (0.82, 0.9)}, lambda v, n: v.drain(n["share"])),
+    "GPS lost": CampaignFault(lambda v, n: v.lose_gps(n["seconds"]), {"seconds": (5.0, 60.0)}),
+    "GPS jump": CampaignFault(_jump, {"direction": TURN, "by": (3.0, 8.0), "up": (-2.0, 2.0), "seconds": (10.0, 30.0)}),
+    "IMU lost": CampaignFault(lambda v, n: v.lose_imu(n["seconds"]), {"seconds": (0.3, 2.0)}),
+    "battery low": CampaignFault(lambda v, n: v.drain(n["share"]), {"share": (0.82, 0.9)}),
+}
+LINK_FAULTS: Mapping[str, CampaignFault] = {
+    "pilot takes over": CampaignFault(lambda t, n: t.autopilot.pilot(Doing.PILOT), takes_control=True),
+    "autopilot lands": CampaignFault(lambda t, n: t.autopilot.pilot(Doing.LAND), takes_control=True),
+    "modes refused": CampaignFault(lambda t, n: t.autopilot.refuse_modes(n["seconds"]), {"seconds": (2.0, 10.0)}),
+    "link interrupted": CampaignFault(lambda t, n: t.link.cut(n["seconds"]), {"seconds": (0.5, 2.5)}),
+    "link lost": CampaignFault(lambda t, n: t.link.cut(n["seconds"]), {"seconds": (30.0, 60.0)}, takes_control=True),
 }
 
 

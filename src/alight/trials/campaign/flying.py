@@ -6,23 +6,23 @@ import gc
 import logging
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 from threadpoolctl import threadpool_limits
 
+from alight.cluster import open_jobs
+from alight.jobs import InProcesses, Task
 from alight.records import InputError
 from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
 from alight.records.executive import FlightState
 from alight.runs import appearance_of
 from alight.settings import Settings
-from alight.trials.campaign.error_line import error_line
-from alight.trials.campaign.factories import is_factory, made_world
 from alight.trials.campaign.faults import Happenings
-from alight.trials.campaign.outcome import judge_landing, met
-from alight.trials.campaign.picture import ground_picture
-from alight.trials.campaign.plan import campaign_world
+from alight.trials.campaign.outcome import ground_picture, judge_landing, met
+from alight.trials.campaign.worlds import campaign_world, error_line, is_factory, made_world
 from alight.trials.landing import Landing, fly_landing
 from alight_sim.oracle import OracleLander
 from alight_sim.scene import Scene
@@ -33,7 +33,6 @@ from alight_sim.world import World
 log = logging.getLogger(__name__)
 
 FlyLanding = Callable[..., Landing]
-LEAST_CELLS = 1.5  # of the ground, in the radius of a footprint: its plane needs three of them
 
 
 class Flown(NamedTuple):
@@ -90,7 +89,7 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
         InputError: the scene cannot be flown over at this size, or the lander is too small for its cells.
     """
     vehicle = _vehicle(c, settings)
-    least = LEAST_CELLS * vehicle.world.cell
+    least = 1.5 * vehicle.world.cell  # the plane of a footprint needs three cells
     if settings.lander.radius < least:
         raise InputError(
             f"lander.radius {settings.lander.radius:g} m: the ground of {c.scene} has cells of "
@@ -156,3 +155,50 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",
     )  # fmt: skip
     return Flown(record, picture)
+
+
+class WorkerLostError(Exception):
+    """The process of a landing died; `records.campaign.LOST` is its name."""
+
+
+def fly_all(
+    conditions: Sequence[Conditions], job: Callable[[Conditions], Flown], jobs: int, scheduler: str | None
+) -> Iterator[Flown]:
+    """Yield each landing when it ends, in any order.
+
+    Args:
+        conditions: of the landings.
+        job: function that flies one landing; it can be pickled.
+        jobs: processes of this machine; 1: this one.
+        scheduler: address of a Dask cluster instead, such as tcp://host:8786.
+
+    Raises:
+        MissingExtraError: Dask is not installed.
+        InputError: no scheduler answers there, its workers have another Alight or are lost time and again; or no
+            process starts on this machine, or a landing cannot begin.
+    """
+    with open_jobs(scheduler, jobs) as workers:
+        tasks = (
+            Task(
+                f"landing {c.landing}", job, (c,), tries=2,
+                if_lost=partial(_lost, c) if scheduler is None else None,
+            )
+            for c in conditions
+        )  # fmt: skip
+        yield from workers.run(tasks, any_order=True)
+
+
+def _lost(conditions: Conditions) -> Flown:
+    """Record of a landing whose process died, which may not be the cause: test whether processes start at all.
+
+    Raises:
+        InputError: a process without work dies as well.
+    """
+    try:
+        list(InProcesses(1).run([Task("start", int, tries=1)]))
+    except InputError as e:
+        raise InputError(
+            "the processes that fly landings die at their start; a Python script that starts several jobs needs its "
+            'call below `if __name__ == "__main__":`'
+        ) from e
+    return failed(conditions, WorkerLostError("the process that flew it died"))

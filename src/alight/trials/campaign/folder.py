@@ -16,7 +16,6 @@ from alight.records.campaign import CampaignHead, LandingRecord
 
 log = logging.getLogger(__name__)
 
-LARGEST_LINES = 1_000_000_000  # bytes of landings.jsonl
 LINES, HEAD, PAGE = "landings.jsonl", "campaign.json", "campaign.html"
 
 
@@ -88,7 +87,7 @@ class CampaignFolder:
     def _lines(self) -> list[bytes]:
         """The lines of landings.jsonl, and the bytes after the last of them: empty if all lines are whole."""
         try:
-            data = read_bytes(self._path, LARGEST_LINES)
+            data = read_bytes(self._path, 1_000_000_000)
         except FileNotFoundError:
             return []
         except (OSError, DocumentError) as e:

@@ -12,20 +12,24 @@ and wrongly refused otherwise, also where the time or the search ended. The exec
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
+from alight.records import Terrain
 from alight.records.campaign import Outcome, StrikeLine, TouchdownLine
 from alight.records.executive import FlightEvent, FlightState
+from alight.report.canvas import webp
+from alight.report.paint import TERRAIN_COLOURS, hillshade, rgb
 from alight.settings import Settings
 from alight.trials.landing import Landing
-from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
+from alight_sim.movers import Moving
+from alight_sim.oracle import OracleLander, TrueSurface, judge_touchdown, safe_places
 from alight_sim.steered import SteeredFlight, TrueContact
 from alight_sim.steered.touchdown import contact_seconds, severity
 from alight_sim.world import World
-
-STEPS = (0.5, 0.25)  # m between the places that the oracle tries; the finer ones only where none is found
 
 
 class JudgedLanding(NamedTuple):
@@ -57,11 +61,11 @@ def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) 
     if event is FlightEvent.BATTERY and vehicle.battery < keys.least_battery:
         return JudgedLanding("rightly refused", f"the battery is at {100 * vehicle.battery:.0f} %")
     share = safe_share(vehicle.world, settings)
-    said = last.event.value if last else "the time is over"
+    why = last.event.value if last else "the time is over"
     if share == 0.0:
-        return JudgedLanding("rightly refused", f"{said}; there is no safe place", safe_share=share)
+        return JudgedLanding("rightly refused", f"{why}; there is no safe place", safe_share=share)
     return JudgedLanding(
-        "wrongly refused", f"{said}; {100 * share:.2g} % of the searched area is safe", safe_share=share
+        "wrongly refused", f"{why}; {100 * share:.2g} % of the searched area is safe", safe_share=share
     )
 
 
@@ -120,7 +124,7 @@ def safe_share(world: World, settings: Settings) -> float:
     margin, (east, north, _) = settings.sites.margin, world.start
     half = 0.5 * settings.executive.search_side
     lander, share = OracleLander.of(settings.lander.model_dump()), 0.0
-    for step in STEPS:
+    for step in (0.5, 0.25):  # metres between the places that are tried; finer only where none is found
         rim = math.ceil(margin / step) * step  # the true ground beyond the square exists as well
         out = half + rim
         places = safe_places(world, (east - out, north - out, east + out, north + out), lander, step=step)
@@ -129,3 +133,30 @@ def safe_share(world: World, settings: Settings) -> float:
         if share > 0.0 or not places.safe.any():  # a margin of half a metre holds a centre of the coarse grid
             break
     return share
+
+
+def ground_picture(
+    world: World, contact: TouchdownLine | StrikeLine, radius: float, bodies: Sequence[Moving] = ()
+) -> bytes:
+    """WebP, north up: classes by colour, shaded relief, the footprint as a ring.
+
+    Args:
+        world: the ground, and what moves on it.
+        contact: its place and time.
+        radius: metres, of the footprint.
+        bodies: that have come on command.
+    """
+    pixels, half, e, n = 480, 4.0 * radius, contact.east, contact.north
+    surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), contact.t, bodies)
+    height, label = surface.height[::-1].astype(np.float32), surface.label[::-1]
+    colours = np.zeros((*label.shape, 3), np.float32)
+    for terrain, text in TERRAIN_COLOURS.items():
+        colours[label == terrain] = rgb(text)
+    colours[label == Terrain.UNKNOWN] = 128.0
+    shaded = colours * hillshade(height, np.ones(height.shape, bool), surface.cell)[..., None]
+    image = cv2.resize(shaded.clip(0, 255).astype(np.uint8), (pixels, pixels), interpolation=cv2.INTER_LINEAR)
+    middle, ring = (pixels // 2, pixels // 2), round(pixels * radius / (2 * half))
+    for colour, width in (((20, 20, 20), 5), ((255, 255, 255), 2)):  # one over the other
+        cv2.circle(image, middle, ring, colour, width, cv2.LINE_AA)
+        cv2.drawMarker(image, middle, colour, cv2.MARKER_CROSS, 14, width, cv2.LINE_AA)
+    return webp(image)

@@ -11,28 +11,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 from alight import __version__
+from alight.cluster import sources_digest
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
-from alight.program import sources_digest
 from alight.records import AlightError, InputError
 from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, Conditions, LandingRecord
 from alight.records.telemetry import FirmwareName
 from alight.report.canvas import embedded
 from alight.runs import appearance_of
 from alight.settings import Settings, settings_of_run
-from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
+from alight.trials.campaign.flying import FlyLanding, checked_vehicle, fly_all, fly_conditions
 from alight.trials.campaign.folder import HEAD, PAGE, CampaignFolder
-from alight.trials.campaign.identity import file_digests
-from alight.trials.campaign.plan import conditions_of, scenes_of
-from alight.trials.campaign.workers import fly_all
+from alight.trials.campaign.numbers import CampaignNumbers, campaign_numbers
+from alight.trials.campaign.page import render_campaign
+from alight.trials.campaign.plan import conditions_of
+from alight.trials.campaign.worlds import file_digests, scenes_of
 from alight.trials.landing import fly_landing
-from alight.trials.report import CampaignNumbers, campaign_numbers, render_campaign
 from alight_sim.campaign import campaign_worlds
 
 log = logging.getLogger(__name__)
-
-USUAL = 20  # landings of a new campaign
-LARGEST_PICTURE = 1_000_000  # bytes: ours have 20,000
 
 
 class Ended(NamedTuple):
@@ -98,18 +95,18 @@ class Campaign:
                 checked_vehicle(self.conditions(k), self.settings)
 
 
-def wanted_landings(out: Path, asked: int | None) -> int:
-    """Number of landings of a campaign: `asked`, else that of the folder's campaign, else `USUAL`.
+def wanted_landings(out: Path, wanted: int | None) -> int:
+    """Number of landings of a campaign: `wanted`, else that of the folder's campaign, else 20.
 
     Raises:
-        InputError: the folder's campaign.json is damaged, or its campaign has more landings than `asked`.
+        InputError: the folder's campaign.json is damaged, or its campaign has more landings than `wanted`.
     """
     head = CampaignFolder(out).head()
     if head is None:
-        return USUAL if asked is None else asked
-    if asked is not None and asked < head.landings:
-        raise InputError(f"{out}: its campaign has {head.landings} landings; ask for as many or more, not for {asked}")
-    return head.landings if asked is None else asked
+        return 20 if wanted is None else wanted
+    if wanted is not None and wanted < head.landings:
+        raise InputError(f"{out}: its campaign has {head.landings} landings; give as many or more, not {wanted}")
+    return head.landings if wanted is None else wanted
 
 
 def continued(out: Path, landings: int | None = None) -> Campaign:
@@ -142,7 +139,7 @@ def fly_campaign(
     jobs: int = 1,
     scheduler: str | None = None,
     beside: Path | None = None,
-    tell: Callable[[Ended], None] = lambda ended: None,
+    on_ended: Callable[[Ended], None] = lambda ended: None,
     fly: FlyLanding = fly_landing,
 ) -> CampaignNumbers:
     """Fly the landings that the folder does not hold yet, and write the report, also after an interruption.
@@ -153,7 +150,7 @@ def fly_campaign(
         jobs: processes of this machine.
         scheduler: address of a Dask cluster instead.
         beside: folder of another campaign, for a table of both.
-        tell: called whenever a landing ends.
+        on_ended: called whenever a landing ends.
         fly: replaces `fly_landing` in tests.
 
     Raises:
@@ -166,39 +163,24 @@ def fly_campaign(
     head, folder = campaign.head, CampaignFolder(out)
     folder.begin(head)
     try:
-        return _go_on(campaign, head, folder, jobs, scheduler, beside, tell, fly)
+        done = {k for k, r in folder.read().items() if not r.was_lost}
+        drawn = [campaign.conditions(k) for k in range(campaign.landings) if k not in done]
+        job = partial(fly_conditions, settings=campaign.settings, fly=fly)
+        begun, before = time.monotonic(), campaign.landings - len(drawn)
+        try:
+            for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
+                folder.append(record, picture)
+                each = (time.monotonic() - begun) / n
+                on_ended(Ended(record, before + n, campaign.landings, each * (len(drawn) - n)))
+        except BaseException:  # Ctrl-C, a full disk, a worker that cannot be had
+            try:
+                _report(folder, head, beside)
+            except AlightError as e:
+                log.warning("the report is not written: %s", e)
+            raise
+        return _report(folder, head, beside)
     finally:
         folder.end()
-
-
-def _go_on(
-    campaign: Campaign,
-    head: CampaignHead,
-    folder: CampaignFolder,
-    jobs: int,
-    scheduler: str | None,
-    beside: Path | None,
-    tell: Callable[[Ended], None],
-    fly: FlyLanding,
-) -> CampaignNumbers:
-    """Fly the open landings; the report is written however that ends."""
-    done = {k for k, r in folder.read().items() if not r.was_lost}
-    open_ = [k for k in range(campaign.landings) if k not in done]
-    job = partial(fly_conditions, settings=campaign.settings, fly=fly)
-    begun, before = time.monotonic(), campaign.landings - len(open_)
-    drawn = [campaign.conditions(k) for k in open_]
-    try:
-        for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
-            folder.append(record, picture)
-            each = (time.monotonic() - begun) / n
-            tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
-    except BaseException:  # Ctrl-C, a full disk, a worker that cannot be had
-        try:
-            _report(folder, head, beside)
-        except AlightError as e:
-            log.warning("the report is not written: %s", e)
-        raise
-    return _report(folder, head, beside)
 
 
 def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
@@ -215,7 +197,7 @@ def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> 
 
 def _embedded(path: Path) -> str | None:
     try:
-        return embedded(read_bytes(path, LARGEST_PICTURE))
+        return embedded(read_bytes(path, 1_000_000))
     except (OSError, DocumentError) as e:
         log.warning("%s: cannot be read (%s); the report shows no picture of that touchdown", path, e)
         return None

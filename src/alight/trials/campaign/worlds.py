@@ -1,0 +1,135 @@
+"""The worlds of a campaign: kinds of the simulator, scene files, and factories of other packages, by name."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import re
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from alight.records import InputError
+from alight.settings import Settings
+from alight_sim.campaign import CampaignWorld, campaign_worlds
+from alight_sim.scene import built_in, read_scene
+from alight_sim.world import World
+
+_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
+FORM = "give package.module:factory, a function that takes a seed and returns a world"
+
+
+def is_factory(scene: str) -> bool:
+    """Whether a scene's name is that of a factory."""
+    return _NAME.fullmatch(scene) is not None
+
+
+def made_world(name: str, seed: int) -> World:
+    """Call a factory with a seed.
+
+    Raises:
+        InputError: it cannot be imported, raises, or returns something that is no `alight_sim.world.World`.
+    """
+    module, function = _module(name), name.partition(":")[2]
+    factory = getattr(module, function, None)
+    if not callable(factory):
+        raise InputError(f"world {name}: {module.__name__} has no function {function!r}; {FORM}")
+    try:
+        world = factory(seed)
+    except Exception as e:
+        raise InputError(f"world {name}: {function}({seed}) raised {error_line(e)}") from e
+    if not isinstance(world, World):
+        missing = [part for part in dir(World) if not part.startswith("_") and not hasattr(world, part)]
+        raise InputError(
+            f"world {name}: {function} returns a {type(world).__name__} without {', '.join(missing)}; derive its class "
+            "from alight_sim.world.World"
+        )
+    return world
+
+
+def source_of(name: str) -> Path:
+    """File of the module of a factory.
+
+    Raises:
+        InputError: it cannot be imported.
+    """
+    return Path(_module(name).__file__ or "")
+
+
+def _module(name: str) -> ModuleType:
+    """Import the module of a factory, also from the working directory, as `python -m` does."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    module = name.partition(":")[0]
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as e:
+        if e.name is None or not f"{module}.".startswith(f"{e.name}."):
+            raise InputError(f"world {name}: importing {module} raised {error_line(e)}") from e
+        raise InputError(
+            f"world {name}: there is no module {e.name!r} in the working directory or where Python looks"
+        ) from e
+    except Exception as e:
+        raise InputError(f"world {name}: importing {module} raised {error_line(e)}") from e
+
+
+def error_line(error: BaseException) -> str:
+    """Return the kind of an error, its message and the place where it was raised, in one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
+    return " ".join(f"{type(error).__name__}: {error}".split()) + where
+
+
+def campaign_world(scene: str) -> CampaignWorld:
+    """Return the world of a kind or a built-in scene by name, or of a scene file."""
+    return campaign_worlds().get(scene) or CampaignWorld(scene, scene)
+
+
+def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
+    """The scenes of a campaign, each once; `all` stands for all kinds of worlds of the simulator.
+
+    Raises:
+        InputError: no scene is named, no such scene, or its file cannot be used.
+    """
+    if not names:
+        raise InputError("a campaign without scenes; name some, or 'all'")
+    known = campaign_worlds()
+    scenes = tuple(dict.fromkeys(s for name in names for s in (known if name == "all" else (name,))))
+    for scene in scenes:
+        if scene in known or scene in built_in() or is_factory(scene):
+            continue
+        if not Path(scene).suffix:
+            have = ", ".join(sorted({*known, *built_in()}))
+            raise InputError(f"no scene is called {scene!r}; use 'all', a YAML file, or some of: {have}")
+        read_scene(Path(scene))
+    return scenes
+
+
+def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
+    """Digests of scene files with their rasters, of factories' modules, and of the model of appearance, by name.
+
+    Raises:
+        InputError: one cannot be read.
+    """
+    named = [source_of(s) for s in scenes if is_factory(s)]
+    files = [Path(s) for s in scenes if s not in {*campaign_worlds(), *built_in()} and not is_factory(s)]
+    named += [path for scene in files for path in (scene, *_paths(read_scene(scene).model_dump()))]
+    model = settings.terrain.model
+    if model is not None and model != "default" and settings.terrain.enabled:
+        named.append(Path(model))
+    try:
+        return {str(p): hashlib.sha256(p.read_bytes()).hexdigest()[:16] for p in named if p.is_file()}
+    except OSError as e:
+        raise InputError(f"{e.filename}: cannot be read ({e.strerror})") from e
+
+
+def _paths(tree: Any) -> Iterator[Path]:
+    """All paths in a tree of plain values."""
+    if isinstance(tree, Path):
+        yield tree
+    for part in tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list | tuple) else ():
+        yield from _paths(part)

@@ -1,0 +1,126 @@
+"""The thread that listens to an autopilot: it survives errors, and a flight detects the end of listening."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from alight.flight.autopilot import RemoteVehicle
+from alight.flight.live.telemetry import TelemetryFeed
+from alight.records import FlightMode, NoticeKind
+from alight_sim.autopilot import SimulatedAutopilot, UdpServer
+from alight_sim.autopilot.dialects import Doing
+
+LOCAL = "127.0.0.1"
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[TelemetryFeed, UdpServer]]:
+    """A feed, and the simulated autopilot that it listens to."""
+    feed = TelemetryFeed(f"udp:{LOCAL}:0")
+    server = UdpServer(SimulatedAutopilot(), (LOCAL, feed.link.port), speed=5.0)  # type: ignore[attr-defined]
+    with server:
+        assert wait(5.0, feed, lambda: feed.located)
+        yield feed, server
+        feed.close()
+
+
+def wait(seconds: float, feed: TelemetryFeed, until: Callable[[], bool]) -> bool:
+    """Test twenty times a second, as a flight does, and send the pending messages."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        feed.flush()
+        if until():
+            return True
+        time.sleep(0.05)
+    return until()
+
+
+def vehicle(feed: TelemetryFeed) -> RemoteVehicle:
+    assert feed.autopilot.vehicle is not None
+    return feed.autopilot.vehicle
+
+
+def test_the_listener_outlives_errors(
+    pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    feed, server = pair
+    read, left = feed.link.read, [5]
+
+    def faulty(timeout: float = 0.0) -> list[bytes]:
+        left[0] -= 1
+        if left[0] >= 0:
+            raise ValueError("file descriptor cannot be a negative integer (-1)")
+        return read(timeout)
+
+    with caplog.at_level(logging.ERROR):
+        monkeypatch.setattr(feed.link, "read", faulty)
+        assert wait(3.0, feed, lambda: left[0] < -5)
+    assert vehicle(feed).alive
+    assert len(caplog.records) == 1  # the same error is logged once
+    server.autopilot.pilot(Doing.RETURN)
+    assert wait(3.0, feed, lambda: vehicle(feed).telemetry.mode is FlightMode.RETURN)
+
+
+@pytest.mark.parametrize("dies", [True, False])
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_flight_knows_when_nobody_listens(
+    pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch, dies: bool
+) -> None:
+    """If the listener hangs or has ended, the link is lost, heartbeats grow old, and no order is sent any more."""
+    feed, server = pair
+    go_on = threading.Event()
+
+    def stuck(timeout: float = 0.0) -> list[bytes]:
+        if dies:
+            raise SystemExit
+        go_on.wait(20.0)
+        return []
+
+    monkeypatch.setattr(feed.link, "read", stuck)
+    begun = time.monotonic()
+    assert wait(4.0, feed, lambda: not vehicle(feed).alive)
+    assert 0.8 < time.monotonic() - begun < 3.0
+    wait(0.3, feed, lambda: False)
+    assert vehicle(feed).telemetry.ages["HEARTBEAT"] > 1.0
+    assert [n.text for n in feed.autopilot.notices() if n.kind is NoticeKind.LINK_LOST] == [
+        "nobody listens to the link"
+    ]
+    server.autopilot.pilot(Doing.PILOT)  # the takeover is not seen
+    with feed.lock:
+        vehicle(feed).set_mode(FlightMode.RETURN)
+    wait(0.5, feed, lambda: False)
+    assert server.autopilot.logic.doing is Doing.PILOT
+    go_on.set()
+
+
+def test_a_listener_that_comes_back_hears_the_vehicle_again(
+    pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feed, _ = pair
+    read, go_on = feed.link.read, threading.Event()
+
+    def stuck(timeout: float = 0.0) -> list[bytes]:
+        go_on.wait(20.0)
+        return []
+
+    monkeypatch.setattr(feed.link, "read", stuck)
+    assert wait(4.0, feed, lambda: not vehicle(feed).alive)
+    monkeypatch.setattr(feed.link, "read", read)
+    go_on.set()
+    assert wait(3.0, feed, lambda: vehicle(feed).alive)
+
+
+def test_a_flight_that_stood_still_itself_has_lost_nothing(pair: tuple[TelemetryFeed, UdpServer]) -> None:
+    """The flight holds the lock for two seconds: the listener is blocked, and continues at once."""
+    feed, _ = pair
+    with feed.lock:
+        time.sleep(2.0)
+    feed.flush()
+    assert vehicle(feed).alive
+    wait(1.0, feed, lambda: False)
+    assert not [n for n in feed.autopilot.notices() if n.kind is NoticeKind.LINK_LOST]
