@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alight.motion.ekf.state import ATT, VEL, FilterState
+from alight.motion.ekf.state import AT, FilterState
 from alight.records import MotionState
 
 NEVER_NS = -(1 << 62)  # ns, a time before all events
@@ -126,5 +126,5 @@ class Health:
 def is_diverged(state: FilterState) -> bool:
     """True if the covariance of tilt or velocity is too large for use, or the state is not finite."""
     variance = np.diag(state.P)
-    small = variance[ATT][:2].max() <= _MAX_TILT_SIGMA**2 and variance[VEL].max() <= _MAX_VELOCITY_SIGMA**2
+    small = variance[AT.att][:2].max() <= _MAX_TILT_SIGMA**2 and variance[AT.vel].max() <= _MAX_VELOCITY_SIGMA**2
     return not (bool(small) and bool(np.isfinite(state.core).all()))

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from alight.motion import RollbackFilter
+from alight.motion import MotionFilter
+from alight.motion.ekf.filter import LEAST_EXPOSURES
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.smoother.recorded_flight import LEAST_EXPOSURES
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
@@ -167,7 +167,7 @@ class FilterLane:
             noise = noise.model_copy(update={"mounting_sigma": 0.0})
         self._rig, self._settings, self._handover = rig, noise, handover or HandoverInTurn()
         self.batcher, self.tracking = EventBatcher(), TrackingHalf(rig, settings, self._handover)
-        self._filter = RollbackFilter(rig, noise, frame_id)
+        self._filter = MotionFilter(rig, noise, frame_id)
         self._begun = self._attitude = False  # the first exposure has come; an attitude was measured
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._given = self._lost = 0  # exposures

@@ -106,7 +106,7 @@ def test_rows_long_after_the_last_exposure_change_nothing() -> None:
     np.testing.assert_array_equal(until(1.6), until(6.0))
 
 
-def test_a_guessed_attitude_is_believed_as_little_as_in_the_filter() -> None:
+def test_a_guessed_attitude_is_as_uncertain_as_in_the_filter() -> None:
     """A flight without attitude starts from a camera that is taken to look down within 0.1 rad (M26)."""
     f = PointFlight(seed=2, seconds=3.0, count=40, imu=False)
     bare = {"world_from_body": None, "velocity_world": None, "angular_velocity_body": None}
