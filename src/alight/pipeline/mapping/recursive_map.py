@@ -46,7 +46,7 @@ class RecursiveMap(GroundMap):
         if self.find_ground(views, least):
             self.ground_here = self.ground
             if self._ring is not None:
-                self._ring.look_anew()
+                self._ring.reset_sweep()
         self.out_of_range = False
 
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
