@@ -60,7 +60,10 @@ def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframeP
     shared = shared_error(found, matched, joint)
     if shared is None:
         return found
-    bend, shift = (_on(found.grid, shared, v) for v in (shared.bend, shared.shift))
+    out, known = np.zeros((2, *found.grid.shape), np.float32), np.zeros(found.grid.shape, dtype=bool)
+    at = shared.rows, shared.cols
+    out[:, *at], known[at] = (shared.bend, shared.shift), True
+    bend, shift = (nearest_known(v, known) for v in out)
     return replace(found, gauge=shared.datum, warp=np.hypot(bend, shift * steepness(found)))
 
 
@@ -90,15 +93,15 @@ def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: Keyfram
 
 def steepness(found: ElevationMap) -> F32:
     """(R, C) root mean square slope of the map about each cell, metres a metre: height error a metre of shift."""
+
+    def blurred(values: F32) -> F32:
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), SLOPE_CELLS), dtype=np.float32)
+
     height, known = np.nan_to_num(found.height), np.isfinite(found.height).astype(np.float32)
-    share = np.maximum(_blurred(known), np.float32(1e-3))
-    level = _blurred(height * known) / share
+    share = np.maximum(blurred(known), np.float32(1e-3))
+    level = blurred(height * known) / share
     north, east = gradient(level, found.grid.cell)
-    return np.sqrt(_blurred((north**2 + east**2).astype(np.float32) * known) / share)
-
-
-def _blurred(values: F32) -> F32:
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), SLOPE_CELLS), dtype=np.float32)
+    return np.sqrt(blurred((north**2 + east**2).astype(np.float32) * known) / share)
 
 
 def _sampled(found: ElevationMap) -> tuple[I64, I64, F64]:
@@ -129,13 +132,6 @@ def _sigma(J: F64, covariance: F64) -> F64:
     flat = J.reshape(-1, J.shape[-1])
     variance = np.maximum(((flat @ covariance) * flat).sum(axis=1), 0.0)
     return np.asarray(np.sqrt(variance.reshape(J.shape[:2]).sum(axis=1)))
-
-
-def _on(grid: Grid, shared: Shared, values: F64) -> F32:
-    """The value of the nearest sampled cell on every cell, (R, C)."""
-    out, known = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, dtype=bool)
-    out[shared.rows, shared.cols], known[shared.rows, shared.cols] = values, True
-    return np.asarray(nearest_known(out, known))
 
 
 def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) -> F64:

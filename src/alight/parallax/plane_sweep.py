@@ -56,14 +56,8 @@ def parallax_per_metre(centres: F64, height: float) -> float:
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
-def planes(centres: F64, low: float, high: float, cell: float, most: int) -> F32:
-    """Heights of the planes to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
-    count = plane_count(parallax_per_metre(centres, 0.5 * (low + high)), low, high, cell, most)
-    return np.linspace(low, high, count).astype(np.float32)
-
-
 def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
-    """Number of planes for a `slide` of the outermost views, metres a metre of height; at most `most`."""
+    """Number of planes for a `slide` of the outermost views, metres a metre of height: 0.7 cells of parallax apart."""
     return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
@@ -144,7 +138,10 @@ def sweep_unseen(
     for _ in range(tuning.most_references):
         for where in regions(left, tuning.least_wanted, tuning.least_blocks):
             part = grid.part(where)
-            before = [k for its, k in tried if meet(its, where)]
+            before = [
+                k for its, k in tried
+                if all(a.start < b.stop and b.start < a.stop for a, b in zip(its, where, strict=True))
+            ]  # fmt: skip
             reference = best_reference(pyramid[0], part, ground, left[where], before)
             if reference is None:
                 continue
@@ -161,11 +158,6 @@ def sweep_unseen(
 def _nothing(grid: Grid) -> Swept:
     """The result where nothing is seen."""
     return Swept(np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32))
-
-
-def meet(one: Box, other: Box) -> bool:
-    """True if two parts of a tile share cells."""
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
 
 
 def heights_about(known: F32, where: Box, searched: Span) -> Span:
@@ -223,7 +215,7 @@ def best_reference(
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """First and last plane that each ray tries, and the index of its first cost in the volume."""
+    """First and last plane that each ray tries; its costs lie side by side in the volume."""
 
     low: I32  # (R, C)
     high: I32  # (R, C)
@@ -298,7 +290,9 @@ def sweep(
     found, ratio = np.empty((0, 0), np.float32), np.empty((0, 0), np.float32)
     for k in reversed(range(len(of))):
         views = register(pyramid[k], of[k], ground, searched, reference)
-        levels = planes(views.centres, *searched, of[k].cell, tuning.most_planes << (len(of) - 1 - k))
+        slide = parallax_per_metre(views.centres, 0.5 * (searched[0] + searched[1]))
+        count = plane_count(slide, *searched, of[k].cell, tuning.most_planes << (len(of) - 1 - k))
+        levels = np.linspace(*searched, count).astype(np.float32)
         narrow = k == 0 and len(of) > 1
         first, reach = k == len(of) - 1, NARROW if narrow else BROAD
         spans = Spans.whole(of[k].shape, len(levels)) if first else Spans.about(found, of[k].shape, levels, reach)

@@ -412,21 +412,10 @@ class MotionFilter:
             m.frame_id += 1
             log.warning("motion: found again, as map %d; GPS/INS alone ties it to the earlier poses", m.frame_id)
         m.lost = judged is MotionState.LOST
-        rig, rows = Pose(state.rig, state.core[AT.pos]), POSITION_FIRST[:, None]
+        core, P, at, rig = state.core, state.P, AT.offset, Pose(state.rig, state.core[AT.pos])
+        own, cross = P[np.ix_(POSITION_FIRST, POSITION_FIRST)], P[POSITION_FIRST, at]
         return Motion(
-            stamp_ns,
-            Pose(state.R, state.core[AT.pos]),
-            tuple(rig @ c for c in self._cams),
-            moment_in_world(
-                state.P[rows, POSITION_FIRST],
-                state.P[POSITION_FIRST, AT.offset],
-                state.core[AT.offset],
-                state.P[AT.offset, AT.offset],
-            ),
-            state.core[AT.vel].copy(),
-            judged,
-            support,
-            state.core[AT.offset].copy(),
-            why,
-            m.frame_id,
-        )
+            stamp_ns, Pose(state.R, core[AT.pos]), tuple(rig @ c for c in self._cams),
+            moment_in_world(own, cross, core[at], P[at, at]), core[AT.vel].copy(), judged, support, core[at].copy(),
+            why, m.frame_id,
+        )  # fmt: skip

@@ -51,27 +51,16 @@ class CloneWindow:
 
     @classmethod
     def of(
-        cls,
-        state: FilterState,
-        observations: WindowObservations,
-        cams: Sequence[Pose],
-        settings: FilterSettings,
+        cls, state: FilterState, unused: WindowObservations, cams: Sequence[Pose], settings: FilterSettings,
         frame_id: int = 0,
-    ) -> CloneWindow:
+    ) -> CloneWindow:  # fmt: skip
         """Copy the window of a state."""
-        rows = state.clone_rows
+        rows, at, core = state.clone_rows, AT.offset, state.core
+        joint, cross, offset = (state.P[r, c].copy() for r, c in ((rows, rows), (rows, at), (at, at)))
         return cls(
-            state.clones,
-            state.P[rows, rows].copy(),
-            state.P[rows, AT.offset].copy(),
-            state.core[AT.offset].copy(),
-            state.P[AT.offset, AT.offset].copy(),
-            state.core[AT.mount].copy(),
-            observations,
-            tuple(cams),
-            frame_id,
+            state.clones, joint, cross, core[at].copy(), offset, core[AT.mount].copy(), unused, tuple(cams), frame_id,
             settings,
-        )
+        )  # fmt: skip
 
     def refined(self) -> RefinedPoses:
         """Gauss-Newton over the clones: prior is their joint covariance, data are the unused observations.

@@ -116,8 +116,9 @@ class _Batch:
             log.debug("batch %d: observations %.3f sigma, step %.2g", i, rms, np.abs(step[:, :_POSE]).max())
             if (np.abs(step[:, :_POSE]) < _ENOUGH).all():
                 break
-        covariance, span = factors.covariance(), self._span
-        motions = tuple(self._motion(k, _own(covariance, k, span)) for k in range(len(self._t)))
+        covariance, order = factors.covariance(), POSITION_FIRST[:, None]
+        of = ((k, _SIZE * (k % self._span)) for k in range(len(self._t)))
+        motions = tuple(self._motion(k, covariance[k // self._span][at + order, at + POSITION_FIRST]) for k, at in of)
         return RefinedMotions(motions, self._joint(motions, factors, covariance))
 
     def _joint(self, motions: tuple[Motion, ...], factors: Factors, own: F64) -> KeyframePosterior:
@@ -262,7 +263,7 @@ class _Batch:
             self._motions[k],
             world_from_body=body,
             world_from_cams=tuple(rig @ c for c in self._cams),
-            covariance=covariance[np.ix_(POSITION_FIRST, POSITION_FIRST)],
+            covariance=covariance,
             offset_world=None,
             velocity_world=self._x[k, AT.vel].copy(),
         )
@@ -279,8 +280,3 @@ def _nav_sigmas(nav: Sequence[NavSample], times: Sequence[int], settings: Filter
             rows = quantity.rows
             out[:, rows] = np.array([sigmas(s, settings)[rows] for s in some])[np.maximum(last, 0)]
     return out
-
-
-def _own(covariance: F64, k: int, span: int) -> F64:
-    i = slice((k % span) * _SIZE, (k % span + 1) * _SIZE)
-    return np.asarray(covariance[k // span, i, i])
