@@ -11,7 +11,6 @@ from point_flight import NOISE, PointFlight, run
 from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose, skew, so3_exp
 from alight.motion.ekf.keyframe_posterior import relative_inflation, rigid_posterior
-from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.parallax.datum import Matched, sensitivity, shared_error, steepness, with_datum
 from alight.parallax.pose_refinement.gaussian import between, corrected_pose
 from alight.records import ElevationMap, Flag, KeyframePosterior, Motion, View
@@ -63,21 +62,6 @@ def matched(motions: tuple[Motion, ...], error: F64, points: F64, true: Camera =
             b.append(centre[:2] + slope * (p[2] - centre[2]))
         out[i] = np.linalg.lstsq(np.concatenate(A), np.concatenate(b), rcond=None)[0] + [0, 0, p[2]]
     return out
-
-
-def test_blocks_of_the_inverse() -> None:
-    """The blocks agree for any unknowns, in any blocks, of a random system of four blocks."""
-    rng, size, count = np.random.default_rng(2), 4, 5
-    A, system = np.zeros((20, 20)), BlockTridiagonal(count, size)
-    for b in range(count):
-        rows = np.arange(size * b, min(size * (b + 2), 20))
-        root = rng.normal(size=(len(rows), len(rows) + 3))
-        A[np.ix_(rows, rows)] += root @ root.T
-        system.add(rows, root @ root.T, np.zeros(len(rows)))
-    factors, rows = system.factorise(), np.array([1, 2, 5, 9, 10, 17, 18])
-    np.testing.assert_allclose(
-        factors.joint(rows, factors.covariance()), np.linalg.inv(A)[np.ix_(rows, rows)], atol=1e-12
-    )
 
 
 def test_poses_that_are_off_as_one_carry_the_ground_along() -> None:

@@ -41,7 +41,6 @@ from alight.settings.tuning.parallax import ConsistencyTuning
 MOST_BYTES = 400_000_000  # of prepared views that are kept
 LEAST_KEPT = 16  # of them, however large
 LEAST_ACROSS = 64  # cells, least, that the shorter side of a halved picture covers: smaller ones show too little
-PYRAMID = 4 / 3  # memory of an image with all its halvings over that of itself
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
@@ -79,7 +78,7 @@ class Images:
         with self._lock:
             if key not in self._ready:
                 self._ready[key] = [prepare_view(self.views[index], self.cell, float(self.heights[index]))]
-                each = PYRAMID * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)
+                each = 4 / 3 * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)  # with all halvings
                 while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                     self._ready.popitem(last=False)
             self._ready.move_to_end(key)

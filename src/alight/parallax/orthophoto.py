@@ -65,7 +65,7 @@ class _Sums:
         camera, part = view.camera, grid.part(at)
         picture, exposures = np.asarray(view.image), np.empty((part.rows, kernels.EXPOSURES))
         seen, use, pixel = self.seen[at], self.use[at], self.pixel[at]
-        kernels.look(
+        kernels.sample_view(
             np.ascontiguousarray(picture if picture.ndim == 3 else picture[..., None]), tone_of(view),
             *ground_projection(camera, view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
             camera.coefficients, camera.code, radius2_limit(camera), rolling_of(view), view.centre, *part.xy(),
