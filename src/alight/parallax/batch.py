@@ -33,7 +33,7 @@ from alight.parallax.views import (
     rgb_of,
     stack,
     toned,
-)  # fmt: skip
+)
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning

@@ -226,7 +226,7 @@ class RecursiveParallax:
         start, wrong = np.where(anew, np.float32(np.nan), window.known.height), np.zeros(anew.shape, np.bool_)
         for box in plan.sweep + plan.rough:
             before, per_px, doubt = window.known.height[box], window.per_px[box], ratio[box]
-            baseline, count = (window.part_of(v, box) for v in (window.seen.baseline, window.seen.count))
+            baseline, count = window.part_of(window.seen.baseline, box), window.part_of(window.seen.count, box)
             fresh = (np.isnan(before) | anew[box]) & self._has_baseline(baseline, count, doubt, drop)
             if not fresh.any():
                 continue
