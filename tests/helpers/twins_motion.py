@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import cv2
@@ -10,9 +11,16 @@ import numpy as np
 
 from alight.arrays import F32, F64, I64, U8
 from alight.geometry import Camera, Pose, skew
-from alight.motion.observations import WindowObservations, WindowPoses
+from alight.motion.observations import Clones, WindowObservations
 
 NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
+
+
+def picture(seed: int, height: int = 120, width: int = 160) -> U8:
+    """Soft noise of good contrast."""
+    noise = np.random.default_rng(seed).uniform(0, 255, (height, width)).astype(np.float32)
+    soft = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return np.clip(128 + (soft - 128) * 4, 0, 255).astype(np.uint8)
 
 
 def texture(image: U8, pixels: F32, window: int) -> F64:
@@ -65,9 +73,7 @@ def _in_cameras(R: F64, p: F64, cams: Sequence[Pose], x: F64) -> F64:
     return np.stack([(rig - c.translation) @ c.rotation for c in cams], axis=2)
 
 
-def linearise(
-    observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64
-) -> tuple[F64, F64, F64]:
+def linearise(observations: WindowObservations, poses: Clones, cams: Sequence[Pose], x: F64) -> tuple[F64, F64, F64]:
     """Residuals (N, K, C, 2) at the estimates, Jacobians by pose and by point at the first ones (M11)."""
     now, first = _in_cameras(poses.R, poses.p, cams, x), _in_cameras(poses.first_R, poses.first_p, cams, x)
     ok = np.isfinite(observations.normalised[..., 0]) & (now[..., 2] > NEAR) & (first[..., 2] > NEAR)
@@ -84,7 +90,7 @@ def linearise(
     return residual, by_pose, by_point
 
 
-def eliminate(observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
+def eliminate(observations: WindowObservations, poses: Clones, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
     """The fields of `PoseConstraint` that do not depend on the choice of root, and A of every feature in full (M21)."""
     e, P, X = linearise(observations, poses, cams, x)
     n, k = observations.sigma.shape
@@ -106,7 +112,7 @@ def eliminate(observations: WindowObservations, poses: WindowPoses, cams: Sequen
     }
 
 
-def triangulate(observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose]) -> F64:
+def triangulate(observations: WindowObservations, poses: Clones, cams: Sequence[Pose]) -> F64:
     """(N, 3) points by least squares (M12): the place nearest to the rays, then three steps of Gauss-Newton."""
     rays = np.concatenate([observations.normalised, np.ones((*observations.normalised.shape[:-1], 1))], axis=-1)
     turn = np.stack([R @ c.rotation for R in poses.R for c in cams]).reshape(*rays.shape[1:3], 3, 3)
@@ -117,7 +123,7 @@ def triangulate(observations: WindowObservations, poses: WindowPoses, cams: Sequ
     A = np.where(seen[..., None, None], np.eye(3) - u[..., :, None] * u[..., None, :], 0.0)
     N = A.sum(axis=(1, 2)) + REGULAR * np.eye(3)
     x = np.linalg.solve(N, np.einsum("nkcij,kcj->ni", A, origin)[..., None])[..., 0]
-    level = WindowPoses(poses.R, poses.p, poses.R, poses.p)
+    level = replace(poses, first_R=poses.R, first_p=poses.p)
     for _ in range(3):
         e, _, X = linearise(observations, level, cams, x)
         V = np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3)

@@ -9,7 +9,7 @@ import pytest
 from point_flight import RIG
 
 from alight.geometry import Pose
-from alight.motion import RollbackFilter
+from alight.motion import MotionFilter
 from alight.pipeline.lanes import PipelineOptions, navigation_lane
 from alight.pipeline.navigation import Trajectory, filter_lane
 from alight.pipeline.navigation.filter_lane import FilterLane
@@ -27,11 +27,11 @@ def test_a_flight_holds_its_mounting(
     """A flight without velocities is no set of photos: its mounting is as calibrated. Photos leave it to their tags."""
     made: list[FilterSettings] = []
 
-    def noted(rig: Rig, settings: FilterSettings, map_number: int = 0) -> RollbackFilter:
+    def noted(rig: Rig, settings: FilterSettings, frame_id: int = 0) -> MotionFilter:
         made.append(settings)
-        return RollbackFilter(rig, settings, map_number)
+        return MotionFilter(rig, settings, frame_id)
 
-    monkeypatch.setattr(filter_lane, "RollbackFilter", noted)
+    monkeypatch.setattr(filter_lane, "MotionFilter", noted)
     stages = load_settings("", ["motion.method=filter", *([key] if key else [])]).stages()
     navigation_lane(RIG, kind, stages, PipelineOptions())
     assert [s.mounting_sigma for s in made] == [sigma]

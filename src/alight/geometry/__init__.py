@@ -1,9 +1,8 @@
 """Rotations, rigid poses, cameras, the world grid, geodetic <-> local. Ground floor: imports nothing of ours."""
 
 from alight.geometry.cameras import Camera
-from alight.geometry.geodesy import LocalFrame
-from alight.geometry.grid import Grid, box_of, ground_projection, plane_on
-from alight.geometry.heights import ellipsoid_fall, world_up
+from alight.geometry.geodesy import LocalFrame, ellipsoid_fall, world_up
+from alight.geometry.grid import Box, Grid, box_of, ground_projection, plane_on
 from alight.geometry.poses import Pose
 from alight.geometry.rotations import (
     enu_from_flu,
@@ -16,6 +15,7 @@ from alight.geometry.rotations import (
 )
 
 __all__ = [
+    "Box",
     "Camera",
     "Grid",
     "LocalFrame",

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from alight.arrays import F64
 
-NONE, RADTAN, EQUIDISTANT = 0, 1, 2  # codes shared with the kernels
-MODELS = {"none": NONE, "radial-tangential": RADTAN, "equidistant": EQUIDISTANT}
+_MODELS = ("none", "radial-tangential", "equidistant")  # in the order of the kernels' codes
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Camera:
     distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3] or k1..k4
 
     def __post_init__(self) -> None:
-        allowed = {"none": (0,), "radial-tangential": (4, 5), "equidistant": (4,)}
+        allowed = dict(zip(_MODELS, ((0,), (4, 5), (4,)), strict=True))
         if self.model not in allowed:
             raise ValueError(f"unknown distortion model {self.model!r}: use one of {', '.join(allowed)}")
         if len(self.distortion) not in allowed[self.model]:
@@ -51,7 +50,7 @@ class Camera:
     @property
     def code(self) -> int:
         """The model's number in the kernels."""
-        return MODELS[self.model]
+        return _MODELS.index(self.model)
 
     @property
     def coefficients(self) -> F64:

@@ -16,6 +16,8 @@ from alight.arrays import F64
 from alight.geometry.cameras import Camera
 from alight.geometry.poses import Pose
 
+Box = tuple[slice, slice]  # rows and columns of a rectangle of a grid's cells
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -70,6 +72,11 @@ class Grid:
         """Return the part of the grid that starts at (row, col)."""
         return Grid(self.east + col * self.cell, self.north - row * self.cell, self.cell, rows, cols)
 
+    def part(self, box: Box) -> Grid:
+        """Return the grid of a rectangle of its cells."""
+        rows, cols = box
+        return self.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
+
     def coarser(self, factor: int) -> Grid:
         """Return the grid whose cells are `factor` x `factor` of these; the last row and column may reach beyond."""
         shift = 0.5 * (factor - 1) * self.cell
@@ -89,7 +96,7 @@ class Grid:
         return c, 0.0, self.east - c / 2, 0.0, -c, self.north + c / 2
 
 
-def box_of(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+def box_of(mask: NDArray[np.bool_]) -> Box:
     """Rows and columns of the rectangle about the cells of a mask (R, C); empty where there are none."""
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):

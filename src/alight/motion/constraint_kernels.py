@@ -14,13 +14,7 @@ from alight.compiled import kernel
 
 @kernel
 def sum_information(own: F64, V: F64, b: F64, weight: F64, A: F64, total: F64) -> None:
-    """Write the weighted sum over the features of A (6K, 6K) and b (6K,).
-
-    Args:
-        own, V, b: (N, K, 6, 6), (N, K, 6, 3), (N, K, 6).
-        weight: (N,)
-        A, total: out.
-    """
+    """Write the weighted sum over the features of A (6K, 6K) and b (6K,)."""
     n, k = b.shape[:2]
     rows, diagonal = np.zeros((6 * k, 3 * n)), np.zeros((k, 6, 6))
     total[:] = 0.0
@@ -139,13 +133,7 @@ def largest_eigenvalues(A: F64, out: F64) -> None:
         if not spread > 0.0:
             out[n] = mean
             continue
-        a, b, c, d, e, f = (
-            (a - mean) / spread,
-            (b - mean) / spread,
-            (c - mean) / spread,
-            d / spread,
-            e / spread,
-            f / spread,
-        )
+        a, b, c = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread
+        d, e, f = d / spread, e / spread, f / spread
         half = 0.5 * (a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f))
         out[n] = mean + 2.0 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3.0)

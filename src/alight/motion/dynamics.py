@@ -8,20 +8,19 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import so3_exp
-from alight.motion.ekf.state import ACC, ATT, GYRO, MOTION, POS, VEL, FilterState
-from alight.motion.ekf.state_kernels import propagate_errors
+from alight.motion.ekf.state import AT, FilterState
 from alight.motion.imu_kernels import inertial_transition_into
 from alight.motion.preintegration import GRAVITY, OPEN_RATE_SIGMA, Preintegral, right_jacobian
 from alight.settings import FilterSettings
 
 MAX_RATE_AGE = 1.0  # s; after a longer gap without IMU, as between photos, the angular velocity is not used
 _OPEN_ATTITUDE_SIGMA = 2.0  # rad, after such a gap
-_MOTION_SIZE = MOTION.stop - MOTION.start
+_SHAPE = (AT.motion.stop, AT.motion.stop)
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Pose and velocity after a step of the motion model."""
+    """Pose and velocity before or after a step of the motion model."""
 
     R: F64  # (3, 3) world_from_body
     position: F64  # (3,) m
@@ -30,25 +29,45 @@ class Step:
     @classmethod
     def at(cls, state: FilterState) -> Step:
         """Return pose and velocity of a state, copied."""
-        return cls(state.R, state.core[POS].copy(), state.core[VEL].copy())
+        return cls(state.R, state.core[AT.pos].copy(), state.core[AT.vel].copy())
 
 
-def inertial_step(R: F64, p: F64, v: F64, m: Preintegral) -> Step:
+def propagate(
+    here: Step, rate: F64, m: Preintegral | None, dt: float, noise: FilterSettings, first: Step | None = None
+) -> tuple[Step, F64, F64]:
+    """Propagate by `dt`; return the step, its (15, 15) transition and noise, without the walk of the biases.
+
+    Args:
+        here: pose and velocity before.
+        rate: (3,) rad/s, angular velocity, where no IMU drives the motion.
+        m: inertial measurements over `dt`; None: without IMU.
+        dt: s.
+        noise: of the motion.
+        first: the state as predicted, before it was corrected; None: as `here`.
+    """
+    if m is None:
+        return constant_step(here, rate, dt), *constant_transition(here.R, rate, dt, noise)
+    after = inertial_step(here, m)
+    return after, *inertial_transition(first or here, after, m)
+
+
+def inertial_step(here: Step, m: Preintegral) -> Step:
     """Propagate pose and velocity by preintegrated inertial measurements (M8; Forster et al. 2017)."""
     return Step(
-        R @ m.rotation,
-        p + v * m.dt + GRAVITY * (m.dt**2 / 2.0) + R @ m.position,
-        v + GRAVITY * m.dt + R @ m.velocity,
+        here.R @ m.rotation,
+        here.position + here.velocity * m.dt + GRAVITY * (m.dt**2 / 2.0) + here.R @ m.position,
+        here.velocity + GRAVITY * m.dt + here.R @ m.velocity,
     )
 
 
-def constant_step(R: F64, p: F64, v: F64, rate: F64, dt: float) -> Step:
+def constant_step(here: Step, rate: F64, dt: float) -> Step:
     """Propagate a pose at constant velocity and angular velocity (M9, the model of the paper)."""
-    return Step(R if dt > MAX_RATE_AGE else R @ so3_exp(rate * dt), p + v * dt, v)
+    R = here.R if dt > MAX_RATE_AGE else here.R @ so3_exp(rate * dt)
+    return Step(R, here.position + here.velocity * dt, here.velocity)
 
 
 def inertial_transition(first: Step, after: Step, m: Preintegral) -> tuple[F64, F64]:
-    """Return the (15, 15) transition and noise of (ATT, POS, VEL, GYRO, ACC) for `inertial_step`.
+    """Return the (15, 15) transition and noise of the motion's errors for `inertial_step`.
 
     `first` is the state as predicted, before it was corrected. With these first-estimates Jacobians (Huang et al. 2008)
     the transitions of successive steps multiply to that of one long step, and yaw and position stay unobservable to the
@@ -57,23 +76,22 @@ def inertial_transition(first: Step, after: Step, m: Preintegral) -> tuple[F64, 
     dt = m.dt
     moved = after.position - first.position - first.velocity * dt - GRAVITY * (dt**2 / 2.0)
     speed_up = after.velocity - first.velocity - GRAVITY * dt
-    F, Q = np.empty((_MOTION_SIZE, _MOTION_SIZE)), np.empty((_MOTION_SIZE, _MOTION_SIZE))
+    F, Q = np.empty(_SHAPE), np.empty(_SHAPE)
     inertial_transition_into(first.R, after.R, moved, speed_up, dt, m.bias_jacobian, m.covariance, F, Q)
     return F, Q
 
 
 def constant_transition(R: F64, rate: F64, dt: float, noise: FilterSettings) -> tuple[F64, F64]:
     """Return the (15, 15) transition and noise of `constant_step`, driven by white accelerations."""
-    F = np.eye(_MOTION_SIZE)
-    F[POS, VEL] = np.eye(3) * dt
-    F[ATT, GYRO] = R @ so3_exp(rate * dt) @ right_jacobian(rate * dt) * dt
-    Q = np.zeros((_MOTION_SIZE, _MOTION_SIZE))
-    _add_white_noise(Q, POS, VEL, np.eye(3), noise.acceleration_sigma**2, dt)
+    F, Q = np.eye(_SHAPE[0]), np.zeros(_SHAPE)
+    F[AT.pos, AT.vel] = np.eye(3) * dt
+    F[AT.att, AT.gyro] = R @ so3_exp(rate * dt) @ right_jacobian(rate * dt) * dt
+    _add_white_noise(Q, AT.pos, AT.vel, np.eye(3), noise.acceleration_sigma**2, dt)
     if dt > MAX_RATE_AGE:
-        F[ATT, GYRO], F[GYRO, GYRO] = 0.0, 0.0
-        Q[ATT, ATT], Q[GYRO, GYRO] = np.eye(3) * _OPEN_ATTITUDE_SIGMA**2, np.eye(3) * OPEN_RATE_SIGMA**2
+        F[AT.att, AT.gyro], F[AT.gyro, AT.gyro] = 0.0, 0.0
+        Q[AT.att, AT.att], Q[AT.gyro, AT.gyro] = np.eye(3) * _OPEN_ATTITUDE_SIGMA**2, np.eye(3) * OPEN_RATE_SIGMA**2
         return F, Q
-    _add_white_noise(Q, ATT, GYRO, R, noise.angular_acceleration_sigma**2, dt)
+    _add_white_noise(Q, AT.att, AT.gyro, R, noise.angular_acceleration_sigma**2, dt)
     return F, Q
 
 
@@ -85,15 +103,11 @@ def _add_white_noise(Q: F64, value: slice, rate: slice, rotation: F64, density: 
     Q[rate, value] = Q[value, rate].T
 
 
-def propagate_covariance(state: FilterState, F: F64, Q: F64, decay: F64, drift: F64) -> None:
-    """Propagate the covariance in place (M10).
-
-    Args:
-        state: with the covariance `P`.
-        F, Q: (15, 15) transition and noise of the motion.
-        decay, drift: (9,) transition and noise variance of the GPS/INS errors.
-    """
-    propagate_errors(state.P, F, Q, decay, drift)
+def add_bias_walk(Q: F64, dt: float, noise: FilterSettings) -> None:
+    """Add the variance of the random walk of the biases over `dt` to the (15, 15) noise of the motion, in place."""
+    walk = np.zeros(len(Q))
+    walk[AT.gyro], walk[AT.acc] = noise.gyro_walk**2 * dt, noise.accelerometer_walk**2 * dt
+    Q[np.diag_indices(len(Q))] += walk
 
 
 def nav_decay(dt: float, sigma: F64, noise: FilterSettings) -> tuple[F64, F64]:
@@ -101,10 +115,3 @@ def nav_decay(dt: float, sigma: F64, noise: FilterSettings) -> tuple[F64, F64]:
     tau = np.repeat([noise.nav_position_tau, noise.nav_attitude_tau, noise.nav_velocity_tau], 3)
     a = np.exp(-dt / tau)
     return a, (1.0 - a**2) * sigma**2
-
-
-def bias_walk(dt: float, noise: FilterSettings) -> F64:
-    """Return the (15,) variance of the random walk of the biases over `dt`."""
-    out = np.zeros(_MOTION_SIZE)
-    out[GYRO], out[ACC] = noise.gyro_walk**2 * dt, noise.accelerometer_walk**2 * dt
-    return out

@@ -3,41 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import IntEnum
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import so3_exp, so3_log
-from alight.motion.ekf.state import (
-    ATT,
-    CORE,
-    GYRO,
-    MOUNT,
-    NAV_ATT,
-    NAV_POS,
-    NAV_VEL,
-    OFFSET,
-    POS,
-    TIME,
-    VEL,
-    FilterState,
-)
+from alight.motion.ekf.state import AT, CORE, FilterState
 from alight.records import NavSample
 from alight.settings import FilterSettings
 
-GIMBAL_MOUNTING_SIGMA = 0.03  # rad, of the rotation between a gimbal's tag and the camera
+_GIMBAL_MOUNTING_SIGMA = 0.03  # rad, of the rotation between a gimbal's tag and the camera
 _OPEN_VELOCITY_SIGMA = 10.0  # m/s, at a start without a velocity
-POSITION_ROWS, ATTITUDE_ROWS, VELOCITY_ROWS = slice(0, 3), slice(3, 6), slice(6, 9)  # of the (9,) sigmas
 
 
-class Quantity(Enum):
-    """A quantity that a row of GPS/INS may hold."""
+class Quantity(IntEnum):
+    """A quantity that a row of GPS/INS may hold; the first three have slowly varying errors."""
 
-    POSITION = "position"
-    ATTITUDE = "attitude"
-    VELOCITY = "velocity"
-    RATE = "angular velocity"
+    POSITION = 0
+    ATTITUDE = 1
+    VELOCITY = 2
+    RATE = 3
+
+    @property
+    def rows(self) -> slice:
+        """Its rows of (9,) sigmas and slowly varying errors."""
+        return slice(3 * self, 3 * self + 3)
+
+    @property
+    def state(self) -> slice:
+        """What it measures."""
+        return (AT.pos, AT.att, AT.vel, AT.gyro)[self]
+
+    def of(self, sample: NavSample) -> F64 | None:
+        """Its value in a row; None: not measured."""
+        values = (sample.position_world, sample.world_from_body, sample.velocity_world, sample.angular_velocity_body)
+        return values[self]
+
+
+SLOW = (Quantity.POSITION, Quantity.ATTITUDE, Quantity.VELOCITY)  # those with slowly varying errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,16 +74,12 @@ def whites(sigma: F64, noise: FilterSettings) -> F64:
     return np.asarray(np.minimum(white, sigma))
 
 
-def is_photo_tag(sample: NavSample) -> bool:
-    """True if a row holds the tags of a photo: position and gimbal attitude, no velocity."""
-    return sample.velocity_world is None
-
-
-def mounting_sigma(sample: NavSample, noise: FilterSettings) -> float:
+def _mounting_sigma(sample: NavSample, noise: FilterSettings) -> float:
     """Return the 1-sigma in rad of the rotation from the INS to the cameras, at a start with this row."""
     if noise.mounting_sigma is not None:
         return noise.mounting_sigma
-    return GIMBAL_MOUNTING_SIGMA if is_photo_tag(sample) else 0.0
+    is_photo_tag = sample.velocity_world is None
+    return _GIMBAL_MOUNTING_SIGMA if is_photo_tag else 0.0
 
 
 def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> FilterState | None:
@@ -90,53 +90,45 @@ def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> Filte
     """
     if sample.position_world is None or sample.world_from_body is None:
         return None
-    core = np.zeros(CORE)
-    core[POS] = sample.position_world
-    white = whites(sigma, noise)
-    P = np.zeros((CORE, CORE))
-    for value, drift, rows in (
-        (POS, NAV_POS, POSITION_ROWS),
-        (ATT, NAV_ATT, ATTITUDE_ROWS),
-        (VEL, NAV_VEL, VELOCITY_ROWS),
-    ):
-        slow, fast = np.diag(sigma[rows] ** 2), np.diag(white[rows] ** 2)
+    core, white, P = np.zeros(CORE), whites(sigma, noise), np.zeros((CORE, CORE))
+    core[AT.pos] = sample.position_world
+    values, drifts = (AT.offset, AT.att, AT.vel), (AT.nav_pos, AT.nav_att, AT.nav_vel)
+    for quantity, value, drift in zip(SLOW, values, drifts, strict=True):
+        slow, fast = (np.diag(s[quantity.rows] ** 2) for s in (sigma, white))
         P[value, value], P[drift, drift] = slow + fast, slow  # value = measured - slow error - white error
         P[value, drift] = P[drift, value] = -slow
-    P[OFFSET, OFFSET], P[OFFSET, NAV_POS], P[NAV_POS, OFFSET] = P[POS, POS], P[POS, NAV_POS], P[NAV_POS, POS]
-    P[POS, POS], P[POS, NAV_POS], P[NAV_POS, POS] = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     if sample.velocity_world is None:
-        P[VEL, VEL] = np.eye(3) * _OPEN_VELOCITY_SIGMA**2
-        P[VEL, NAV_VEL], P[NAV_VEL, VEL] = np.zeros((3, 3)), np.zeros((3, 3))
+        P[AT.vel, AT.vel] = np.eye(3) * _OPEN_VELOCITY_SIGMA**2
+        P[AT.vel, AT.nav_vel] = P[AT.nav_vel, AT.vel] = 0.0
     else:
-        core[VEL] = sample.velocity_world
-    P[MOUNT, MOUNT] = np.eye(3) * mounting_sigma(sample, noise) ** 2
-    core[TIME], P[TIME, TIME] = noise.time_offset, noise.time_offset_sigma**2
+        core[AT.vel] = sample.velocity_world
+    P[AT.mount, AT.mount] = np.eye(3) * _mounting_sigma(sample, noise) ** 2
+    core[AT.time], P[AT.time, AT.time] = noise.time_offset, noise.time_offset_sigma**2
     return FilterState(sample.t_ns, np.array(sample.world_from_body), core, P)
 
 
 def measurements(state: FilterState, sample: NavSample, sigma: F64, noise: FilterSettings) -> list[NavMeasurement]:
     """Return position (M14), attitude (M15) and velocity (M16), each where the row holds it."""
-    white, out = whites(sigma, noise) ** 2, []
+    core, out = state.core, list[tuple[Quantity, F64, F64]]()
     if sample.position_world is not None:
-        residual = sample.position_world - (state.core[POS] + state.core[OFFSET] + state.core[NAV_POS])
-        H = _selector(POS, OFFSET, NAV_POS)
-        out.append(NavMeasurement(Quantity.POSITION, residual, H, white[POSITION_ROWS]))
+        residual = sample.position_world - (core[AT.pos] + core[AT.offset] + core[AT.nav_pos])
+        out.append((Quantity.POSITION, residual, _selector(AT.pos, AT.offset, AT.nav_pos)))
     if sample.world_from_body is not None:
-        expected = so3_exp(state.core[NAV_ATT]) @ state.R
-        residual, H = so3_log(sample.world_from_body @ expected.T), _selector(ATT, NAV_ATT)
-        out.append(NavMeasurement(Quantity.ATTITUDE, residual, H, white[ATTITUDE_ROWS]))
+        expected = so3_exp(core[AT.nav_att]) @ state.R
+        out.append((Quantity.ATTITUDE, so3_log(sample.world_from_body @ expected.T), _selector(AT.att, AT.nav_att)))
     if sample.velocity_world is not None:
-        residual, H = sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _selector(VEL, NAV_VEL)
-        out.append(NavMeasurement(Quantity.VELOCITY, residual, H, white[VELOCITY_ROWS]))
-    return out
+        residual = sample.velocity_world - core[AT.vel] - core[AT.nav_vel]
+        out.append((Quantity.VELOCITY, residual, _selector(AT.vel, AT.nav_vel)))
+    white = whites(sigma, noise) ** 2
+    return [NavMeasurement(quantity, residual, H, white[quantity.rows]) for quantity, residual, H in out]
 
 
 def rate_measurement(state: FilterState, sample: NavSample, noise: FilterSettings) -> NavMeasurement | None:
     """Return the angular velocity as a measurement of the state's; only used where no IMU drives the motion."""
     if sample.angular_velocity_body is None:
         return None
-    residual = sample.angular_velocity_body - state.core[GYRO]
-    return NavMeasurement(Quantity.RATE, residual, _selector(GYRO), np.full(3, noise.nav_rate_white**2))
+    residual = sample.angular_velocity_body - state.core[AT.gyro]
+    return NavMeasurement(Quantity.RATE, residual, _selector(AT.gyro), np.full(3, noise.nav_rate_white**2))
 
 
 def _selector(*parts: slice) -> F64:

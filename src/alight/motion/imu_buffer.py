@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.records import ImuSample
 
-_ROOM = 1024  # samples; it doubles when it is full
 _LONGEST_NS = 60_000_000_000  # ns of samples that are kept, where old ones are forgotten
 
 
@@ -21,33 +21,40 @@ class ImuBuffer:
     """
 
     def __init__(self, samples: Iterable[ImuSample] = ()) -> None:
-        self._times, self._rates = np.empty(_ROOM, np.int64), np.empty((_ROOM, 6))
-        self._first = self._end = 0
+        self._samples = list[ImuSample]()
+        self._arrays: tuple[I64, F64] | None = None  # made when they are read after a change
         for s in samples:
             self.append(s)
 
     def __len__(self) -> int:
-        return self._end - self._first
+        return len(self._samples)
 
     @property
     def first_ns(self) -> int:
         """Stamp of the oldest sample."""
-        return int(self._times[self._first])
+        return self._samples[0].t_ns
 
     @property
     def last_ns(self) -> int:
         """Stamp of the newest sample."""
-        return int(self._times[self._end - 1])
+        return self._samples[-1].t_ns
 
     @property
     def times(self) -> I64:
         """Stamps of the samples, (M,) ns, ascending."""
-        return self._times[self._first : self._end]
+        return self._as_arrays()[0]
 
     @property
     def rates(self) -> F64:
         """(M, 6) angular velocity [rad/s] and specific force [m/s^2] in the body."""
-        return self._rates[self._first : self._end]
+        return self._as_arrays()[1]
+
+    def _as_arrays(self) -> tuple[I64, F64]:
+        if self._arrays is None:
+            rates = [(*s.angular_velocity_body, *s.specific_force_body) for s in self._samples]
+            times = np.array([s.t_ns for s in self._samples], np.int64)
+            self._arrays = times, np.array(rates, np.float64).reshape(-1, 6)
+        return self._arrays
 
     def mean_rate(self, t_ns: int, half_ns: int) -> F64:
         """Return the (3,) rad/s mean angular velocity within `half_ns` of an instant, of one sample at least."""
@@ -62,26 +69,16 @@ class ImuBuffer:
             return False
         if not (np.isfinite(sample.angular_velocity_body).all() and np.isfinite(sample.specific_force_body).all()):
             return False
-        if self._end == len(self._times):
-            self._make_room()
-        self._times[self._end] = sample.t_ns
-        self._rates[self._end, :3], self._rates[self._end, 3:] = (
-            sample.angular_velocity_body,
-            sample.specific_force_body,
-        )
-        self._end += 1
+        self._samples.append(sample)
+        self._arrays = None
         return True
 
     def forget_before(self, t_ns: int) -> None:
         """Forget the samples before an instant, and those older than a minute: memory stays bounded."""
-        t_ns = max(t_ns, self.last_ns - _LONGEST_NS) if len(self) else t_ns
-        while self._first < self._end and self._times[self._first] < t_ns:
-            self._first += 1
+        if len(self) and (old := bisect_left(self._samples, max(t_ns, self.last_ns - _LONGEST_NS), key=_stamp)):
+            del self._samples[:old]
+            self._arrays = None
 
-    def _make_room(self) -> None:
-        """Move the samples to the front of new arrays: twice as long where less than half is forgotten."""
-        n = len(self)
-        times, rates = self.times, self.rates
-        size = len(self._times) * (2 if 2 * n > len(self._times) else 1)
-        self._times, self._rates = np.empty(size, np.int64), np.empty((size, 6))
-        self._times[:n], self._rates[:n], self._first, self._end = times, rates, 0, n
+
+def _stamp(sample: ImuSample) -> int:
+    return sample.t_ns

@@ -21,15 +21,7 @@ def _rates_at(times: I64, rates: F64, t_ns: int, out: F64) -> None:
 
 @kernel
 def cut_segments(times: I64, rates: F64, start_ns: int, end_ns: int, dt: F64, mean: F64) -> int:
-    """Cut [start, end] at the samples and write the length and the mean rates of each segment; return their number.
-
-    Args:
-        times: (M,) ns, ascending.
-        rates: (M, 6) rad/s, m/s^2.
-        start_ns, end_ns: ns.
-        dt: (M + 1,) out, s.
-        mean: (M + 1, 6) out.
-    """
+    """Cut [start, end] at the samples; write length (s) and mean rates of each segment; return their number."""
     first = int(np.searchsorted(times, start_ns, side="right"))
     last = int(np.searchsorted(times, end_ns, side="right"))
     here, there = np.empty(6), np.empty(6)
@@ -64,11 +56,8 @@ def _turned_force(middle: F64, a: F64, t: float, out: F64) -> None:
     """Write -middle [a]x t: the change of velocity over a segment by its attitude at the middle."""
     for i in range(3):
         x, y, z = middle[i, 0], middle[i, 1], middle[i, 2]
-        out[i, 0], out[i, 1], out[i, 2] = (
-            -t * (y * a[2] - z * a[1]),
-            -t * (z * a[0] - x * a[2]),
-            -t * (x * a[1] - y * a[0]),
-        )
+        out[i, 0], out[i, 1] = -t * (y * a[2] - z * a[1]), -t * (z * a[0] - x * a[2])
+        out[i, 2] = -t * (x * a[1] - y * a[0])
 
 
 @kernel
@@ -99,14 +88,9 @@ def preintegrate_segments(
         R, v, p: (3, 3), (3,), (3,) out: rotation, velocity and position in the earlier frame.
         J: (9, 6) out. C: (9, 9) out.
     """
-    half, middle, turn, A_rr, A_vr = (
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-    )
-    force, B, w, a = np.empty((3, 3)), np.empty((9, 6)), np.empty(3), np.empty(3)
+    half, middle, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    A_rr, A_vr, force = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    B, w, a = np.empty((9, 6)), np.empty(3), np.empty(3)
     next_J, rows, total = np.empty((9, 6)), np.empty((9, 9)), 0.0
     R[:], v[:], p[:], J[:], C[:] = np.eye(3), 0.0, 0.0, 0.0, 0.0
     for n in range(len(dt)):
@@ -163,9 +147,7 @@ def inertial_transition_into(
     F[:], Q[:] = np.eye(15), 0.0
     _minus_skew(moved[0], moved[1], moved[2], F[3:6, 0:3])
     _minus_skew(speed_up[0], speed_up[1], speed_up[2], F[6:9, 0:3])
-    G = np.zeros(
-        (9, 9)
-    )  # (attitude, position, velocity) by the errors (rotation, velocity, position) of the preintegral
+    G = np.zeros((9, 9))  # (attitude, position, velocity) by the preintegral's (rotation, velocity, position)
     for i in range(3):
         F[3 + i, 6 + i] = dt
         for j in range(3):

@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.arrays import F64, I64, Mask
-from alight.geometry import Pose
+from alight.geometry import Camera, Pose
 from alight.motion.rotation_kernels import move_poses, place_cameras
+from alight.records import Tracks
+from alight.settings import FilterSettings
 
 
 def positions(ascending: I64, ids: I64) -> I64:
@@ -21,6 +23,16 @@ def positions(ascending: I64, ids: I64) -> I64:
         return np.full(len(ids), -1)
     at = np.minimum(np.searchsorted(ascending, ids), len(ascending) - 1)
     return np.where(ascending[at] == ids, at, -1)
+
+
+def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> F64:
+    """Return the (N,) 1-sigma of normalised coordinates (M13): the stronger the texture, the sharper the SSD minimum.
+
+    It is proportional to 1 / sqrt(texture), which follows measured tracking errors (docs/method/tracks.md, M13).
+    """
+    texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
+    relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
+    return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +86,39 @@ class WindowObservations:
 
 
 @dataclass(frozen=True, eq=False)
-class WindowPoses:
-    """K rig poses: estimates, and the first estimates at which Jacobians are taken (Huang et al. 2008)."""
+class Clones:
+    """Poses of the rig at K earlier exposures, oldest first, and their first estimates, where Jacobians are taken."""
 
+    stamps: tuple[int, ...]  # ns
     R: F64  # (K, 3, 3) world_from_rig
     p: F64  # (K, 3) m
     first_R: F64  # noqa: N815
     first_p: F64
 
-    def moved(self, error: F64) -> WindowPoses:
-        """Return the poses with (6K,) errors added, (rotation, position) each; first estimates stay."""
+    @classmethod
+    def none(cls) -> Clones:
+        """Return an empty set of clones."""
+        return cls((), *(np.zeros((0, *shape)) for shape in ((3, 3), (3,)) * 2))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
+        """Return these clones and one more."""
+        pairs = ((self.R, R), (self.p, p), (self.first_R, R), (self.first_p, p))
+        return Clones((*self.stamps, t_ns), *(np.concatenate([old, new[None]]) for old, new in pairs))
+
+    def select(self, kept: Sequence[int]) -> Clones:
+        """Return the clones of the indices `kept`."""
+        at = list(kept)
+        arrays = (a[at] for a in (self.R, self.p, self.first_R, self.first_p))
+        return Clones(tuple(self.stamps[i] for i in at), *arrays)
+
+    def moved(self, error: F64) -> Clones:
+        """Return the clones with (6K,) errors added, (rotation, position) each; first estimates stay."""
         R, p = np.empty_like(self.R), np.empty_like(self.p)
         move_poses(self.R, self.p, error, R, p)
-        return WindowPoses(R, p, self.first_R, self.first_p)
+        return replace(self, R=R, p=p)
 
 
 def cameras_at(R: F64, p: F64, cams: Sequence[Pose]) -> tuple[F64, F64]:

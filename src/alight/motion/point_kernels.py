@@ -92,15 +92,7 @@ def nearest_point(
 
 @kernel
 def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: float, out: F64) -> None:
-    """Write the (N, 3) points nearest to weighted rays (midpoint method).
-
-    Args:
-        starts: (N + 1,) first ray of each point, then the number of rays M.
-        ray, origin: (M, 3) unit directions and origins, sorted by point.
-        weight: (M,)
-        regular: on the diagonal, relative to a weight of one.
-        out: (N, 3)
-    """
+    """Write the (N, 3) points nearest to weighted rays, as `triangulate_rays` has them; `ray` (M, 3) of unit length."""
     room, y = np.empty((3, 3, 3)), np.empty(3)
     for n in range(starts.shape[0] - 1):
         nearest_point(ray, origin, weight, starts[n], starts[n + 1], regular, room, y, out[n])
@@ -115,8 +107,7 @@ def eliminate_list(
 
     Args:
         starts: (N + 1,) first observation of each point, then M.
-        residual: (M, 2) in sigmas.
-        by_pose, by_point: (M, 2, 6), (M, 2, 3) Jacobians in sigmas.
+        residual, by_pose, by_point: (M, 2), (M, 2, 6), (M, 2, 3) in sigmas.
         regular: added to the diagonal of a point's block.
         coupling: (M, 6, 3) out: by_pose' by_point times the root of the point's covariance.
         gradient: (N, 3) out: right side of the points.
@@ -191,13 +182,10 @@ def triangulate_tracks(
     """Write the (N, 3) points of least squares: the point nearest to the rays, then Gauss-Newton (M12).
 
     Args:
-        normalised: (N, K, C, 2) normalised coordinates, NaN = not observed.
-        sigma: (N, K) of them.
+        normalised, sigma: as in `WindowObservations`.
         R, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
-        iterations: of Gauss-Newton.
         near: m along the axis that a point must have.
         regular: 1/m^2 on the diagonal.
-        out: (N, 3)
     """
     A, root, inverse, y, q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(normalised.shape[0]):
@@ -225,19 +213,8 @@ def marginalise_tracks(
 ) -> None:  # fmt: skip
     """Linearise observations of N points, residuals now and Jacobians at first estimates; eliminate the points (M21).
 
-    Args:
-        normalised, sigma: as in `triangulate_tracks`.
-        x: (N, 3) points.
-        R, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
-        first_R, first_origin, first_p: the first estimates of the cameras, and (K, 3) of the rig.
-        near, regular: as in `triangulate_tracks`.
-        own: (N, K, 6, 6) out: information of each pose by itself.
-        coupling: (N, K, 6, 3) out: A of a feature is its blocks less coupling coupling'.
-        b: (N, K, 6) out: right side, the point eliminated.
-        misfit: (N,) out: squared residual at the best point.
-        freedom: (N,) out: rows less three.
-        root, inverse: (N, 3, 3) out: covariance of the point for exact poses, and its root.
-        step: (N, 3) out: from `x` to the best point for the poses as they are.
+    Arguments as in `triangulate_tracks`; `x` (N, 3): points; `first_R`, `first_origin`, `first_p` (K, 3): the first
+    estimates of the cameras, and of the rig. Filled are the fields of `PoseConstraint`: A (`own`), V (`coupling`)...
     """
     V, g, q, f = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     P, X = np.empty((2, 6)), np.empty((2, 3))

@@ -17,7 +17,6 @@ from alight.motion.imu_kernels import cut_segments, preintegrate_segments
 from alight.settings import FilterSettings
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is absorbed by the accelerometer bias
-IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
 _MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
 _HELD_NS = 200_000_000  # ns for which the last angular velocity is held; no turn of a vehicle lasts longer by itself
 OPEN_RATE_SIGMA, _OPEN_RATE_TAU = 0.5, 0.25  # rad/s, s: unmeasured angular velocity, and its correlation time
@@ -37,7 +36,7 @@ class Segments:
 class Preintegral:
     """Motion from one instant to a later one by the IMU.
 
-    Errors: `IMU_ROTATION` in the later body frame, `IMU_VELOCITY` and `IMU_POSITION` in the earlier one.
+    Its errors are (rotation, velocity, position), the rotation in the later body frame, the others in the earlier one.
     """
 
     dt: float  # s
@@ -105,13 +104,9 @@ def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preint
     """Return the preintegral at other biases, to first order (M5)."""
     d = m.bias_jacobian @ np.concatenate([gyro_bias - m.gyro_bias, accelerometer_bias - m.accelerometer_bias])
     return replace(
-        m,
-        rotation=m.rotation @ so3_exp(d[IMU_ROTATION]),
-        velocity=m.velocity + d[IMU_VELOCITY],
-        position=m.position + d[IMU_POSITION],
-        gyro_bias=gyro_bias.copy(),
-        accelerometer_bias=accelerometer_bias.copy(),
-    )
+        m, rotation=m.rotation @ so3_exp(d[:3]), velocity=m.velocity + d[3:6], position=m.position + d[6:],
+        gyro_bias=gyro_bias.copy(), accelerometer_bias=accelerometer_bias.copy(),
+    )  # fmt: skip
 
 
 def _variance(parts: Segments, noise: FilterSettings) -> F64:

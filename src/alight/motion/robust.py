@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from alight.arrays import F64, Mask
-from alight.motion.elimination import PoseConstraint
+from alight.motion.points import PoseConstraint
 
 _KNEE = 3.0  # times the median residual: from here on the weight of a feature falls off
-_MIN_MEDIAN = 1e-3  # squared sigmas; simulated features may have no residual at all
-_ROUNDS = 3
 
 
 def cauchy(square: F64, scale: float) -> tuple[F64, float]:
@@ -33,7 +31,7 @@ def median_of(values: F64) -> float:
 
 def median_residual(misfit: F64) -> float:
     """Return the median of the squared residuals a row of N features."""
-    return max(median_of(misfit), _MIN_MEDIAN) if len(misfit) else 1.0
+    return max(median_of(misfit), 1e-3) if len(misfit) else 1.0  # simulated features may have no residual at all
 
 
 def robust_weights(misfit: F64, median: float) -> F64:
@@ -53,7 +51,7 @@ def robust_pose_weights(constraint: PoseConstraint, P: F64, used: Mask, error: F
         error: (6K,) by which the poses have moved from the mean of the prior.
     """
     weight, freedom, step, median = used.astype(float), np.maximum(constraint.freedom, 1), np.zeros(len(P)), 0.0
-    for _ in range(_ROUNDS if used.any() else 0):
+    for _ in range(3 if used.any() else 0):
         misfit = np.maximum(constraint.misfit_at(step), 0.0) / freedom
         median = median_residual(misfit[used])
         weight = used * robust_weights(misfit, median)

@@ -33,13 +33,7 @@ def multiply(a: F64, b: F64, out: F64) -> None:
 
 @kernel
 def move_poses(R: F64, p: F64, error: F64, moved_R: F64, moved_p: F64) -> None:
-    """Write K poses with errors (rotation in the world, position) added.
-
-    Args:
-        R, p: (K, 3, 3), (K, 3) poses.
-        error: (6K,).
-        moved_R, moved_p: out, as `R`, `p`.
-    """
+    """Write K poses (K, 3, 3), (K, 3) with errors (6K,), rotation in the world and position each, added."""
     turn = np.empty((3, 3))
     for k in range(R.shape[0]):
         e = error[6 * k : 6 * k + 6]

@@ -15,13 +15,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from alight.arrays import F32, F64, U8, U16
+from alight.arrays import F64, U8, U16
 from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
-from alight.parallax.views import Prepared, choose_views, coarser, maps, picture_at, prepare_view, rgb_of, stack, toned
+from alight.parallax.views import (
+    Prepared,
+    centres_of,
+    choose_views,
+    enlarged,
+    level_of,
+    maps,
+    picture_at,
+    prepare_view,
+    rgb_of,
+    stack,
+    toned,
+)
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning
@@ -29,17 +41,15 @@ from alight.settings.tuning.parallax import ConsistencyTuning
 MOST_BYTES = 400_000_000  # of prepared views that are kept
 LEAST_KEPT = 16  # of them, however large
 LEAST_ACROSS = 64  # cells, least, that the shorter side of a halved picture covers: smaller ones show too little
-PYRAMID = 4 / 3  # memory of an image with all its halvings over that of itself
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
     """Median height over the sweeps of several reference views (the lower of two), with that sweep's cost ratio."""
-    heights = np.stack([h for h, _ in sweeps])
+    heights = np.stack([s.height for s in sweeps])
     order = np.argsort(heights, axis=0)  # NaN last
     middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
     which = np.take_along_axis(order, middle[None], axis=0)
-    height, ratio = (np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*sweeps, strict=True))
-    return height, ratio
+    return Swept(*(np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*sweeps, strict=True)))
 
 
 class Images:
@@ -68,14 +78,11 @@ class Images:
         with self._lock:
             if key not in self._ready:
                 self._ready[key] = [prepare_view(self.views[index], self.cell, float(self.heights[index]))]
-                each = PYRAMID * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)
+                each = 4 / 3 * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)  # with all halvings
                 while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                     self._ready.popitem(last=False)
             self._ready.move_to_end(key)
-            levels = self._ready[key]
-            while len(levels) <= halved:
-                levels.append(coarser(levels[-1]))
-            return levels[halved]
+            return level_of(self._ready[key], halved)
 
 
 class Match(NamedTuple):
@@ -117,37 +124,33 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     if not np.isfinite(start).any():
         return None
     seen = refine.view_geometry(fine, grid, start, ground)
-    per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
-    visible = refine.visible_from(fine, grid, start, per_px, settings.refinement.occlusion_px)
-    fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement.iterations, settings.refinement)
-    rgb = colour(views, fine, grid, fit.height, visible)
+    per_px = enlarged(seen.metres_per_px, grid.shape, refine.SEEN_BLOCK)
+    centres, whole = centres_of(fine), (slice(0, grid.rows), slice(0, grid.cols))
+    skyline = refine.Skyline.of(start, grid, centres)
+    visible = skyline.visible(centres, whole, per_px, settings.refinement.occlusion_px)
+    fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement)
+    rgb = colour(views, fine, fit, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
-    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
-    heights = trust.judged(fine, grid, fit, ratio, (low, high), sampling, rgb, settings.uncertainty)
-    flags = heights.flags | _moves(images, chosen, fit, grid, settings.consistency)
+    sampling = enlarged(seen.sampling, grid.shape, refine.SEEN_BLOCK)
+    heights = trust.judged(fit, ratio, fine, (low, high), sampling, rgb, settings.uncertainty)
+    flags = heights.flags | _moves(images, chosen, fit, settings.consistency)
     return Match(replace(heights, flags=flags), views)
 
 
-def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid, tuning: ConsistencyTuning) -> U16:
+def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: ConsistencyTuning) -> U16:
     """MOVING flags (R, C) from pairs of synchronous views, with some of the chosen views among them."""
     pairs = witness.instants(images.views)
-    asked = pairs[np.isin(pairs, chosen).any(axis=1)]
-    asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(tuning.pairs, len(asked))).astype(int))]
-    if not len(asked):
-        return np.zeros(grid.shape, np.uint16)
-    samples = stack([images.get(int(i)) for i in asked.ravel()], grid, fit.height)
-    pairs = np.arange(asked.size).reshape(-1, 2)
-    return witness.moving(samples, pairs, fit, grid, tuning.least_views_batch, tuning)
+    some = pairs[np.isin(pairs, chosen).any(axis=1)]
+    some = some[np.unique(np.linspace(0, len(some) - 1, min(tuning.pairs, len(some))).astype(int))]
+    if not len(some):
+        return np.zeros(fit.grid.shape, np.uint16)
+    samples = stack([images.get(int(i)) for i in some.ravel()], fit.grid, fit.height)
+    return witness.moving(samples, np.arange(some.size).reshape(-1, 2), fit, tuning.least_views_batch, tuning)
 
 
-def colour(
-    views: list[View],
-    fine: list[Prepared],
-    grid: Grid,
-    height: F32,
-    visible: U8,
-) -> U8:
+def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8) -> U8:
     """Colour of each cell with a height from the steepest view that sees it, (R, C, 3)."""
+    grid, height = fit.grid, fit.height
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()
     left = np.isfinite(height)
@@ -157,7 +160,7 @@ def colour(
             if not left.any():
                 return out
             mx, my = maps(fine[i], grid, height)
-            ok = left & (mx >= 0) & ((refine.enlarged(visible[i], grid, 2) > 0) | (not strict))
+            ok = left & (mx >= 0) & ((enlarged(visible[i], grid.shape, 2) > 0) | (not strict))
             if ok.any():
                 seen = toned(picture_at(rgb_of(views[i].image), views[i].camera, fine[i], mx, my), views[i])
                 out[ok] = seen[ok]

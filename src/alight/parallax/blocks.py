@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.geometry import Grid
+from alight.geometry import Box, Grid
 from alight.settings.tuning.parallax import RecursiveTuning
 
 SIDE = 64  # cells of a block
@@ -30,8 +30,6 @@ ROUGH = 8  # times less work at half the resolution
 MOST_NEW = 0.5  # of the blocks that are seen, from which the map begins
 AT_START = 3  # factor by which a step may refine more then
 SWEPT_AT_START = 2  # factor by which it may sweep more
-
-Box = tuple[slice, slice]  # rows and columns of the window
 
 
 @dataclass(frozen=True)
@@ -96,19 +94,18 @@ class Blocks:
 
     def __init__(self, tuning: RecursiveTuning) -> None:
         self._tuning, self._step = tuning, 0
-        self._row, self._col = 0, 0
         self._begins = True
         self._rate = 0.0  # samples of first sweeps in a step, until none is due
-        self._first = np.zeros(2, np.int64)  # row and column of the window in the raster
+        self._first = np.zeros(2, np.int64)  # row and column in the raster of the first block
+        self._offset = np.zeros(2, np.int64)  # rows and columns from its corner to the window
         self._shape = (0, 0)  # of the window
         self._cell = 1.0  # metres
-        self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
-        self.recolour = False  # blocks that were never visited have coarse colours
+        self.forget(sharper=False)
 
     def forget(self, sharper: bool) -> None:
         """Make all blocks new; their colours are coarse where the cells became smaller (`sharper`)."""
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
-        self.recolour = sharper
+        self.recolour = sharper  # blocks that were never visited have coarse colours
 
     def begin_anew(self) -> None:
         """Make all blocks new, and the map one that begins."""
@@ -118,31 +115,24 @@ class Blocks:
     def move_to(self, grid: Grid) -> None:
         """Begin a step over this window."""
         self._step += 1
-        first = np.array([round(-grid.north / grid.cell - 0.5), round(grid.east / grid.cell - 0.5)])
-        row, col = (int(v) for v in first // SIDE)
-        rows, cols = (int(v) for v in (first + grid.shape - 1) // SIDE - (row, col) + 1)
+        corner = np.array([round(-grid.north / grid.cell - 0.5), round(grid.east / grid.cell - 0.5)])
+        first, self._offset = corner // SIDE, corner % SIDE
+        shape = (self._offset + grid.shape - 1) // SIDE + 1
         self._count, self._last, self._since = (
-            _moved(old, (row - self._row, col - self._col), (rows, cols), empty)
+            _moved(old, first - self._first, shape, empty)
             for old, empty in ((self._count, 0), (self._last, NEVER), (self._since, NEVER))
         )
-        self._row, self._col, self._first, self._shape, self._cell = row, col, first, grid.shape, grid.cell
+        self._first, self._shape, self._cell = first, grid.shape, grid.cell
 
     def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
         """Sums of masks (3, R / every, C / every), a sample of the cells, over each block."""
-        rows, cols = (
-            _members(n, every, int(f) - SIDE * b, blocks)
-            for n, f, b, blocks in zip(
-                kinds.shape[1:], self._first, (self._row, self._col), self._count.shape, strict=True
-            )
-        )
+        edges = zip(kinds.shape[1:], self._offset, self._count.shape, strict=True)
+        rows, cols = (_members(n, every, int(at), blocks) for n, at, blocks in edges)
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
 
     def plan(self, counts: Counts, below: tuple[float, float], sweep: SweepCost, effort: Effort) -> Plan:
         """Choose the work of a step; `below`: row and column of the window under the newest view."""
-        middle = [
-            SIDE * (b + np.arange(n) + 0.5) - f
-            for b, n, f in zip((self._row, self._col), self._count.shape, self._first, strict=True)
-        ]
+        middle = [SIDE * (np.arange(n) + 0.5) - at for n, at in zip(self._count.shape, self._offset, strict=True)]
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
         away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
         seen = counts.fresh + counts.known >= LEAST
@@ -188,10 +178,8 @@ class Blocks:
 
     def _box(self, of: Rectangle) -> Box:
         """The cells of the window in a rectangle of blocks."""
-        edges = zip(
-            (of.top, of.left), (of.bottom, of.right), (self._row, self._col), self._first, self._shape, strict=True
-        )
-        r, c = (slice(max(SIDE * (a + b) - int(f), 0), min(SIDE * (z + b) - int(f), n)) for a, z, b, f, n in edges)
+        edges = zip(((of.top, of.bottom), (of.left, of.right)), self._offset, self._shape, strict=True)
+        r, c = (slice(*(min(max(SIDE * end - int(at), 0), n) for end in ends)) for ends, at, n in edges)
         return r, c
 
     def never_visited(self, box: Box) -> bool:
@@ -205,27 +193,26 @@ class Blocks:
             known, changed: masks of a sample of its cells, `every` cells apart: had a height before, has another now.
         """
         inside = self._inside(box)
-        blocks = [s.stop - s.start for s in inside]
-        starts = (s.start + int(f) for s, f in zip(box, self._first, strict=True))
-        rows, cols = (_members(n, every, at % SIDE, b) for n, at, b in zip(known.shape, starts, blocks, strict=True))
+        edges = zip(known.shape, box, self._offset, inside, strict=True)
+        rows, cols = (_members(n, every, (s.start + int(at)) % SIDE, b.stop - b.start) for n, s, at, b in edges)
         had, moved = (rows @ m.astype(np.float32) @ cols.T for m in (known, known & changed))
         self._count[inside] = np.where(moved > self._tuning.unsettled * had, 0, self._count[inside] + 1)
         self._last[inside] = self._step
 
     def _inside(self, box: Box) -> Box:
-        numbers = zip(box, (self._row, self._col), self._first, strict=True)
-        r, c = (slice((s.start + int(f)) // SIDE - b, (s.stop - 1 + int(f)) // SIDE - b + 1) for s, b, f in numbers)
+        """The blocks that a rectangle of the window touches."""
+        edges = zip(box, self._offset, strict=True)
+        r, c = (slice((s.start + int(at)) // SIDE, (s.stop - 1 + int(at)) // SIDE + 1) for s, at in edges)
         return r, c
 
 
-def _moved(old: I64, by: tuple[int, int], shape: tuple[int, int], empty: int) -> I64:
+def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
     """Move the values of a raster of blocks to one that begins `by` blocks further and has another shape."""
     out = np.full(shape, empty, np.int64)
-    there = [slice(max(b, 0), max(min(b + n, m), 0)) for b, n, m in zip(by, shape, old.shape, strict=True)]
-    here = [slice(s.start - b, s.start - b + max(s.stop - s.start, 0)) for s, b in zip(there, by, strict=True)]
-    part = old[there[0], there[1]]
-    if part.size:
-        out[here[0], here[1]] = part
+    low = np.maximum(by, 0)
+    size = np.maximum(np.minimum(by + shape, old.shape) - low, 0)
+    there, here = (tuple(slice(a, a + n) for a, n in zip(start, size, strict=True)) for start in (low, low - by))
+    out[here] = old[there]
     return out
 
 

@@ -4,8 +4,7 @@ import numpy as np
 
 from alight.arrays import F32, I64
 from alight.compiled import kernel, parallel_kernel, prange
-
-ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+from alight.parallax.single_kernels import HALF, ONE, ZERO
 
 
 @kernel

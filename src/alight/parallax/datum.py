@@ -1,26 +1,47 @@
 """The common error of a batch map: offset and tilt by the poses' errors, and the rest that a plane leaves.
 
-The joint covariance of the poses is propagated to the matched points, and a plane is fitted to their errors
-(docs/method/uncertainty.md, eqs. 26 and 27).
+A wrong pose moves the ground that the view sees along with its body. Where the views of a point move it to different
+places, the match is the point nearest to all of them. So height and place are linear in the poses' errors: their joint
+covariance is propagated to the matched points, and a plane is fitted to their errors (docs/method/uncertainty.md,
+eqs. 26 and 27).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from alight.arrays import F32, F64, I64
-from alight.geometry import Grid
-from alight.parallax.pose_error import Matched, sensitivity
+from alight.arrays import F32, F64, I64, Mask
+from alight.geometry import Camera, Grid, skew
+from alight.parallax.views import inside_picture
 from alight.raster import gradient, nearest_known
-from alight.records import Datum, ElevationMap, KeyframePosterior
+from alight.records import Datum, ElevationMap, KeyframePosterior, View
 
 SAMPLES = 900  # cells of the map that are sampled, about
 LEAST = 12  # of them, least for a plane
 SLOPE_CELLS = 1.5  # 1-sigma of the Gaussian over which the slope of the map is taken: heights are no finer
+
+
+class Matched(NamedTuple):
+    """The views that the heights of a tile were matched with, without their pictures."""
+
+    grid: Grid
+    views: tuple[View, ...]
+
+    @classmethod
+    def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
+        """Keep the grid and the views without their pictures."""
+        return cls(grid, tuple(replace(v, image=np.empty((0, 0), np.uint8)) for v in views))
+
+    def holds(self, east: F64, north: F64) -> Mask:
+        """True for places (metres, east and north) that lie in the tile."""
+        row, col = self.grid.index(east, north)
+        inside = (row >= -0.5) & (row < self.grid.rows - 0.5) & (col >= -0.5) & (col < self.grid.cols - 0.5)
+        return np.asarray(inside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +60,10 @@ def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframeP
     shared = shared_error(found, matched, joint)
     if shared is None:
         return found
-    bend, shift = (_on(found.grid, shared, v) for v in (shared.bend, shared.shift))
+    out, known = np.zeros((2, *found.grid.shape), np.float32), np.zeros(found.grid.shape, dtype=bool)
+    at = shared.rows, shared.cols
+    out[:, *at], known[at] = (shared.bend, shared.shift), True
+    bend, shift = (nearest_known(v, known) for v in out)
     return replace(found, datum=shared.datum, warp=np.hypot(bend, shift * steepness(found)))
 
 
@@ -69,15 +93,15 @@ def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: Keyfram
 
 def steepness(found: ElevationMap) -> F32:
     """(R, C) root mean square slope of the map about each cell, metres a metre: height error a metre of shift."""
+
+    def blurred(values: F32) -> F32:
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), SLOPE_CELLS), dtype=np.float32)
+
     height, known = np.nan_to_num(found.height), np.isfinite(found.height).astype(np.float32)
-    share = np.maximum(_blurred(known), np.float32(1e-3))
-    level = _blurred(height * known) / share
+    share = np.maximum(blurred(known), np.float32(1e-3))
+    level = blurred(height * known) / share
     north, east = gradient(level, found.grid.cell)
-    return np.sqrt(_blurred((north**2 + east**2).astype(np.float32) * known) / share)
-
-
-def _blurred(values: F32) -> F32:
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), SLOPE_CELLS), dtype=np.float32)
+    return np.sqrt(blurred((north**2 + east**2).astype(np.float32) * known) / share)
 
 
 def _sampled(found: ElevationMap) -> tuple[I64, I64, F64]:
@@ -98,7 +122,7 @@ def _through(points: F64, matched: Sequence[Matched], joint: KeyframePosterior) 
     for tile in reversed(matched):
         mine = left & tile.holds(points[:, 0], points[:, 1])
         if mine.any():
-            out[mine] = sensitivity(points[mine], tile.cameras, joint)
+            out[mine] = sensitivity(points[mine], tile.views, joint)
             left &= ~mine
     return out
 
@@ -110,8 +134,63 @@ def _sigma(J: F64, covariance: F64) -> F64:
     return np.asarray(np.sqrt(variance.reshape(J.shape[:2]).sum(axis=1)))
 
 
-def _on(grid: Grid, shared: Shared, values: F64) -> F32:
-    """The value of the nearest sampled cell on every cell, (R, C)."""
-    out, known = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, dtype=bool)
-    out[shared.rows, shared.cols], known[shared.rows, shared.cols] = values, True
-    return np.asarray(nearest_known(out, known))
+def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) -> F64:
+    """Derivatives of matched points by the errors of the poses and the lens.
+
+    The displacement is the least-squares intersection of the displaced rays, each measured on the ground as in
+    the matching: of view i with ray `r`, `T_i = [I | -r_xy / r_z]`, and `dX = (sum T'T)^-1 sum T'T d_i`.
+
+    Args:
+        points: (S, 3) metres, the ground.
+        views: with which they were matched; the pictures are not used.
+        joint: the poses with errors; an exposure between two of them has their errors, interpolated in time.
+
+    Returns:
+        (S, 3, 6K + L) metres a metre, a radian or a unit of the lens; NaN where fewer than two views see a point.
+    """
+    S, M = len(points), len(joint.covariance)
+    normal, out, count = np.zeros((S, 3, 3)), np.zeros((S, 3, M)), np.zeros(S, np.int64)
+    for view in views:
+        ray = points - view.world_from_cam.translation
+        seen = inside_picture(view.camera, view.world_from_cam.inverse.apply(points))
+        T = np.zeros((S, 2, 3))
+        T[:, 0, 0] = T[:, 1, 1] = 1.0
+        T[:, :, 2] = -ray[:, :2] / np.where(np.abs(ray[:, 2:]) > 1e-6, ray[:, 2:], -1e-6)
+        W = np.where(seen[:, None, None], T.transpose(0, 2, 1) @ T, 0.0)
+        normal += W
+        count += seen
+        for k, share in _shares(view.t_ns, joint):
+            out[:, :, 6 * k : 6 * k + 6] += share * (W @ _carried(points, joint.motions[k].world_from_body.translation))
+        for n, lens in enumerate(joint.lenses):
+            out[:, :, M - len(joint.lenses) + n] += (W @ _bent(view, lens[view.cam], points, seen)[..., None])[..., 0]
+    found = np.linalg.solve(normal + 1e-9 * np.eye(3), out)  # so that a point seen along one ray has a solution
+    return np.asarray(np.where(count[:, None, None] >= 2, found, np.nan))
+
+
+def _carried(points: F64, body: F64) -> F64:
+    """(S, 3, 6): derivatives of the ground by an error of the body's pose, which must be added to the pose."""
+    out = np.zeros((len(points), 3, 6))
+    out[:, :, :3] = -np.eye(3)
+    out[:, :, 3:] = np.array([skew(p - body) for p in points])
+    return out
+
+
+def _bent(view: View, lens: Camera, points: F64, seen: Mask) -> F64:
+    """(S, 3) metres: displacement of the ground by a lens that is one unit off; 0 where it is not seen."""
+    out = np.zeros(points.shape)
+    in_cam = view.world_from_cam.inverse.apply(points[seen])
+    true = lens.rays(view.camera.project(in_cam))
+    out[seen] = (in_cam - true / true[:, 2:] * in_cam[:, 2:]) @ view.world_from_cam.rotation.T
+    return out
+
+
+def _shares(t_ns: int, joint: KeyframePosterior) -> list[tuple[int, float]]:
+    """Exposures of the joint covariance whose errors an exposure at `t_ns` has, with the share of each."""
+    times = np.array([m.t_ns for m in joint.motions], np.int64)
+    k = int(np.searchsorted(times, t_ns))
+    if k == len(times):
+        return [(k - 1, 1.0)]
+    if k == 0 or times[k] == t_ns:
+        return [(k, 1.0)]
+    share = float(t_ns - times[k - 1]) / float(times[k] - times[k - 1])
+    return [(k - 1, 1.0 - share), (k, share)]

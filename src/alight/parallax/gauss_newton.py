@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, U8, Mask
-from alight.geometry import Grid
+from alight.geometry import Box, Grid
 from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
@@ -28,14 +26,15 @@ LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Heights, and the statistics of the last step; all (R, C)."""
+    """Heights of a grid, and the statistics of the last step; all (R, C)."""
 
+    grid: Grid
     height: F32
     precision: F32  # Lambda of the window, normalised grey^2 / m^2
     noise: F32  # s2 of the window, normalised grey^2
     mean: F32  # template m
-    used: NDArray[np.uint8]  # views that agreed
-    seen: NDArray[np.uint8]  # views that saw the cell
+    used: U8  # views that agreed
+    seen: U8  # views that saw the cell
     metres_per_px: F32  # height that moves the outermost of them apart by one cell
 
 
@@ -54,7 +53,7 @@ class ViewGeometry:
     """Geometry of the views at each block of cells."""
 
     baseline: F32  # metres between the outermost views that see it
-    count: NDArray[np.uint8]  # of these views
+    count: U8  # of these views
     metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
     sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
     views: Mask  # (N, ...) True for these views
@@ -81,12 +80,6 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: flo
     return ViewGeometry(baseline, count, per_px, sampling, columns >= 0)
 
 
-def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
-    """Expand the values of blocks of `factor` x `factor` cells to the cells of the grid."""
-    size = (values.shape[1] * factor, values.shape[0] * factor)
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
-
-
 @dataclass(frozen=True, eq=False)
 class Skyline:
     """A height map at half resolution, for tests of rays to the cameras."""
@@ -105,7 +98,7 @@ class Skyline:
         solid[solid <= LOWEST] = np.nan
         return cls(wide, solid, tops)
 
-    def visible(self, centres: F64, where: tuple[slice, slice], metres_per_px: F32, rise_px: float) -> U8:
+    def visible(self, centres: F64, where: Box, metres_per_px: F32, rise_px: float) -> U8:
         """Visibility (N, R / 2, C / 2) of a part of the map: 0 where it rises `rise_px` over a camera's ray (eq. 13).
 
         Args:
@@ -119,12 +112,6 @@ class Skyline:
             self.solid, self.tops, BLOCK, centres, *self.grid.xy(), self.grid.cell, margin, top, left, out
         )
         return out
-
-
-def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float) -> U8:
-    """(N, R / 2, C / 2): 0 where the map, without single spikes, rises `rise_px` over a ray to the camera (eq. 13)."""
-    centres, whole = centres_of(prepared), (slice(0, grid.rows), slice(0, grid.cols))
-    return Skyline.of(height, grid, centres).visible(centres, whole, metres_per_px, rise_px)
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
@@ -148,8 +135,7 @@ def gauss_newton(
     grid: Grid,
     height: F32,
     metres_per_px: F32,
-    visible: NDArray[np.uint8] | None,
-    iterations: int,
+    visible: U8 | None,
     tuning: RefinementTuning,
     buffers: Buffers | None = None,
 ) -> Fit:
@@ -166,7 +152,7 @@ def gauss_newton(
     used, seen = held.get("used", shape, np.uint8), held.get("seen", shape, np.uint8)
     np.copyto(h, height)
     centres, scale = centres_of(prepared), np.float32(tuning.residual_scale)
-    for _ in range(iterations):
+    for _ in range(tuning.iterations):
         samples = stack(prepared, grid, h, held)
         if visible is not None:
             uncertainty_kernels.veil(visible, samples)
@@ -176,4 +162,4 @@ def gauss_newton(
         kernels.solve_window(lam, eta, s2, h, metres_per_px, tuning.step_px, step, precision, noise)
         moved = np.add(h, step, out=step)
         visibility_kernels.plane_prior(moved, precision, noise, metres_per_px, tuning.plane_prior, h)
-    return Fit(h, precision, noise, mean, used, seen, metres_per_px)
+    return Fit(grid, h, precision, noise, mean, used, seen, metres_per_px)

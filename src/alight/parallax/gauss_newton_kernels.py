@@ -8,6 +8,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, I64, U8
 from alight.compiled import inline, kernel, parallel_kernel, pixelwise, prange
+from alight.parallax.single_kernels import ONE, TWO, ZERO
 from alight.parallax.sorting_kernels import fill_row, median_row, sort_rows
 
 UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that its weight is zero
@@ -17,7 +18,6 @@ STRIDE = CHUNK + 4  # with two neighbours on either side
 F = np.float32
 Three = tuple[np.float32, np.float32, np.float32]
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @kernel
@@ -37,19 +37,10 @@ def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
 
 
 @kernel
-def _weigh_row(s: F32, median: F32, narrow: np.float32, w: F32, sw: F32, sm: F32, used: F32) -> None:
-    for c in range(s.size):
-        w[c], wm, one = _weigh(s[c], median[c], narrow)
-        sw[c] += w[c]
-        sm[c] += wm
-        used[c] += one
-
-
-@kernel
 def _weigh_two_rows(
     s1: F32, s2: F32, median: F32, narrow: np.float32, w1: F32, w2: F32, sw: F32, sm: F32, used: F32
 ) -> None:
-    """Two views at once: loading and storing the sums costs as much as a view."""
+    """Two views at once: loading and storing the sums costs as much as a view. The last may be a row of NaN."""
     for c in range(s1.size):
         a, am, one = _weigh(s1[c], median[c], narrow)
         b, bm, other = _weigh(s2[c], median[c], narrow)
@@ -67,10 +58,10 @@ def _mean_row(sw: F32, sm: F32, mean: F32) -> None:
 
 @kernel
 def _template_row(
-    samples: F32, r: int, pairs: I64, narrow: np.float32, views: F32, sm: F32, median: F32,
+    samples: F32, nothing: F32, r: int, pairs: I64, narrow: np.float32, views: F32, sm: F32, median: F32,
     weights: F32, sw: F32, mean: F32, used: F32, seen: F32,
 ) -> None:  # fmt: skip
-    """One row of the template; `views` (N, C), `sm` and `median` are scratch."""
+    """One row of the template; `views` (N, C), `sm` and `median` are scratch, `nothing` is a row of NaN."""
     n = samples.shape[0]
     sw[:], sm[:], used[:], seen[:] = ZERO, ZERO, ZERO, ZERO
     for i in range(n):
@@ -78,12 +69,9 @@ def _template_row(
     sort_rows(views, pairs)
     median_row(views, seen, median)
     _no_lone_row(seen, median)
-    for i in range(0, n - 1, 2):
-        _weigh_two_rows(
-            samples[i, r], samples[i + 1, r], median, narrow, weights[i], weights[i + 1], sw, sm, used
-        )  # fmt: skip
-    if n % 2:
-        _weigh_row(samples[n - 1, r], median, narrow, weights[n - 1], sw, sm, used)
+    for i in range(0, n, 2):
+        other = samples[i + 1, r] if i + 1 < n else nothing
+        _weigh_two_rows(samples[i, r], other, median, narrow, weights[i], weights[i + 1], sw, sm, used)
     _mean_row(sw, sm, mean)
 
 
@@ -96,9 +84,11 @@ def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32) -> N
     n, rows, cols = samples.shape
     narrow = np.float32(1.0 / (16.0 * tau * tau))
     for r in prange(rows):
-        views, work = np.empty((n, cols), np.float32), np.empty((n, cols), np.float32)
-        rest = np.empty((5, cols), np.float32)
-        _template_row(samples, r, pairs, narrow, views, rest[0], rest[1], work, rest[2], mean[r], rest[3], rest[4])
+        views, work = np.empty((n, cols), np.float32), np.empty((n + n % 2, cols), np.float32)
+        rest, nothing = np.empty((5, cols), np.float32), np.full(cols, np.nan, np.float32)
+        _template_row(
+            samples, nothing, r, pairs, narrow, views, rest[0], rest[1], work, rest[2], mean[r], rest[3], rest[4]
+        )
         for i in range(n):
             weights[i, r] = work[i]
 
@@ -120,35 +110,11 @@ def _share(s: np.float32, w: np.float32, m: np.float32, g: np.float32, drop: np.
 
 
 @kernel
-def _sum_row(
-    s: F32,
-    w: F32,
-    m: F32,
-    h: F32,
-    gx: F32,
-    gy: F32,
-    place: Three,
-    cell: np.float32,
-    sq: F32,
-    sqq: F32,
-    sqe: F32,
-    see: F32,
-) -> None:
-    """Add one view's row to the sums of w q, w q^2, w q e, w e^2; those of w e are zero, m being the mean."""
-    for c in range(s.size):
-        g = gx[c] * (place[0] + np.float32(c) * cell) + gy[c] * place[1]
-        a = _share(s[c], w[c], m[c], g, place[2] - h[c])
-        sq[c] += a[0]
-        sqq[c] += a[1]
-        sqe[c] += a[2]
-        see[c] += a[3]
-
-
-@kernel
 def _sum_two_rows(
     s1: F32, s2: F32, w1: F32, w2: F32, m: F32, h: F32, gx: F32, gy: F32, place1: Three, place2: Three,
     cell: np.float32, sq: F32, sqq: F32, sqe: F32, see: F32,
 ) -> None:  # fmt: skip
+    """Add two views' rows to the sums of w q, w q^2, w q e, w e^2; those of w e are zero, m being the mean."""
     for c in range(s1.size):
         k = np.float32(c) * cell
         a = _share(s1[c], w1[c], m[c], gx[c] * (place1[0] + k) + gy[c] * place1[1], place1[2] - h[c])
@@ -201,15 +167,17 @@ def normal_equations(
     scale, narrow = np.float32(0.5 / cell), np.float32(1.0 / (16.0 * tau * tau))
     for band in prange((rows + BAND - 1) // BAND):
         first, end = band * BAND, min(rows, band * BAND + BAND)
-        views, weights = np.empty((n, cols), np.float32), np.empty((3, n, cols), np.float32)
+        views, weights = np.empty((n, cols), np.float32), np.empty((3, n + n % 2, cols), np.float32)
         of_three = np.empty((3, 4, cols), np.float32)  # mean, sum of weights, used, seen of a row and its neighbours
         sm, median = np.empty(cols, np.float32), np.empty(cols, np.float32)
+        nothing = np.full(cols, np.nan, np.float32)
         sums, gx, gy = np.empty((4, cols), np.float32), np.empty(cols, np.float32), np.empty(cols, np.float32)
         for ahead in range(max(first - 1, 0), min(end + 1, rows) + 1):
             if ahead < rows:
                 k = of_three[ahead % 3]
                 _template_row(
-                    samples, ahead, pairs, narrow, views, sm, median, weights[ahead % 3], k[1], k[0], k[2], k[3]
+                    samples, nothing, ahead, pairs, narrow, views, sm, median, weights[ahead % 3],
+                    k[1], k[0], k[2], k[3],
                 )  # fmt: skip
             r = ahead - 1
             if r < first or r >= end:
@@ -224,16 +192,12 @@ def normal_equations(
             if 0 < r < rows - 1:
                 _gradient_row(m, of_three[(r - 1) % 3, 0], of_three[(r + 1) % 3, 0], scale, gx, gy)
                 w = weights[r % 3]
-                for i in range(0, n - 1, 2):
+                for i in range(0, n, 2):
+                    other, j = (samples[i + 1, r], i + 1) if i + 1 < n else (nothing, i)
                     _sum_two_rows(
-                        samples[i, r], samples[i + 1, r], w[i], w[i + 1], m, h[r], gx, gy,
-                        _place(centres, i, xs[0], ys[r]), _place(centres, i + 1, xs[0], ys[r]), np.float32(cell),
+                        samples[i, r], other, w[i], w[i + 1], m, h[r], gx, gy,
+                        _place(centres, i, xs[0], ys[r]), _place(centres, j, xs[0], ys[r]), np.float32(cell),
                         sums[0], sums[1], sums[2], sums[3],
-                    )  # fmt: skip
-                if n % 2:
-                    _sum_row(
-                        samples[n - 1, r], w[n - 1], m, h[r], gx, gy, _place(centres, n - 1, xs[0], ys[r]),
-                        np.float32(cell), sums[0], sums[1], sums[2], sums[3],
                     )  # fmt: skip
             _normal_row(sums, sw, gx, gy, m, agree, lam[r], eta[r], s2[r])
 
@@ -277,7 +241,7 @@ def _five(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse
 def _window_row(h: F32, lam: F32, eta: F32, s2: F32, inverse: F32, sl: F32, se: F32, sn: F32, sw: F32) -> None:
     """Sum 5 x 5 neighbours of a row of cells; arrays of rows `STRIDE` long from the upper left neighbour on.
 
-    Unrolled, unsigned and with a stride that the compiler knows: three times as fast as a loop over neighbours.
+    Unrolled, unsigned and with a constant stride: three times as fast as a loop over neighbours.
     """
     for c in range(inverse.size):
         i, around = np.uintp(c), (ZERO, ZERO, ZERO, ZERO)

@@ -7,13 +7,13 @@ shows them in noise; the mean of five has less of it (docs/method/p-safe.md, G9b
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, U8, Mask
-from alight.geometry import Grid, box_of, ground_projection
+from alight.geometry import Box, Grid, box_of, ground_projection
 from alight.parallax import orthophoto_kernels as kernels
 from alight.parallax.views import (
     border_rays,
@@ -35,20 +35,7 @@ FLAT = 0.05  # sine of the angle to the ground below which a ray's end on it is 
 COARSER = 1.5  # a view whose pixel is larger than that of the finest by this factor does not count beside it
 
 
-def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
-    for r in range(0, grid.rows, BLOCK):
-        for c in range(0, grid.cols, BLOCK):
-            rows, cols = min(BLOCK, grid.rows - r), min(BLOCK, grid.cols - c)
-            yield slice(r, r + rows), slice(c, c + cols), grid.window(r, c, rows, cols)
-
-
-def _within(outer: tuple[slice, slice], inner: tuple[slice, slice]) -> tuple[slice, slice]:
-    """Rows and columns of a window within a window, in the numbers of the whole."""
-    (r, c), (dr, dc) = outer, inner
-    return slice(r.start + dr.start, r.start + dr.stop), slice(c.start + dc.start, c.start + dc.stop)
-
-
-def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> tuple[slice, slice]:
+def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
     """Rows and columns of a grid that a picture may show where the ground lies between two heights, metres."""
     everything = slice(0, grid.rows), slice(0, grid.cols)
     if centre[2] <= high or (rays[:, 2] > -FLAT * np.linalg.norm(rays, axis=1)).any():
@@ -73,12 +60,12 @@ class _Sums:
         self.seen, self.use = np.empty((*grid.shape, 3), np.uint8), np.empty(grid.shape, np.bool_)
         self.pixel = np.empty(grid.shape, np.float32)
 
-    def add(self, view: View, grid: Grid, height: F32, at: tuple[slice, slice], level: float, count: int) -> None:
+    def add(self, view: View, grid: Grid, height: F32, at: Box, level: float, count: int) -> None:
         """Add one view where a window wants it, brought to the exposure of the views before."""
-        camera, part = view.camera, grid.window(at[0].start, at[1].start, *self.wants[at].shape)
+        camera, part = view.camera, grid.part(at)
         picture, exposures = np.asarray(view.image), np.empty((part.rows, kernels.EXPOSURES))
         seen, use, pixel = self.seen[at], self.use[at], self.pixel[at]
-        kernels.look(
+        kernels.sample_view(
             np.ascontiguousarray(picture if picture.ndim == 3 else picture[..., None]), tone_of(view),
             *ground_projection(camera, view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
             camera.coefficients, camera.code, radius2_limit(camera), rolling_of(view), view.centre, *part.xy(),
@@ -107,8 +94,8 @@ def _block(
     sums = _Sums(grid, wants)
     for i in np.argsort(away, kind="stable"):
         box = _window(rays[i], views[i].centre, grid, low, high)
-        at = _within(box, box_of(wants[box]))
-        if wants[at].size:
+        r, c = (slice(o.start + s.start, o.start + s.stop) for o, s in zip(box, box_of(wants[box]), strict=True))
+        if wants[(at := (r, c))].size:
             sums.add(views[i], grid, height, at, level, count)
     mean = sums.total / np.maximum(sums.number, 1)[..., None]
     return np.asarray(mean, np.float32), sums.number, sums.finest
@@ -128,13 +115,6 @@ def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:
     return int(np.clip(2 ** math.ceil(math.log2(max(0.95 * elevation.grid.cell / finest, 1e-3))), 1, MOST))
 
 
-def _affordable(wanted: int, cells: int, most: int) -> int:
-    """Fine pixels a cell, each way, of a map of `cells` cells: `wanted`, or fewer: `most` pixels in all."""
-    while wanted > 1 and cells * wanted**2 > most:
-        wanted //= 2
-    return wanted
-
-
 def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, most: int = LARGE) -> tuple[U8, F32]:
     """Picture of the ground of a map on its views' own pixels.
 
@@ -150,15 +130,18 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
         Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
     """
     grid, wanted = elevation.grid, pixels_a_cell(views, elevation)
-    factor = _affordable(wanted, elevation.height.size, most)
+    factor = wanted
+    while factor > 1 and elevation.height.size * factor**2 > most:
+        factor //= 2
     narrowest = np.float32(grid.cell / factor if factor < wanted else 0.0)
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
     out, sampling = upsample(elevation.rgb, factor), np.maximum(elevation.sampling, np.float32(grid.cell))
     rays = [border_rays(v.camera) @ v.world_from_cam.rotation.T for v in views]
-    for rows, cols, part in _blocks(grid):
+    starts = ((r, c) for r in range(0, grid.rows, BLOCK) for c in range(0, grid.cols, BLOCK))
+    for rows, cols in (tuple(slice(a, min(a + BLOCK, n)) for a, n in zip(s, grid.shape, strict=True)) for s in starts):
         if not unseen[rows, cols].all():
-            fine = part.finer(factor)
+            fine = grid.part((rows, cols)).finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
             near = may_see(views, fine, float(up.min()), float(up.max()))

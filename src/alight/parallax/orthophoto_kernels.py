@@ -39,7 +39,7 @@ def _wanted(wants: Mask) -> tuple[int, int]:
 
 
 @parallel_kernel
-def look(
+def sample_view(
     image: U8,
     tone: U8,
     H: F64,

@@ -16,15 +16,14 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, I32, I64, Mask
-from alight.geometry import Grid, box_of
+from alight.geometry import Box, Grid, box_of
 from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Prepared, centres_of, maps, sample, when_exposed
+from alight.parallax.views import Prepared, centres_of, enlarged, maps, sample, when_exposed
 from alight.settings.tuning.parallax import SweepTuning
 
 SEEN_BLOCK = 8  # cells: resolution at which the border of the reference is known
 LEAST_SIDE = 16  # coarse cells across which aggregation finds a surface
-SLACK, BROAD_SLACK = 2, 8  # planes beyond the heights found: at the finest cells, and at those between
 OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
 CLOSE = 0.2  # of the height of the lowest view above the heights searched: the part nearer to it is not swept
 MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # margin about the other heights: share of their span, and coarse planes
@@ -39,11 +38,16 @@ class Reach(NamedTuple):
     slack: int  # planes beyond these
 
 
-NARROW, BROAD = Reach(1, 6, SLACK), Reach(8, 16, BROAD_SLACK)  # at the finest cells, and at those between
+NARROW, BROAD = Reach(1, 6, 2), Reach(8, 16, 8)  # at the finest cells, and at those between
 
 Span = tuple[float, float]  # lowest and highest height, metres
-Where = tuple[slice, slice]  # rows and columns of a tile
-Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second height fits; NaN where unseen
+
+
+class Swept(NamedTuple):
+    """Result of a sweep, (R, C); NaN where unseen."""
+
+    height: F32  # metres
+    ratio: F32  # best over second-best cost, near 1 where a second height fits
 
 
 def parallax_per_metre(centres: F64, height: float) -> float:
@@ -52,14 +56,8 @@ def parallax_per_metre(centres: F64, height: float) -> float:
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
-def planes(centres: F64, low: float, high: float, cell: float, most: int) -> F32:
-    """Heights of the planes to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
-    count = plane_count(parallax_per_metre(centres, 0.5 * (low + high)), low, high, cell, most)
-    return np.linspace(low, high, count).astype(np.float32)
-
-
 def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
-    """Number of planes for a `slide` of the outermost views, metres a metre of height; at most `most`."""
+    """Number of planes for a `slide` of the outermost views, metres a metre of height: 0.7 cells of parallax apart."""
     return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
@@ -135,43 +133,50 @@ def sweep_unseen(
         searched: lowest and highest height, metres.
         known: heights (R, C), NaN where there are none; those about a region narrow the search there.
     """
-    height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
-    left, tried = wanted.copy(), list[tuple[Where, int]]()
+    out = _nothing(grid)
+    left, tried = wanted.copy(), list[tuple[Box, int]]()
     for _ in range(tuning.most_references):
         for where in regions(left, tuning.least_wanted, tuning.least_blocks):
-            rows, cols = where
-            part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
-            before = [k for its, k in tried if meet(its, where)]
+            part = grid.part(where)
+            before = [
+                k for its, k in tried
+                if all(a.start < b.stop and b.start < a.stop for a, b in zip(its, where, strict=True))
+            ]  # fmt: skip
             reference = best_reference(pyramid[0], part, ground, left[where], before)
             if reference is None:
                 continue
             tried.append((where, reference))
             heights = searched if known is None else heights_about(known, where, searched)
-            found, of = sweep(pyramid, part, heights, ground, reference, tuning)
-            take = left[where] & np.isfinite(found)
-            np.copyto(height[where], found, where=take)
-            np.copyto(ratio[where], of, where=take)
+            found = sweep(pyramid, part, heights, ground, reference, tuning)
+            take = left[where] & np.isfinite(found.height)
+            for whole, new in zip(out, found, strict=True):
+                np.copyto(whole[where], new, where=take)
             left[where] &= ~take
-    return height, ratio
+    return out
 
 
-def meet(one: Where, other: Where) -> bool:
-    """True if two parts of a tile share cells."""
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
+def _nothing(grid: Grid) -> Swept:
+    """The result where nothing is seen."""
+    return Swept(np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32))
 
 
-def heights_about(known: F32, where: Where, searched: Span) -> Span:
+def heights_about(known: F32, where: Box, searched: Span) -> Span:
     """The heights to search in a part of a tile: those `known` (R, C) about it, with a margin, if there are enough."""
     rows, cols = (slice(max(s.start - ABOUT, 0), s.stop + ABOUT) for s in where)
-    heights = known[rows, cols][np.isfinite(known[rows, cols])]
-    if len(heights) < LEAST_ABOUT:
+    return _narrowed(known[rows, cols], searched, MARGIN_ABOUT, LEAST_ABOUT)
+
+
+def _narrowed(found: F32, searched: Span, margin: float, least: int) -> Span:
+    """The part of the heights `searched` about those `found`, with a margin (metres), if there are at least so many."""
+    known = found[np.isfinite(found)]
+    if len(known) < least:
         return searched
-    low, high = (float(v) for v in np.percentile(heights, [OUTSIDE, 100.0 - OUTSIDE]))
-    margin = MARGIN_SHARE * (high - low) + MARGIN_ABOUT
+    low, high = (float(v) for v in np.percentile(known, [OUTSIDE, 100.0 - OUTSIDE]))
+    margin = MARGIN_SHARE * (high - low) + margin
     return max(searched[0], low - margin), min(searched[1], high + margin)
 
 
-def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Where]:
+def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Box]:
     """The rectangles about blocks with wanted cells; blocks with only a few of them are left out."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
@@ -210,7 +215,7 @@ def best_reference(
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """First and last plane that each ray tries, and the index of its first cost in the volume."""
+    """First and last plane that each ray tries; its costs lie side by side in the volume."""
 
     low: I32  # (R, C)
     high: I32  # (R, C)
@@ -234,7 +239,7 @@ class Spans:
         low[none] = high[none] = levels[0]
         spacing, last = levels[1] - levels[0], len(levels) - 1
         ends = np.floor((low - levels[0]) / spacing) - reach.slack, np.ceil((high - levels[0]) / spacing) + reach.slack
-        wide = (doubled(v, shape) for v in ends)
+        wide = (enlarged(v, shape, 2) for v in ends)
         return cls(*(np.clip(v, 0, last).astype(np.int32) for v in wide))
 
     @property
@@ -261,6 +266,8 @@ def sweep(
 ) -> Swept:
     """Find the height of every cell that view `reference` sees (docs/method/parallax.md, eqs. 6 and 7).
 
+    NaN where the reference or all others see nothing.
+
     Args:
         pyramid: the views at the cells of `grid`, then at cells twice as large and so on. The coarsest tries all
             planes that its views can separate, each finer one those about the heights of the coarser.
@@ -268,16 +275,12 @@ def sweep(
         searched: lowest and highest height, metres; heights nearer to the lowest view than `CLOSE` are left out.
         ground: metres, approximate height of most of it.
         reference: the view along whose rays heights are tried.
-
-    Returns:
-        heights (R, C), NaN where the reference or all others see nothing, and best/second cost (R, C), near 1 where a
-        second one fits.
     """
     pyramid = [[when_exposed(p, grid, ground) for p in views] for views in pyramid]
     about = pyramid[0][reference].centre
     lowest = float(centres_of(pyramid[0])[:, 2].min())
     if lowest <= searched[0]:
-        return np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
+        return _nothing(grid)
     searched = searched[0], min(searched[1], lowest - CLOSE * (lowest - searched[0]))
     ground = min(ground, searched[1])
     rays = ray_lattice(grid, ground, searched, pyramid[0][reference])
@@ -287,12 +290,14 @@ def sweep(
     found, ratio = np.empty((0, 0), np.float32), np.empty((0, 0), np.float32)
     for k in reversed(range(len(of))):
         views = register(pyramid[k], of[k], ground, searched, reference)
-        levels = planes(views.centres, *searched, of[k].cell, tuning.most_planes << (len(of) - 1 - k))
+        slide = parallax_per_metre(views.centres, 0.5 * (searched[0] + searched[1]))
+        count = plane_count(slide, *searched, of[k].cell, tuning.most_planes << (len(of) - 1 - k))
+        levels = np.linspace(*searched, count).astype(np.float32)
         narrow = k == 0 and len(of) > 1
         first, reach = k == len(of) - 1, NARROW if narrow else BROAD
         spans = Spans.whole(of[k].shape, len(levels)) if first else Spans.about(found, of[k].shape, levels, reach)
         found, doubt = along_rays(views, of[k], levels, spans, about, tuning)
-        ratio = np.fmax(doubt, doubled(ratio, rays.shape)) if narrow else doubt
+        ratio = np.fmax(doubt, enlarged(ratio, rays.shape, 2)) if narrow else doubt
         searched = narrowed(found, searched, float(levels[1] - levels[0]))
     return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
 
@@ -308,18 +313,7 @@ def extremes(found: F32, reach: int) -> tuple[F32, F32]:
 
 def narrowed(found: F32, searched: Span, spacing: float) -> Span:
     """Heights to search with smaller cells: those `found`, and a margin for objects too thin for the larger ones."""
-    known = found[np.isfinite(found)]
-    if not known.size:
-        return searched
-    low, high = (float(v) for v in np.percentile(known, [OUTSIDE, 100.0 - OUTSIDE]))
-    margin = MARGIN_SHARE * (high - low) + MARGIN_PLANES * spacing
-    return max(searched[0], low - margin), min(searched[1], high + margin)
-
-
-def doubled(values: F32, shape: tuple[int, int]) -> F32:
-    """Repeat the value of each 2 x 2 cells on all four, cut to `shape`."""
-    size = (2 * values.shape[1], 2 * values.shape[0])
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]])
+    return _narrowed(found, searched, MARGIN_PLANES * spacing, 1)
 
 
 def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: F64, tuning: SweepTuning) -> Swept:
@@ -346,7 +340,7 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
     index, ratio = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.float32)
     kernels.winner(total, cost, spans.low, spans.high, first, seen, index, ratio)
     found = levels[0] + (levels[1] - levels[0]) * index
-    return cv2.medianBlur(found.astype(np.float32), 3), ratio  # single spikes
+    return Swept(cv2.medianBlur(found.astype(np.float32), 3), ratio)  # without single spikes
 
 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
@@ -361,7 +355,7 @@ def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid:
     kernels.splat(found, ratio, ground, rays.cell, to, height, which)
     height = close_gaps(height, gap)
     np.copyto(which, np.float32(1), where=np.isnan(which) & np.isfinite(height))
-    return height, which
+    return Swept(height, which)
 
 
 def close_gaps(height: F32, reach: int) -> F32:

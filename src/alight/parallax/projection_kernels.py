@@ -4,11 +4,10 @@ import numpy as np
 
 from alight.arrays import F32, F64
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
+from alight.parallax.single_kernels import HALF, ONE, TWO, ZERO
 
-ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 NEAR = np.float32(1e-3)  # metres before the camera
 ROLLS = 3  # iterations for the pixel row: each leaves a tenth of the error or less
-TWELFTH = np.float32(1 / 12)
 OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
 
 
@@ -29,7 +28,7 @@ def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32)
         u, v, inverse = ideal[0, c], ideal[1, c], ONE / ideal[2, c]
         t = (mapy[c] + HALF) / height - HALF
         t = t if (t > -ONE) & (t < ONE) else ZERO
-        way, quadratic = t * inverse, t * t - TWELFTH
+        way, quadratic = t * inverse, t * t - np.float32(1 / 12)
         wx, wy, wz = t * r[3] + quadratic * r[6], t * r[4] + quadratic * r[7], t * r[5] + quadratic * r[8]
         scale = ONE / (ONE - r[2] * way - wx * v + wy * u)
         x[c], y[c] = (u - r[0] * way - wy + wz * v) * scale, (v - r[1] * way - wz * u + wx) * scale

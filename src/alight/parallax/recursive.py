@@ -13,18 +13,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, Mask
-from alight.geometry import Grid
+from alight.arrays import F32, F64, U8, Mask
+from alight.geometry import Box, Grid
 from alight.parallax import gauss_newton as refine
-from alight.parallax.blocks import Blocks, Box, Effort, Plan, SweepCost, effort_of
+from alight.parallax.blocks import Blocks, Effort, Plan, SweepCost, effort_of
 from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment
-from alight.parallax.views import Buffers, Kept
-from alight.parallax.window import APART, Refiner, Window, cells_of, first_of_twins
+from alight.parallax.views import Buffers, Kept, enlarged
+from alight.parallax.window import APART, Refiner, Window, first_of_twins
 from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
-
-HALF = 2  # cells of the map that a cell of a rough sweep spans
 
 
 class RecursiveParallax:
@@ -80,7 +78,7 @@ class RecursiveParallax:
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
             self._kept = [[Kept.of(k.view, cell, ground) for k in exposure] for exposure in self._kept]
 
-    def look_anew(self) -> None:
+    def reset_sweep(self) -> None:
         """Sweep every cell again before its height is used, as at the beginning."""
         self._ratio, self._unknown = None, np.float32(np.nan)
         self._blocks.begin_anew()
@@ -166,8 +164,8 @@ class RecursiveParallax:
         More exposures blur the edges of objects. A longer baseline takes more planes, and later steps have it.
         """
         seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
-        asked = max(1.0, float(np.median(self._wanted(ratio)[fresh])))
-        span, newest = 2 * asked * self._tuning.first_baseline * drop, seen[-1].view.centre
+        wanted = max(1.0, float(np.median(self._wanted(ratio)[fresh])))
+        span, newest = 2 * wanted * self._tuning.first_baseline * drop, seen[-1].view.centre
         near = [k for k in seen if np.linalg.norm(k.view.centre - newest) <= span]
         times = sorted({k.view.t_ns for k in near})
         at = np.linspace(0, len(times) - 1, min(self._tuning.first_exposures, len(times)))
@@ -179,7 +177,7 @@ class RecursiveParallax:
         """Least baseline of a cell's sweep, in those of a first sweep: after a sweep in vain, twice the one before."""
         return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
-    def _asked(self, baseline: F32, count: NDArray[np.uint8], ratio: F32, drop: float) -> Mask:
+    def _has_baseline(self, baseline: F32, count: U8, ratio: F32, drop: float) -> Mask:
         """True where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
         return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
@@ -191,7 +189,7 @@ class RecursiveParallax:
         h, r = window.known.height[k::every, k::every], ratio[k::every, k::every]
         rows, cols = h.shape
         baseline, count = window.seen.baseline[:rows, :cols], window.seen.count[:rows, :cols]
-        new, enough = np.isnan(h) | np.isnan(r), self._asked(baseline, count, r, drop)
+        new, enough = np.isnan(h) | np.isnan(r), self._has_baseline(baseline, count, r, drop)
         kinds = np.array([new & enough, new & ~enough & (count > 0), ~new & (count >= 2)])
         self._blocks.move_to(window.grid)
         counts, newest = self._blocks.counted(kinds, every), window.kept[-1].view.centre
@@ -224,39 +222,31 @@ class RecursiveParallax:
         Returns:
             Initial heights (R, C) metres, and the mask of cells whose height in the map is wrong.
         """
-        before, anew = window.known.height, np.isnan(ratio)
-        start, wrong = np.where(anew, np.float32(np.nan), before), np.zeros(before.shape, np.bool_)
+        anew = np.isnan(ratio)
+        start, wrong = np.where(anew, np.float32(np.nan), window.known.height), np.zeros(anew.shape, np.bool_)
         for box in plan.sweep + plan.rough:
-            enough = self._asked(
-                window.part_of(window.seen.baseline, box), window.part_of(window.seen.count, box), ratio[box], drop
-            )
-            fresh = (np.isnan(before[box]) | anew[box]) & enough
-            if fresh.any():
-                views = self._views_of(window, box, ratio[box], fresh, drop)
-                new, found = self._sweep(window, views, box, fresh, 1 if box in plan.sweep else HALF)
-                self._take(window, box, fresh, new, found, ratio[box], start[box], wrong[box])
+            before, per_px, doubt = window.known.height[box], window.per_px[box], ratio[box]
+            baseline, count = window.part_of(window.seen.baseline, box), window.part_of(window.seen.count, box)
+            fresh = (np.isnan(before) | anew[box]) & self._has_baseline(baseline, count, doubt, drop)
+            if not fresh.any():
+                continue
+            views = self._views_of(window, box, doubt, fresh, drop)
+            new, found = self._sweep(window, views, box, fresh, 1 if box in plan.sweep else 2)
+            both = fresh & np.isfinite(before) & np.isfinite(new)
+            shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
+            new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
+            np.copyto(wrong[box], both & (new != before))
+            np.copyto(start[box], new, where=fresh)
+            np.copyto(doubt, np.where(np.isnan(new), self._wanted(doubt), found), where=fresh)
         return start, wrong
 
     def _sweep(self, window: Window, views: list[Kept], box: Box, fresh: Mask, coarser: int) -> Swept:
         """Sweep the `fresh` cells of a rectangle, with cells `coarser` times as large."""
-        grid, ground = cells_of(window.grid, box), float(np.clip(self._ground, *window.searched))
+        grid, ground = window.grid.part(box), float(np.clip(self._ground, *window.searched))
         ready = [v.fine if coarser == 1 else v.coarse for v in views]
         wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
         found = sweep_unseen([ready], grid.coarser(coarser), window.searched, ground, wanted, self._sweep_tuning)
-        height, ratio = (refine.enlarged(v, grid, coarser) for v in found)
-        return height, ratio
-
-    def _take(
-        self, window: Window, box: Box, fresh: Mask, new: F32, found: F32, ratio: F32, start: F32, wrong: Mask
-    ) -> None:
-        """Fill the result of a sweep of a rectangle into its `start`, `ratio` and `wrong`."""
-        before, per_px = window.known.height[box], window.per_px[box]
-        both = fresh & np.isfinite(before) & np.isfinite(new)
-        shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
-        new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
-        np.copyto(wrong, both & (new != before))
-        np.copyto(start, new, where=fresh)
-        np.copyto(ratio, np.where(np.isnan(new), self._wanted(ratio), found), where=fresh)
+        return Swept(*(enlarged(v, grid.shape, coarser) for v in found))
 
 
 def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

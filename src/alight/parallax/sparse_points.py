@@ -6,7 +6,8 @@ it works alike for video and for photos far apart, with poses from any source.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,18 +22,23 @@ from alight.settings.tuning.parallax import PointsTuning
 NO_POINTS = np.empty((0, 3))
 
 
-class _Features:
-    """SIFT features of one view, as descriptors and rays in the world."""
+class ViewFeatures(NamedTuple):
+    """SIFT features of one view."""
 
-    def __init__(self, view: View, tuning: PointsTuning) -> None:
+    centre: F64  # (3,) of the camera
+    rays: F64  # (N, 3) unit directions in the world
+    descriptors: F32  # (N, 128)
+
+    @classmethod
+    def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
+        """Detect the features of a view."""
         grey = grey_of(view.image).astype(np.uint8)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        found, self.descriptors = _detected(small, tuning)
+        found, descriptors = _detected(small, tuning)
         pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
         rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
-        self.rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        self.centre = view.centre
+        return cls(view.centre, rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors)
 
 
 def _detected(grey: U8, tuning: PointsTuning) -> tuple[Sequence[cv2.KeyPoint], F32]:
@@ -46,7 +52,7 @@ def _detected(grey: U8, tuning: PointsTuning) -> tuple[Sequence[cv2.KeyPoint], F
         contrast = max(0.5 * contrast, least)
 
 
-def _matches(a: _Features, b: _Features, ratio: float) -> NDArray[np.int64]:
+def _matches(a: ViewFeatures, b: ViewFeatures, ratio: float) -> NDArray[np.int64]:
     if len(a.rays) < 2 or len(b.rays) < 2:
         return np.empty((0, 2), int)
     best = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.descriptors, b.descriptors, k=2)
@@ -72,7 +78,7 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
     return 0.5 * (A + B), np.sqrt(det), miss
 
 
-def _pair(a: _Features, b: _Features, tuning: PointsTuning) -> tuple[F64, float]:
+def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple[F64, float]:
     """Points of a pair of views, below both cameras, and the median angle between its matched rays.
 
     No points (`NO_POINTS`) where most rays meet at too small an angle: the others are wrong matches, all too near.
@@ -86,33 +92,30 @@ def _pair(a: _Features, b: _Features, tuning: PointsTuning) -> tuple[F64, float]
     return (points[good] if good.sum() >= 8 and median > tuning.least_angle else NO_POINTS), median
 
 
-def _starts(count: int, most: int) -> Iterator[int]:
-    yield from np.unique(np.linspace(0, max(count - 2, 0), min(most, max(count - 1, 1))).astype(int)).tolist()
-
-
 def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
     """Triangulate points of the scene from pairs of `views` (in order of time), (N, 3) metres in the world.
 
     The stride between the views of a pair doubles until their rays meet at 0.06 rad, or the overlap ends.
     """
     views = [v for v in views if v.cam == views[0].cam]
-    features: dict[int, _Features] = {}
+    features: dict[int, ViewFeatures] = {}
 
-    def of(i: int) -> _Features:
+    def of(i: int) -> ViewFeatures:
         if i not in features:
-            features[i] = _Features(views[i], tuning)
+            features[i] = ViewFeatures.of(views[i], tuning)
         return features[i]
 
-    found, stride = [], 1
-    for i in _starts(len(views), tuning.most_pairs):
+    found, stride, count = [], 1, len(views)
+    starts = np.linspace(0, max(count - 2, 0), min(tuning.most_pairs, max(count - 1, 1))).astype(int)
+    for i in np.unique(starts).tolist():
         while i + stride < len(views):
-            points, angle = _pair(of(i), of(i + stride), tuning)
+            points, angle = pair_points(of(i), of(i + stride), tuning)
             if angle < 3 * tuning.least_angle and i + 2 * stride < len(views):
                 stride *= 2
                 continue
             if not len(points) and stride > 1:
                 stride //= 2
-                points, angle = _pair(of(i), of(i + stride), tuning)
+                points, angle = pair_points(of(i), of(i + stride), tuning)
             found.append(points)
             break
         for k in [k for k in features if k < i]:

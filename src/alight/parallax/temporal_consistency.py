@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.arrays import F32, U8, U16, Mask
-from alight.geometry import Grid
+from alight.arrays import F32, I64, U8, U16, Mask
 from alight.parallax import consistency_kernels as kernels
-from alight.parallax.gauss_newton import Fit, enlarged
+from alight.parallax.gauss_newton import Fit
+from alight.parallax.views import enlarged
 from alight.raster import block_mean
 from alight.records import ElevationMap, Flag, View, is_trusted
 from alight.settings.tuning.parallax import ConsistencyTuning
@@ -29,7 +28,7 @@ SIDE = 2  # instants that show the ground before a change, and after it, at leas
 AROUND = 3  # blocks, the window of the sums of a change or a contradiction
 
 
-def instants(views: Sequence[View]) -> NDArray[np.int64]:
+def instants(views: Sequence[View]) -> I64:
     """Pairs (K, 2) of views of the same exposure by different cameras, as indices."""
     at: dict[int, list[int]] = {}
     for i, v in enumerate(views):
@@ -38,7 +37,7 @@ def instants(views: Sequence[View]) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: int, tuning: ConsistencyTuning) -> F32:
+def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: ConsistencyTuning) -> F32:
     """Share of the variance that views of one instant have in common beyond the template (eq. 15a), by blocks.
 
     Args:
@@ -61,18 +60,16 @@ def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: i
     return np.where(enough, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
-def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int, tuning: ConsistencyTuning) -> U16:
+def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTuning) -> U16:
     """MOVING flags (R, C), set where synchronous views share a deviation from the template."""
     if not len(pairs):
-        return np.zeros(grid.shape, np.uint16)
+        return np.zeros(fit.grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
     bits = np.where(share > tuning.most_shared, np.uint16(Flag.MOVING), np.uint16(0))
-    return enlarged(bits, grid, BLOCK)
+    return enlarged(bits, fit.grid.shape, BLOCK)
 
 
-def changed_since(
-    samples: F32, pairs: NDArray[np.int64], times: NDArray[np.int64], grid: Grid, tuning: ConsistencyTuning
-) -> Mask:
+def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTuning) -> Mask:
     """Find ground that looks different since some moment (eq. 16d): somebody stopped there, or went.
 
     The views from before it agree with each other, and so do those from after it. The majority of them would
@@ -88,8 +85,8 @@ def changed_since(
     """
     at, first = np.unique(times[pairs[:, 0]], return_index=True)
     if len(at) < 2 * SIDE:
-        return np.zeros(grid.shape, np.bool_)
-    shape = tuple(-(-n // BLOCK) for n in grid.shape)
+        return np.zeros(samples.shape[1:], np.bool_)
+    shape = tuple(-(-n // BLOCK) for n in samples.shape[1:])
     between = np.empty((len(at) - 1, *shape), np.float32)
     whole, count = np.empty(shape, np.float32), np.empty(shape, np.float32)
     kernels.before_and_after(samples, pairs[first], BLOCK, SIDE, between, whole, count)
@@ -98,7 +95,7 @@ def changed_since(
     most = np.max([cv2.blur(b, window) for b in between], axis=0)
     enough = count >= 2 * SIDE * tuning.least_seen * BLOCK * BLOCK
     found = enough & (most > tuning.changed * whole) & (whole > tuning.least_change * count)
-    return enlarged(found.astype(np.uint8), grid, BLOCK) > 0
+    return enlarged(found.astype(np.uint8), samples.shape[1:], BLOCK) > 0
 
 
 class Contradicted(NamedTuple):
@@ -131,7 +128,7 @@ def contradicted(samples: F32, known: ElevationMap, least: int, tuning: Consiste
     share = _by_blocks(trusted.astype(np.float32))
     alike = (share > tuning.least_seen) & (before < tuning.alike_before * share)
     wrong, came = enough & (own > tuning.most_unlike * square), enough & alike & (own > tuning.came_unlike * square)
-    return Contradicted(*(enlarged(found.astype(np.uint8), known.grid, BLOCK) > 0 for found in (wrong, came)))
+    return Contradicted(*(enlarged(found.astype(np.uint8), known.grid.shape, BLOCK) > 0 for found in (wrong, came)))
 
 
 def _by_blocks(values: F32) -> F32:

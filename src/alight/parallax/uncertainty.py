@@ -21,8 +21,6 @@ from alight.raster import nearest_known, upsample, whole_blocks
 from alight.records import Flag, Heights
 from alight.settings.tuning.parallax import UncertaintyTuning
 
-LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
-
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
@@ -40,7 +38,7 @@ class Pooled:
     metres_per_px: F32
 
 
-def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
+def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
     """Reduce a fit to half resolution: enough for means over neighbours, at a quarter of the cost."""
     height, mean, noise, precision, per_px = (
         whole_blocks(a, 2) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
@@ -50,7 +48,7 @@ def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
     low, high, mid, uneven, mean, square, s2, fitted = out
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
     per_px = np.ascontiguousarray(per_px[::2, ::2])
-    hidden2 = _hidden(mid, uneven, s2, per_px, tuning) + np.float32((tuning.floor_cells * cell) ** 2)
+    hidden2 = _hidden(mid, uneven, s2, per_px, tuning) + np.float32((tuning.floor_cells * fit.grid.cell) ** 2)
     # (14) of 2 x 2 cells, for the evidence only: heights get it from `kernels.height_sigma`
     sigma2 = np.float32(tuning.fit) * fitted + hidden2 / (per_px * per_px)
     near = np.ones((2 * tuning.step_cells + 1,) * 2, np.uint8)
@@ -79,8 +77,8 @@ def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyT
     square = per_px * per_px
     out = square * np.float32(tuning.hidden_px**2)
     for variance, power in ((rough, tuning.fine_power), (wide, tuning.broad_power)):
-        out *= cv2.pow(np.maximum(variance / square, np.float32(LEAST_RELIEF)), 2 * power)
-    out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * tuning.noise_power)
+        out *= cv2.pow(np.maximum(variance / square, np.float32(1e-4)), 2 * power)
+    out *= cv2.pow(np.maximum(noise, np.float32(1e-5)), 2 * tuning.noise_power)
     return np.asarray(out + np.float32(tuning.relief) * rough, dtype=np.float32)
 
 
@@ -134,22 +132,20 @@ def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
         return np.asarray(total / count, dtype=np.float32)
 
 
-def sigma_and_flags(
-    fit: Fit,
-    grid: Grid,
-    ratio: F32,
-    lit: list[Prepared],
-    searched: tuple[float, float],
+def judged(
+    fit: Fit, ratio: F32, lit: list[Prepared], searched: tuple[float, float], sampling: F32, rgb: U8,
     tuning: UncertaintyTuning,
-) -> tuple[F32, U16, F32]:
-    """Sigma, flags and residual share of a fit, all (R, C).
+) -> Heights:  # fmt: skip
+    """Heights of a fit with sigma and flags.
 
     Args:
         ratio: best over second-best cost of the sweep, (R / 2, C / 2).
         lit: views whose grey level shows saturation.
         searched: lowest and highest height, metres.
+        sampling, rgb: of the heights.
     """
-    seen = pooled(fit, grid.cell, tuning)
+    grid = fit.grid
+    seen = pooled(fit, tuning)
     terms = match_evidence(seen, ratio, np.float32(grid.cell) / seen.metres_per_px, tuning.near_cells)
     grey = brightness(lit, grid, np.float32(0.5) * (seen.low + seen.high))
     near = _bit(terms["residual"] > tuning.max_residual, Flag.MOVING)
@@ -166,23 +162,8 @@ def sigma_and_flags(
         near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,
         (int(Flag.UNSEEN), int(Flag.INCONSISTENT), int(Flag.FEW), int(Flag.RANGE)), residual, flags,
     )  # fmt: skip
-    return sigma, flags, residual
+    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)
 
 
 def _bit(where: NDArray[np.bool_], flag: Flag) -> U16:
     return where.astype(np.uint16) * np.uint16(flag)
-
-
-def judged(
-    fine: list[Prepared],
-    grid: Grid,
-    fit: Fit,
-    ratio: F32,
-    searched: tuple[float, float],
-    sampling: F32,
-    rgb: U8,
-    tuning: UncertaintyTuning,
-) -> Heights:
-    """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
-    sigma, flags, residual = sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
-    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)

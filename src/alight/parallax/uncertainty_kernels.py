@@ -7,18 +7,18 @@ import numpy as np
 
 from alight.arrays import F32, U8, U16
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
+from alight.parallax.single_kernels import ONE, ZERO
 
-ZERO, ONE = np.float32(0), np.float32(1)
 LEAST = np.float32(1e-4)  # metres: sigmas are at least this
 QUARTER = np.float32(0.25)
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
-MOST, TINY = np.float32(25), np.float32(1e-12)  # parallax pixels^2
+MOST = np.float32(25)  # parallax pixels^2
 
 
 @pixelwise
 def _fitted(noise: np.float32, precision: np.float32, per_px: np.float32) -> np.float32:
     """Noise over information in parallax pixels^2, at most `MOST`."""
-    v = noise / (precision * per_px * per_px + TINY)
+    v = noise / (precision * per_px * per_px + np.float32(1e-12))
     return v if v < MOST else MOST
 
 

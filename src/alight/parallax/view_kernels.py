@@ -4,9 +4,9 @@ import numpy as np
 
 from alight.arrays import F32, F64, U8
 from alight.compiled import kernel, parallel_kernel, prange
+from alight.parallax.single_kernels import ONE, ZERO
 
 FAR = np.float32(1e6)  # metres: beyond every camera
-ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @kernel

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U8
-from alight.geometry import Camera, Grid, ground_projection
+from alight.arrays import F32, F64, U8, Mask
+from alight.geometry import Camera, Grid, Pose, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
 from alight.records import Pixels, View
 
-AT_ONCE = np.empty(0)
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
-GLANCE = 1e-6  # rad: so that rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
 LEAST_SIDE = 8  # pixels, least, of the shorter side of a picture that is made coarser
 
@@ -37,7 +35,12 @@ class Prepared:
     centre: F64  # (3,) metres
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
     ratio: float  # pixels a cell spans
-    rolling: F64 = field(default_factory=lambda: AT_ONCE)  # as from `rolling_of`
+    rolling: F64  # as from `rolling_of`
+
+    def posed(self, world_from_cam: Pose) -> Prepared:
+        """The prepared picture with another pose of its camera."""
+        H, b = ground_projection(self.camera, world_from_cam)
+        return replace(self, H=H, b=b, centre=np.array(world_from_cam.translation))
 
 
 def rgb_of(image: Pixels) -> NDArray[np.uint8]:
@@ -120,7 +123,7 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
 
 def rolling_of(view: View) -> F64:
     """(9,) translation (m) and turns (rad) of the camera while its rows were exposed; (0,): all at once."""
-    return AT_ONCE if view.rolling is None else view.rolling
+    return np.empty(0) if view.rolling is None else view.rolling
 
 
 def _normalised(grey: F32, ratio: float) -> F32:
@@ -135,24 +138,39 @@ def coarser(fine: Prepared) -> Prepared:
     return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=camera)
 
 
-class Kept(NamedTuple):
+def level_of(levels: list[Prepared], halvings: int) -> Prepared:
+    """A view at the cells of the map, halved so many times; `levels` keeps those that were made."""
+    while len(levels) <= halvings:
+        levels.append(coarser(levels[-1]))
+    return levels[halvings]
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
     """A view of the window, prepared for matching."""
 
     view: View
-    fine: Prepared  # at the cells of the map
-    half: list[Prepared]  # at twice their size, made at first use
+    levels: list[Prepared]  # at the cells of the map, at twice their size...; each is made at its first use
 
     @classmethod
     def of(cls, view: View, cell: float, height: float) -> Kept:
         """Prepare a view for cells of size `cell` above a ground at `height`, metres."""
-        return cls(view, prepare_view(view, cell, height), [])
+        return cls(view, [prepare_view(view, cell, height)])
+
+    @property
+    def fine(self) -> Prepared:
+        """The prepared view at the cells of the map."""
+        return self.levels[0]
 
     @property
     def coarse(self) -> Prepared:
         """The prepared view at half the resolution."""
-        if not self.half:
-            self.half.append(coarser(self.fine))
-        return replace(self.half[0], H=self.fine.H, b=self.fine.b, centre=self.fine.centre)
+        return level_of(self.levels, 1)
+
+    def posed(self, world_from_cam: Pose) -> Kept:
+        """The view with another pose of its camera."""
+        view = replace(self.view, world_from_cam=world_from_cam)
+        return Kept(view, [p.posed(world_from_cam) for p in self.levels])
 
 
 class Buffers:
@@ -191,23 +209,15 @@ def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tup
 
 
 def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
-    """Image coordinates for columns evenly spaced at `xs` and rows at any `ys`."""
-    held = buffers or Buffers()
+    """Pixel coordinates for columns evenly spaced at `xs` and rows at any `ys`; negative outside of the picture."""
+    held, camera = buffers or Buffers(), p.camera
     out = held.get("mapx", h.shape), held.get("mapy", h.shape)
-    project_cells(p.camera, p.r2_max, p.H, p.b, xs, ys, h, out, p.rolling)
-    return out
-
-
-def project_cells(
-    camera: Camera, r2_max: float, H: F64, b: F64, xs: F64, ys: F64, h: F32, out: tuple[F32, F32],
-    rolling: F64 = AT_ONCE,
-) -> None:  # fmt: skip
-    """Fill `out` with the pixel coordinates of cells at height `h`; negative outside of the picture."""
     lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     project_grid(
-        H, b, lens, camera.coefficients, camera.code, r2_max,
-        float(camera.width), float(camera.height), rolling, *(np.ascontiguousarray(v) for v in (xs, ys)), h, *out,
+        p.H, p.b, lens, camera.coefficients, camera.code, p.r2_max,
+        float(camera.width), float(camera.height), p.rolling, *(np.ascontiguousarray(v) for v in (xs, ys)), h, *out,
     )  # fmt: skip
+    return out
 
 
 def sample(
@@ -215,6 +225,12 @@ def sample(
 ) -> F32:
     """Sample an image at the maps, NaN outside it."""
     return np.asarray(cv2.remap(image, mapx, mapy, how, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
+
+
+def enlarged(values: NDArray[Any], shape: tuple[int, int], factor: int) -> NDArray[Any]:
+    """Repeat the value of each block of `factor` x `factor` cells on all of them, cut to `shape`."""
+    size = (values.shape[1] * factor, values.shape[0] * factor)
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: shape[0], : shape[1]]
 
 
 def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None = None) -> F32:
@@ -226,11 +242,18 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
     return out
 
 
+def inside_picture(camera: Camera, points_cam: F64) -> Mask:
+    """True for points (N, 3) in the optical frame that lie before the camera and in its picture."""
+    uv = camera.project(points_cam)
+    inside = (uv >= 0).all(axis=1) & (uv[:, 0] <= camera.width - 1) & (uv[:, 1] <= camera.height - 1)
+    return np.asarray(inside & (points_cam[:, 2] > 0))
+
+
 def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[int]:
     """Views that may see some of a grid between two heights (metres): all that do, and some that do not.
 
     The cone about a picture against the sphere about the ground, for all views at once: with thousands of photos, most
-    are nowhere near a tile.
+    are nowhere near a tile. A microradian more, so that rounding never loses a view.
     """
     if not views:
         return []
@@ -243,7 +266,7 @@ def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[
     off = np.arccos(np.clip((ray * axes).sum(axis=1) / distance, -1.0, 1.0))
     field = np.arctan(np.sqrt([radius2_limit(v.camera) for v in views]))
     wide = np.where(distance > radius, np.arcsin(np.minimum(radius / distance, 1.0)), np.pi)
-    return np.flatnonzero(off <= field + wide + GLANCE).tolist()
+    return np.flatnonzero(off <= field + wide + 1e-6).tolist()
 
 
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
@@ -259,16 +282,9 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
     points = np.c_[px.ravel(), py.ravel(), np.full(px.size, height)]
     inside, offset = [], []
     for v in views:
-        uv = v.camera.project(v.world_from_cam.inverse.apply(points))
         ray = v.world_from_cam.inverse.apply(points)
         with np.errstate(invalid="ignore"):
-            ok = (
-                (uv >= 0).all(1)
-                & (uv[:, 0] <= v.camera.width - 1)
-                & (uv[:, 1] <= v.camera.height - 1)
-                & (ray[:, 2] > 0)
-            )
-            ok &= ((ray[:, :2] / ray[:, 2:3]) ** 2).sum(1) < radius2_limit(v.camera)
+            ok = inside_picture(v.camera, ray) & (((ray[:, :2] / ray[:, 2:3]) ** 2).sum(1) < radius2_limit(v.camera))
         tangent = np.hypot(*(points - v.centre)[:, :2].T) / max(v.centre[2] - height, 1e-3)
         inside.append(ok * np.where(tangent <= max_tangent, 1.0, 0.25))
         offset.append(v.centre / max(v.centre[2] - height, 1e-3))

@@ -5,13 +5,13 @@ import numpy as np
 from alight.arrays import F32, F64, U8
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.gauss_newton_kernels import BAND, CHUNK, invert_row
+from alight.parallax.single_kernels import ONE, TWO, ZERO
 
 Two = tuple[np.float32, np.float32]
 
 REACH = 3  # cells to the farthest neighbour
 STRIDE = CHUNK + 2 * REACH
 CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @kernel
@@ -40,8 +40,8 @@ def _pair(height: F32, trust: F32, i: int, off: int, here: np.float32, inverse: 
 def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
     """Sum sixteen pairs of a row of cells; of 7 x 7 neighbours these smooth as well as all twenty-four.
 
-    `height`, `trust`: rows of `STRIDE` from the upper left neighbour on. Unrolled, unsigned and with a stride that the
-    compiler knows: three times as fast as a loop over pairs.
+    `height`, `trust`: rows of `STRIDE` from the upper left neighbour on. Unrolled, unsigned and with a constant stride:
+    three times as fast as a loop over pairs.
     """
     for c in range(inverse.size):
         i, sums = np.uintp(c), (ZERO, ZERO)

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, U8, Mask
-from alight.geometry import Camera, Grid, box_of
+from alight.geometry import Box, Camera, Grid, box_of
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax import uncertainty_kernels as kernels
-from alight.parallax.blocks import Box
-from alight.parallax.views import Buffers, Kept, maps, picture_at, rgb_of
+from alight.parallax.views import Buffers, Kept, enlarged, maps, picture_at, rgb_of
 from alight.raster import close_mask, weighted_gaussian
 from alight.records import ElevationMap, Flag, Heights, is_trusted
 from alight.settings import ParallaxSettings
@@ -32,6 +31,7 @@ SAME_FOCAL = 0.05  # between their focal lengths, as a share
 
 
 T = TypeVar("T", bound=np.generic)
+Raster = TypeVar("Raster", Heights, ElevationMap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Window:
         """The window for these views; `drop`: metres from the newest camera to the ground."""
         ground = float(kept[-1].view.centre[2]) - drop
         seen = refine.view_geometry([k.fine for k in kept], grid, known.height, ground)
-        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        per_px = enlarged(seen.metres_per_px, grid.shape, refine.SEEN_BLOCK)
         near, far = (first_of_twins(kept, share * drop) for share in (BESIDE, APART))
         return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), near, far)
 
@@ -69,23 +69,15 @@ class Window:
         """Values of blocks of `refine.SEEN_BLOCK` cells, on the cells of a rectangle."""
         n = refine.SEEN_BLOCK
         r, c = (slice(s.start // n, -(-s.stop // n)) for s in where)
-        part = np.ascontiguousarray(values[r, c])
-        wide = cv2.resize(part, (part.shape[1] * n, part.shape[0] * n), interpolation=cv2.INTER_NEAREST)
-        a, b = (s.start - n * (s.start // n) for s in where)
-        rows, cols = (s.stop - s.start for s in where)
-        return np.ascontiguousarray(wide[a : a + rows, b : b + cols])
+        part, a = np.ascontiguousarray(values[r, c]), [s.start - n * (s.start // n) for s in where]
+        shape = a[0] + where[0].stop - where[0].start, a[1] + where[1].stop - where[1].start
+        return np.ascontiguousarray(enlarged(part, shape, n)[a[0] :, a[1] :])
 
 
-def part_of(known: ElevationMap, where: Box) -> ElevationMap:
-    """A rectangle of a map, copied."""
-    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(known, k)[where]) for k in FIELDS}
-    return ElevationMap(cells_of(known.grid, where), **fields)
-
-
-def cells_of(grid: Grid, where: Box) -> Grid:
-    """The rectangle as a grid."""
-    rows, cols = where
-    return grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
+def part_of(found: Raster, where: Box) -> Raster:
+    """A rectangle of a map or of heights, copied."""
+    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(found, k)[where]) for k in FIELDS}
+    return type(found)(found.grid.part(where), **fields)
 
 
 def wider(where: Box, shape: tuple[int, int]) -> Box:
@@ -108,7 +100,7 @@ def _same_field(a: Camera, b: Camera) -> bool:
 def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
     """For each view (N,) the first one of its exposure that looks the same way from a place `within` metres of it."""
     out = list[int]()
-    for i, (view, fine, _) in enumerate(kept):
+    for i, (view, fine) in enumerate((k.view, k.fine) for k in kept):
         axis = view.world_from_cam.rotation[:, 2]
         same = (
             j for j in range(i)
@@ -153,18 +145,19 @@ class Refiner:
             recolour: the map's colours there are coarse.
         """
         where = wider(box, window.grid.shape)
-        grid, chosen = cells_of(window.grid, where), window.views_of(where)
+        grid, chosen = window.grid.part(where), window.views_of(where)
         h, cost = (np.ascontiguousarray(v[where]) for v in (start, ratio))
         count = window.part_of(window.seen.count, where)
         h = bridged(h, ~np.isnan(cost) & (count >= self.settings.recursive.first_views))
         if len(chosen) < 2 or not np.isfinite(h[within(box, where)]).any():
             return None
         kept, per_px = [window.kept[i] for i in chosen], np.ascontiguousarray(window.per_px[where])
-        fine, tuning = [k.fine for k in kept], self.settings.refinement
+        fine, steps = [k.fine for k in kept], self.settings.recursive.steps
+        tuning = self.settings.refinement.model_copy(update={"iterations": steps})
         first, owner = np.unique(window.nearly[chosen], return_inverse=True)
         centres = np.array([window.kept[i].fine.centre for i in first])
         visible = skyline.visible(centres, where, per_px, tuning.occlusion_px)[owner]
-        fit = refine.gauss_newton(fine, grid, h, per_px, visible, self.settings.recursive.steps, tuning, self.buffers)
+        fit = refine.gauss_newton(fine, grid, h, per_px, visible, tuning, self.buffers)
         before = known = part_of(window.known, where)
         rgb = self._coloured(window, grid, fit.height, known, recolour)
         cost = trust.half_resolution(
@@ -173,25 +166,24 @@ class Refiner:
         if (off := wrong[where]).any():
             known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
         sampling = window.part_of(window.seen.sampling, where)
-        found = trust.judged(
-            [window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty
-        )
+        newest = [window.kept[-1].fine]
+        found = trust.judged(fit, cost, newest, window.searched, sampling, rgb, self.settings.uncertainty)
         samples = self.buffers.get("samples", (len(fine), *grid.shape))  # left there by the fit
         pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
-        moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
+        moves = witness.moving(samples, pairs, fit, consistency.least_views, consistency)
         found = fused(replace(found, flags=found.flags | moves), known, self.settings.recursive.worse)
         times = np.array([k.view.t_ns for k in kept])
-        anew = witness.changed_since(samples, pairs, times, grid, consistency)
+        anew = witness.changed_since(samples, pairs, times, consistency)
         doubt = witness.contradicted(samples, before, consistency.least_views, consistency)
         anew |= (doubt.wrong | doubt.came) & is_trusted(found.flags)
         anew &= np.isfinite(found.height)
         found = replace(found, flags=found.flags | np.where(anew, np.uint16(Flag.MOVING), np.uint16(0)))
         inner = within(box, where)
-        return Refined(without_halo(found, inner), anew[inner], doubt.came[inner])
+        return Refined(part_of(found, inner), anew[inner], doubt.came[inner])
 
     def _coloured(self, window: Window, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""
-        view, fine, _ = window.kept[-1]
+        view, fine = window.kept[-1].view, window.kept[-1].fine
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
         k = self.settings.recursive.renew_below * window.drop / grid.cell
@@ -208,12 +200,6 @@ class Refiner:
                 take &= only[where]
             cv2.copyTo(picture_at(window.picture, view.camera, fine, mapx, mapy), take.view(np.uint8), out[where])
         return out
-
-
-def without_halo(found: Heights, where: Box) -> Heights:
-    """The heights without their halo."""
-    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(found, k)[where]) for k in FIELDS}
-    return Heights(cells_of(found.grid, where), **fields)
 
 
 def bridged(start: F32, wanted: Mask) -> F32:

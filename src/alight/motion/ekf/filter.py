@@ -8,97 +8,122 @@ preintegrated IMU (Forster et al. 2017). See docs/method/motion.md.
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Pose, so3_log
-from alight.motion.dynamics import (
-    MAX_RATE_AGE,
-    Step,
-    bias_walk,
-    constant_step,
-    constant_transition,
-    inertial_step,
-    inertial_transition,
-    nav_decay,
-    propagate_covariance,
-)
+from alight.motion.dynamics import MAX_RATE_AGE, Step, add_bias_walk, nav_decay, propagate
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, CourseAttitude, PositionedExposure
 from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import Gate
-from alight.motion.ekf.memory import FilterMemory, Snapshot
 from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
-from alight.motion.ekf.state import (
-    ACC,
-    ATT,
-    CORE,
-    GYRO,
-    MOTION,
-    NAV,
-    NAV_ATT,
-    NAV_POS,
-    OFFSET,
-    POS,
-    TIME,
-    VEL,
-    FilterState,
-    moment_in_world,
-)
-from alight.motion.ekf.state_kernels import squared_distance
+from alight.motion.ekf.state import AT, CORE, POSITION_FIRST, FilterState, moment_in_world
+from alight.motion.ekf.state_kernels import propagate_errors, squared_distance
 from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measurements, rate_measurement, sigmas
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import OPEN_RATE_SIGMA, Preintegral
-from alight.motion.projection import POSITION_FIRST
-from alight.motion.smoother.recorded_flight import RecordedFlight
-from alight.records import (
-    ImuSample,
-    Motion,
-    MotionState,
-    NavSample,
-    RefinedMotions,
-    Rig,
-    Tracks,
-)
+from alight.motion.preintegration import OPEN_RATE_SIGMA
+from alight.records import ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
+LEAST_EXPOSURES = 3  # of a flight that is smoothed
 _MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which they count as a jump, not a short fault
 _MAX_GPS_AGE = 0.2  # s between a GPS position and the exposure that it is used for
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
+_MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must lie after its stamp for the IMU to be waited for
 _RATE_HALF_WINDOW_NS = 15_000_000  # ns, half of the time over which the angular velocity is averaged
-_RATE_MARGIN = 100.0  # over the variance of that mean: each exposure has its own error, and so seems to tell the offset
+_RATE_MARGIN = 100.0  # over the variance of that mean: the error of an exposure's rate would count as time offset
 _ATTITUDE_INFLATION = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added when observations contradict
 _MAX_INFLATIONS = 3  # in a row without a good exposure between, after which the filter starts anew
 
 
+@dataclass(eq=False)
+class FilterMemory:
+    """All that changes from event to event, except the inertial measurements and the recording of the flight."""
+
+    visual: VisualUpdate
+    health: Health
+    state: FilterState | None = None
+    predicted: Step | None = None  # the state as last predicted: first estimate, where Jacobians are taken
+    inertial: bool = False  # True: an IMU drives the motion
+    nav_sigma: F64 = field(default_factory=lambda: np.ones(9))  # of the last GPS/INS row
+    last_exposure_ns: int = NEVER_NS
+    inflations: int = 0  # of the attitude, in a row
+    frame_id: int = 0
+    lost: bool = False
+    last_nav: NavSample | None = None
+    last_positioned: PositionedExposure | None = None  # first exposure of the pair that M26 looks for
+
+    @property
+    def t_ns(self) -> int:
+        """Time of the state, by the clock of GPS/INS."""
+        return NEVER_NS if self.state is None else self.state.t_ns
+
+    def copy(self) -> FilterMemory:
+        """Return an independent copy; records and arrays that are only replaced, never changed, are shared."""
+        state = self.state.copy() if self.state is not None else None
+        return replace(self, visual=copy(self.visual), health=copy(self.health), state=state)
+
+
+@dataclass(eq=False)
+class RecordedFlight:
+    """Input of the filter during a flight, and its motions: what the smoother takes."""
+
+    rig: Rig
+    settings: FilterSettings
+    imu: list[ImuSample] = field(default_factory=list)
+    nav: list[NavSample] = field(default_factory=list)
+    exposures: list[tuple[Motion, Tracks, F64]] = field(default_factory=list)  # motion, tracks, core of the state
+
+
+@dataclass(frozen=True, eq=False)
+class _Processed:
+    """An event that was processed, and the filter before it."""
+
+    t_ns: int
+    event: NavSample | Tracks
+    before: FilterMemory
+    exposures: int  # recorded before it
+    rows: int  # of GPS/INS, recorded before it
+    imu_ns: int  # stamp of the last inertial measurement at that time
+
+
 class MotionFilter:
-    """Feed events in order of time; every exposure gives a `Motion` once there has been a row of GPS/INS.
+    """Feed events; every exposure gives a `Motion` once there has been a row of GPS/INS.
+
+    Events are stamped correctly but may arrive out of sequence, as over radio links, up to `lateness`: the filter then
+    goes back to before such an event and processes the later ones again. Motions returned before are not changed;
+    later ones include it.
 
     Args:
-        map_number: of its first map; a filter that replaces another one goes on with the next number.
+        frame_id: of its first map frame; a filter that replaces another one goes on with the next number.
     """
 
-    def __init__(self, rig: Rig, settings: FilterSettings, map_number: int = 0) -> None:
+    def __init__(self, rig: Rig, settings: FilterSettings, frame_id: int = 0) -> None:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
         self._gate = Gate(settings.gate)
-        self._imu = ImuBuffer()
         self._vague = False  # True: a warning on the sigmas of GPS/INS was given
         self._late_ns = round(settings.lateness * 1e9)
-        self._memory = FilterMemory(
-            VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast), map_number=map_number
-        )
+        visual, health = VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast)
+        self._memory = FilterMemory(visual, health, frame_id=frame_id)
         self._recording = RecordedFlight(rig, settings) if settings.smooth else None
+        self._processed: deque[_Processed] = deque()
+        self.imu = ImuBuffer()  # the last inertial measurements
+        self.too_late = 0  # events left out because they came later than `lateness`
 
     def feed_imu(self, sample: ImuSample) -> None:
         """Take one inertial measurement; it is used when the next exposure or GPS/INS row comes."""
         m = self._memory
-        if not self._imu.append(sample):
+        if not self.imu.append(sample):
             return
         if self._recording:
             self._recording.imu.append(sample)
@@ -107,10 +132,97 @@ class MotionFilter:
             if m.state is not None:
                 self._start_biases(m.state)
         used_ns = m.state.t_ns - self._late_ns if m.state is not None else sample.t_ns
-        self._imu.forget_before(min(sample.t_ns - _IMU_KEEP_NS - self._late_ns, used_ns))
+        self.imu.forget_before(min(sample.t_ns - _IMU_KEEP_NS - self._late_ns, used_ns))
 
     def feed_nav(self, sample: NavSample) -> None:
-        """Take one row of the GPS/INS solution; rows that are older than the state are left out."""
+        """Take one row of the GPS/INS solution."""
+        self._feed(sample)
+
+    def feed_tracks(self, tracks: Tracks) -> Motion | None:
+        """Take the features of one exposure and return the motion; None: no GPS/INS row yet, repeated, or too late."""
+        return self._feed(tracks)
+
+    def clone_window(self) -> CloneWindow | None:
+        """Return the clones by value, from which the joint posterior follows; None before any exposure."""
+        m = self._memory
+        if m.state is None or m.last_exposure_ns == NEVER_NS:
+            return None
+        return m.visual.window(m.state, m.last_exposure_ns, m.frame_id)
+
+    def predictor(self) -> MotionPredictor | None:
+        """Return the predictor of later exposures; None before the first GPS/INS row."""
+        m = self._memory
+        return None if m.state is None else MotionPredictor.of(m.state, self._cams, m.inertial, self._settings)
+
+    def refined(self) -> RefinedMotions:
+        """All exposures so far, refined together, with their joint covariance (docs/method/smoother.md, M18-M22b).
+
+        Empty when `smooth` is off in the settings, and where a batch is not possible.
+        """
+        if self._recording is None:
+            return RefinedMotions((), None)
+        from alight.motion.smoother.smoother import smooth_flight
+
+        return smooth_flight(self._recording)
+
+    @property
+    def state(self) -> FilterState | None:
+        """A copy of the state, to be inspected; None before the first GPS/INS row."""
+        return self._memory.state.copy() if self._memory.state is not None else None
+
+    # -- out of sequence -------------------------------------------------------------------------------------------
+
+    def _feed(self, event: NavSample | Tracks) -> Motion | None:
+        self._repeat_last_exposure()
+        t, later = self._time_of(event), list[_Processed]()
+        if t < self._memory.t_ns:
+            while self._processed and self._processed[-1].t_ns > t:
+                later.append(self._processed.pop())
+            if not later or later[-1].before.t_ns > t:
+                self._processed.extend(reversed(later))
+                self.too_late += 1
+                return None
+            self._restore(later[-1])
+        motion = self._process(event)
+        for e in reversed(later):
+            self._process(e.event)
+        return motion
+
+    def _time_of(self, event: NavSample | Tracks) -> int:
+        """Time of an event, by the clock of GPS/INS."""
+        state = self._memory.state
+        return event.t_ns if isinstance(event, NavSample) or state is None else instant(event.t_ns, state.core)
+
+    def _repeat_last_exposure(self) -> None:
+        """Process the last exposure again if, by its time offset, it lies after the IMU that was there at the time."""
+        last = self._processed[-1] if self._processed else None
+        if last is None or not isinstance(last.event, Tracks) or last.t_ns - last.event.t_ns < _MIN_AHEAD_NS:
+            return
+        if len(self.imu) and last.imu_ns < last.t_ns <= self.imu.last_ns:
+            self._restore(self._processed.pop())
+            self._process(last.event)
+
+    def _restore(self, event: _Processed) -> None:
+        """Go back to before an event."""
+        self._memory = event.before
+        if self._recording:
+            del self._recording.exposures[event.exposures :], self._recording.nav[event.rows :]
+
+    def _process(self, event: NavSample | Tracks) -> Motion | None:
+        if self._late_ns:
+            r, imu_ns = self._recording, self.imu.last_ns if len(self.imu) else 0
+            recorded = (len(r.exposures), len(r.nav)) if r else (0, 0)
+            self._processed.append(_Processed(self._time_of(event), event, self._memory.copy(), *recorded, imu_ns))
+            while self._processed[0].t_ns < self._processed[-1].t_ns - self._late_ns:
+                self._processed.popleft()
+        if isinstance(event, Tracks):
+            return self._use_tracks(event)
+        self._use_nav(event)
+        return None
+
+    # -- events in order -------------------------------------------------------------------------------------------
+
+    def _use_nav(self, sample: NavSample) -> None:
         m, sigma = self._memory, sigmas(sample, self._settings)
         m.last_nav = sample
         if m.state is None:
@@ -128,10 +240,9 @@ class MotionFilter:
         if is_diverged(m.state):
             self._start_over(m.state, sample, sigma)
 
-    def feed_tracks(self, tracks: Tracks) -> Motion | None:
-        """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
+    def _use_tracks(self, tracks: Tracks) -> Motion | None:
         m = self._memory
-        if tracks.t_ns <= m.last_exposure_ns or self.time_of(tracks) < self.time_ns:
+        if tracks.t_ns <= m.last_exposure_ns or self._time_of(tracks) < m.t_ns:
             return None
         course = self._course(tracks)
         m.last_exposure_ns = tracks.t_ns
@@ -141,16 +252,16 @@ class MotionFilter:
         state = m.state
         if state is None:
             return None
-        self._propagate(state, self.time_of(tracks))
+        self._propagate(state, self._time_of(tracks))
         if course is not None:
             residual, unit = so3_log(course.R @ state.R.T), 1.0 / course.sigma
-            state.correct(residual * unit, np.diag(unit), np.arange(ATT.start, ATT.stop))
+            state.correct(residual * unit, np.diag(unit), np.arange(AT.att.start, AT.att.stop))
         counts = m.visual.on_exposure(state, tracks) if len(tracks.ids) else GateCounts()
         if m.health.on_exposure(tracks.t_ns, counts):
             self._inflate_attitude(state)
         motion = self._motion(state, tracks.t_ns, counts.passed)
         if self._recording:
-            self._recording.exposures.append((motion, tracks, state.core[:CORE].copy()))
+            self._recording.exposures.append((motion, tracks, state.core.copy()))
         return motion
 
     def _course(self, tracks: Tracks) -> CourseAttitude | None:
@@ -170,74 +281,17 @@ class MotionFilter:
             m.last_positioned = now
         return found
 
-    def clone_window(self) -> CloneWindow | None:
-        """Return the clones by value, from which the joint posterior follows; None before any exposure."""
-        m = self._memory
-        if m.state is None or m.last_exposure_ns == NEVER_NS:
-            return None
-        return m.visual.window(m.state, m.last_exposure_ns, m.map_number)
-
-    def predictor(self) -> MotionPredictor | None:
-        """Return the predictor of later exposures; None before the first GPS/INS row."""
-        m = self._memory
-        return None if m.state is None else MotionPredictor.of(m.state, self._cams, m.inertial, self._settings)
-
-    def refined(self) -> RefinedMotions:
-        """All exposures so far, refined together, with their joint covariance (docs/method/smoother.md, M18-M22b).
-
-        Empty when `smooth` is off in the settings, and where a batch is not possible.
-        """
-        if self._recording is None:
-            return RefinedMotions((), None)
-        from alight.motion.smoother.smoother import smooth_flight
-
-        return smooth_flight(self._recording)
-
-    @property
-    def time_ns(self) -> int:
-        """Time of the state, by the clock of GPS/INS."""
-        return self._memory.state.t_ns if self._memory.state is not None else NEVER_NS
-
-    @property
-    def state(self) -> FilterState | None:
-        """A copy of the state, to be inspected; None before the first GPS/INS row."""
-        return self._memory.state.copy() if self._memory.state is not None else None
-
-    def time_of(self, event: NavSample | Tracks) -> int:
-        """Time of an event, by the clock of GPS/INS."""
-        if isinstance(event, NavSample) or self._memory.state is None:
-            return event.t_ns
-        return instant(event.t_ns, self._memory.state.core)
-
-    @property
-    def imu(self) -> ImuBuffer:
-        """The last inertial measurements."""
-        return self._imu
-
-    def snapshot(self) -> Snapshot:
-        """Return the filter as it is now; inertial measurements and the recording are not copied."""
-        r = self._recording
-        return Snapshot(self.time_ns, self._memory.copy(), len(r.exposures) if r else 0, len(r.nav) if r else 0)
-
-    def restore(self, earlier: Snapshot) -> None:
-        """Go back to a snapshot; it can be used once, since the filter goes on with its memory."""
-        self._memory = earlier.memory
-        if self._recording:
-            del self._recording.exposures[earlier.exposures :], self._recording.nav[earlier.rows :]
-
     # -- time ------------------------------------------------------------------------------------------------------
 
     def _start(self, sample: NavSample, sigma: F64) -> bool:
-        """Start from a row with position and attitude: the first time, or in a new map when the state is lost."""
+        """Start from a row with position and attitude: the first time, or in a new map frame when the state is lost."""
         m, state = self._memory, initial_state(sample, sigma, self._settings)
         if state is None:
             return False
         if m.state is not None:
-            m.map_number += 1
-            log.warning(
-                "motion: started anew from GPS/INS in map %d, which poses from before do not belong to", m.map_number
-            )
-            state.core[TIME], state.P[TIME, TIME] = m.state.core[TIME], m.state.P[TIME, TIME]
+            m.frame_id += 1
+            log.warning("motion: started anew from GPS/INS as map %d; earlier poses use another frame", m.frame_id)
+            state.core[AT.time], state.P[AT.time, AT.time] = m.state.core[AT.time], m.state.P[AT.time, AT.time]
             state.refused = m.state.refused
         m.state, m.nav_sigma, m.inflations = state, sigma, 0
         m.visual.reset(state)
@@ -245,9 +299,9 @@ class MotionFilter:
         if m.inertial:
             self._start_biases(state)
         else:
-            state.P[GYRO, GYRO] = np.eye(3) * OPEN_RATE_SIGMA**2
+            state.P[AT.gyro, AT.gyro] = np.eye(3) * OPEN_RATE_SIGMA**2
             if sample.angular_velocity_body is not None:
-                state.core[GYRO] = sample.angular_velocity_body
+                state.core[AT.gyro] = sample.angular_velocity_body
         if self._recording:
             self._recording.nav.append(sample)
         m.predicted = Step.at(state)
@@ -265,44 +319,35 @@ class MotionFilter:
 
     def _start_biases(self, state: FilterState) -> None:
         """Set the biases of the IMU to zero with their prior covariance."""
-        for part, sigma in ((GYRO, self._settings.gyro_bias_sigma), (ACC, self._settings.accelerometer_bias_sigma)):
+        s = self._settings
+        for part, sigma in ((AT.gyro, s.gyro_bias_sigma), (AT.acc, s.accelerometer_bias_sigma)):
             state.core[part] = 0.0
             state.P[part, :], state.P[:, part] = 0.0, 0.0
             state.P[part, part] = np.eye(3) * sigma**2
 
-    def _step(self, state: FilterState, t_ns: int) -> tuple[Step, Preintegral | None]:
-        """Return pose and velocity at a later time, with the preintegral where an IMU drives the motion."""
-        p, v = state.core[POS], state.core[VEL]
-        if self._memory.inertial:
-            m = preintegrated(self._imu, state.t_ns, t_ns, state.core, self._settings)
-            return inertial_step(state.R, p, v, m), m
-        return constant_step(state.R, p, v, state.core[GYRO], (t_ns - state.t_ns) * 1e-9), None
-
     def _propagate(self, state: FilterState, t_ns: int) -> None:
         """EKF prediction to a later time (M8-M10)."""
-        dt, predicted = (t_ns - state.t_ns) * 1e-9, self._memory.predicted
-        if dt <= 0 or predicted is None:
+        m, dt, s = self._memory, (t_ns - state.t_ns) * 1e-9, self._settings
+        if dt <= 0 or m.predicted is None:
             return
-        after, m = self._step(state, t_ns)
-        if m is not None:
-            F, Q = inertial_transition(predicted, after, m)
-            Q[np.diag_indices(MOTION.stop)] += bias_walk(dt, self._settings)
-        else:
-            F, Q = constant_transition(state.R, state.core[GYRO], dt, self._settings)
-        decay, drift = nav_decay(dt, self._memory.nav_sigma, self._settings)
-        propagate_covariance(state, F, Q, decay, drift)
-        state.R, state.core[POS], state.core[VEL] = after.R, after.position, after.velocity
-        state.core[NAV] *= decay
+        imu = preintegrated(self.imu, state.t_ns, t_ns, state.core, s) if m.inertial else None
+        after, F, Q = propagate(Step.at(state), state.core[AT.gyro], imu, dt, s, m.predicted)
+        if m.inertial:
+            add_bias_walk(Q, dt, s)
+        decay, drift = nav_decay(dt, m.nav_sigma, s)
+        propagate_errors(state.P, F, Q, decay, drift)
+        state.R, state.core[AT.pos], state.core[AT.vel] = after.R, after.position, after.velocity
+        state.core[AT.nav] *= decay
         state.t_ns = t_ns
         state.rate, state.rate_variance = self._rate(state)
-        self._memory.predicted = Step.at(state)
+        m.predicted = Step.at(state)
 
     def _rate(self, state: FilterState) -> tuple[F64, float]:
         """(3,) rad/s angular velocity in the body, the mean over 30 ms, and its variance as it counts for M27."""
         if not self._memory.inertial:
-            return state.core[GYRO].copy(), float(state.P[GYRO, GYRO].diagonal().max())
-        mean = self._imu.mean_rate(state.t_ns, _RATE_HALF_WINDOW_NS)
-        return mean - state.core[GYRO], _RATE_MARGIN * self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
+            return state.core[AT.gyro].copy(), float(state.P[AT.gyro, AT.gyro].diagonal().max())
+        mean = self.imu.mean_rate(state.t_ns, _RATE_HALF_WINDOW_NS)
+        return mean - state.core[AT.gyro], _RATE_MARGIN * self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
 
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
 
@@ -324,7 +369,7 @@ class MotionFilter:
         residual, unit = np.concatenate([z.residual for z in rows]), np.concatenate([z.variance for z in rows]) ** -0.5
         residual, HP = residual * unit, (H @ state.P[:CORE]) * unit[:, None]
         S = (HP[:, :CORE] @ H.T) * unit
-        passed, used, limit = list[NavMeasurement](), np.zeros(len(H), bool), self._gate.limit(3)
+        passed, used, limit = list[NavMeasurement](), np.zeros(len(H), bool), self._gate.limits(np.array([3]))[0]
         for i, z in enumerate(rows):
             at = slice(3 * i, 3 * i + 3)
             if squared_distance(residual[at], S[at, at]) <= limit:
@@ -336,13 +381,13 @@ class MotionFilter:
 
     def _accept_jump(self, state: FilterState, position: F64) -> None:
         """Set the slow error of the GPS/INS position anew after a jump, so that the jump does not move the vehicle."""
-        expected = state.core[POS] + state.core[OFFSET]
-        log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[NAV_POS]))
-        state.core[NAV_POS] = position - expected
-        cross = -state.P[POS] - state.P[OFFSET]  # (3, n): covariance of the new error with all errors
-        cross[:, NAV_POS] = 0.0
-        own = -cross[:, POS] - cross[:, OFFSET] + np.eye(3) * self._settings.nav_position_white**2
-        state.P[NAV_POS], state.P[:, NAV_POS], state.P[NAV_POS, NAV_POS] = cross, cross.T, own
+        expected = state.core[AT.pos] + state.core[AT.offset]
+        log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[AT.nav_pos]))
+        state.core[AT.nav_pos] = position - expected
+        cross = -state.P[AT.pos] - state.P[AT.offset]  # (3, n): covariance of the new error with all errors
+        cross[:, AT.nav_pos] = 0.0
+        own = -cross[:, AT.pos] - cross[:, AT.offset] + np.eye(3) * self._settings.nav_position_white**2
+        state.P[AT.nav_pos], state.P[:, AT.nav_pos], state.P[AT.nav_pos, AT.nav_pos] = cross, cross.T, own
         self._memory.health.on_gps(state.t_ns, True, True)
 
     def _inflate_attitude(self, state: FilterState) -> None:
@@ -351,10 +396,10 @@ class MotionFilter:
         log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
         self._memory.visual.reset(state)
         variance = np.diag(_ATTITUDE_INFLATION**2)
-        state.P[ATT, ATT] += variance
-        state.P[NAV_ATT, NAV_ATT] += variance
-        state.P[ATT, NAV_ATT] -= variance
-        state.P[NAV_ATT, ATT] -= variance
+        state.P[AT.att, AT.att] += variance
+        state.P[AT.nav_att, AT.nav_att] += variance
+        state.P[AT.att, AT.nav_att] -= variance
+        state.P[AT.nav_att, AT.att] -= variance
 
     # -- results ---------------------------------------------------------------------------------------------------
 
@@ -364,26 +409,13 @@ class MotionFilter:
         judged, why = m.health.judge(state)
         m.inflations = 0 if judged is MotionState.GOOD else m.inflations
         if m.lost and judged is not MotionState.LOST:
-            m.map_number += 1
-            log.warning(
-                "motion: found again, in map %d: the way from the poses before is known by GPS/INS only", m.map_number
-            )
+            m.frame_id += 1
+            log.warning("motion: found again, as map %d; GPS/INS alone ties it to the earlier poses", m.frame_id)
         m.lost = judged is MotionState.LOST
-        rig, rows = Pose(state.rig, state.core[POS]), POSITION_FIRST[:, None]
+        core, P, at, rig = state.core, state.P, AT.offset, Pose(state.rig, state.core[AT.pos])
+        own, cross = P[np.ix_(POSITION_FIRST, POSITION_FIRST)], P[POSITION_FIRST, at]
         return Motion(
-            stamp_ns,
-            Pose(state.R, state.core[POS]),
-            tuple(rig @ c for c in self._cams),
-            moment_in_world(
-                state.P[rows, POSITION_FIRST],
-                state.P[POSITION_FIRST, OFFSET],
-                state.core[OFFSET],
-                state.P[OFFSET, OFFSET],
-            ),
-            state.core[VEL].copy(),
-            judged,
-            support,
-            state.core[OFFSET].copy(),
-            why,
-            m.map_number,
-        )
+            stamp_ns, Pose(state.R, core[AT.pos]), tuple(rig @ c for c in self._cams),
+            moment_in_world(own, cross, core[at], P[at, at]), core[AT.vel].copy(), judged, support, core[at].copy(),
+            why, m.frame_id,
+        )  # fmt: skip

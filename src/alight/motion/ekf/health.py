@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alight.motion.ekf.state import ATT, VEL, FilterState
+from alight.motion.ekf.state import AT, FilterState
 from alight.records import MotionState
 
 NEVER_NS = -(1 << 62)  # ns, a time before all events
 _MIN_SUPPORT = 8  # features that pass their gates, at least, and as many as fail, for the cameras to hold the motion
-_FEW, _AGREEING = (
-    4,
-    4,
-)  # fewer suffice where this many pass, and this many for each that fails: a pose has six degrees of freedom
+_FEW = 4  # fewer suffice where this many pass, and as many for each that fails: a pose has six degrees of freedom
 _DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
 _PHOTO_INTERVALS = 2.5  # that time in intervals between exposures: photos come every few seconds
 _SETTLING = 3  # supported exposures until the start is over
@@ -86,7 +83,7 @@ class Health:
         self._start_ns = t_ns if self._start_ns == NEVER_NS else self._start_ns
         if counts.passed >= _MIN_SUPPORT and counts.passed >= counts.failed:
             self._supported_ns, self._settled = t_ns, self._settled + 1
-        elif counts.passed >= _FEW and counts.passed >= _AGREEING * counts.failed:
+        elif counts.passed >= _FEW * max(counts.failed, 1):
             self._supported_ns = t_ns  # near the ground: a few metres of it are in view, and pass in some exposures
         if self._supported_ns == t_ns:
             self._innovation += _INNOVATION_GAIN * (counts.innovation - self._innovation)
@@ -126,5 +123,5 @@ class Health:
 def is_diverged(state: FilterState) -> bool:
     """True if the covariance of tilt or velocity is too large for use, or the state is not finite."""
     variance = np.diag(state.P)
-    small = variance[ATT][:2].max() <= _MAX_TILT_SIGMA**2 and variance[VEL].max() <= _MAX_VELOCITY_SIGMA**2
+    small = variance[AT.att][:2].max() <= _MAX_TILT_SIGMA**2 and variance[AT.vel].max() <= _MAX_VELOCITY_SIGMA**2
     return not (bool(small) and bool(np.isfinite(state.core).all()))

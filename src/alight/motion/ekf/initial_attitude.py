@@ -19,7 +19,6 @@ _TILT_SIGMA = 0.1  # rad; the camera is assumed to look down
 _MIN_HEADING_SIGMA = 0.05  # rad
 MAX_START_SIGMA = 1.0 / 3.0  # rad, of the heading at a start: way and shift are three sigmas long, else they grow first
 _MIN_FEATURES = 12
-_ROUNDS, _PAIRS = 6, 100
 _INLIER = 0.01  # normalised coordinates; features with a larger residual are off the ground plane, or wrong
 
 
@@ -49,16 +48,13 @@ class PositionedExposure:
 
     def course_to(self, now: PositionedExposure, cam: Pose, settings: FilterSettings) -> CourseAttitude | None:
         """Return the attitude at a later one by the course; `cam` is body_from_cam; None: not determined."""
-        return attitude_from_course(self.tracks, now.tracks, *self._way_to(now, settings), cam)
-
-    def _way_to(self, now: PositionedExposure, settings: FilterSettings) -> tuple[F64, float]:
-        """Return the way (2,) to a later one, m east and north, and the 1-sigma of each by the GPS model (M10)."""
         assert self.nav.position_world is not None
         assert now.nav.position_world is not None
         way = (now.nav.position_world - self.nav.position_world)[:2]
         sigma, dt = sigmas(now.nav, settings), (now.nav.t_ns - self.nav.t_ns) * 1e-9
-        drift = sigma**2 * (1.0 - np.exp(-dt / settings.nav_position_tau))
-        return way, float(np.sqrt(2.0 * (drift + whites(sigma, settings) ** 2)[:2].max()))
+        drift = sigma**2 * (1.0 - np.exp(-dt / settings.nav_position_tau))  # by the GPS model (M10)
+        way_sigma = float(np.sqrt(2.0 * (drift + whites(sigma, settings) ** 2)[:2].max()))
+        return attitude_from_course(self.tracks, now.tracks, way, way_sigma, cam)
 
 
 @dataclass(frozen=True)
@@ -114,17 +110,17 @@ def _complex(z: F64) -> NDArray[np.complex128]:
 def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shift | None:
     """Return the shift t of the map b (1 + h . a) = c a + t, by least squares without outliers; None: no clear motion.
 
-    A change of the tilt shifts the image like a flight over ground, by -h turned as the image has turned. So it is told
-    by h and taken out: at 30 m it changed the direction by 0.2 rad. The fit starts from the pair of features with the
-    most inliers by a similarity, since the images may be rotated by any angle.
+    A change of the tilt shifts the image like a flight over ground, by -h turned as the image has turned. So it is
+    estimated by h and taken out: at 30 m it changed the direction by 0.2 rad. The fit starts from the pair of features
+    with the most inliers by a similarity, since the images may be rotated by any angle.
     """
-    i, j = np.random.default_rng(0).integers(0, len(a), (2, _PAIRS))
+    i, j = np.random.default_rng(0).integers(0, len(a), (2, 100))
     c = (b[j] - b[i]) / np.where(i == j, 1.0, a[j] - a[i])
     residual = np.abs(c[:, None] * a + (b[i] - c * a[i])[:, None] - b)
     used = residual[int(np.argmax((residual < 3.0 * _INLIER).sum(axis=1)))] < 3.0 * _INLIER
     J = _by_map(a, b)
     x, rows = np.zeros(6), J[:0].reshape(0, 6)
-    for _ in range(_ROUNDS):
+    for _ in range(6):
         if used.sum() < _MIN_FEATURES:
             return None
         rows, seen = J[used].reshape(-1, 6), np.column_stack([b[used].real, b[used].imag]).ravel()

@@ -8,20 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alight.arrays import F64, Mask
+from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp
-from alight.motion.ekf.state import CLONE, MOUNT, OFFSET, FilterState, moment_in_world
-from alight.motion.elimination import PoseConstraint, largest_sigma, marginalise_points
-from alight.motion.observations import WindowObservations, WindowPoses
-from alight.motion.projection import POSITION_FIRST
+from alight.motion.ekf.state import AT, CLONE, POSITION_FIRST, FilterState, moment_in_world
+from alight.motion.observations import Clones, WindowObservations
+from alight.motion.points import marginalise_points
 from alight.motion.robust import robust_pose_weights
-from alight.motion.triangulation import triangulate_window
 from alight.records import KeyframePosterior, Motion
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
-
-_ITERATIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +38,7 @@ class CloneWindow:
     gives out this record, and a user of the posterior computes it: it is a function of the record alone.
     """
 
-    stamps: tuple[int, ...]  # ns, of the K exposures, oldest first
-    poses: WindowPoses  # K
+    clones: Clones  # K
     P: F64  # (6K, 6K) their joint covariance, (rotation, position) a pose
     offset_cross: F64  # (6K, 3) its cross covariance with the offset of the map
     offset: F64  # (3,) m
@@ -51,33 +46,21 @@ class CloneWindow:
     mount: F64  # (3,) rad, mounting of the cameras
     observations: WindowObservations
     cams: tuple[Pose, ...]  # rig_from_cam
-    map_number: int
+    frame_id: int
     settings: FilterSettings
 
     @classmethod
     def of(
-        cls,
-        state: FilterState,
-        observations: WindowObservations,
-        cams: Sequence[Pose],
-        settings: FilterSettings,
-        map_number: int = 0,
-    ) -> CloneWindow:
+        cls, state: FilterState, unused: WindowObservations, cams: Sequence[Pose], settings: FilterSettings,
+        frame_id: int = 0,
+    ) -> CloneWindow:  # fmt: skip
         """Copy the window of a state."""
-        rows = state.clone_rows
+        rows, at, core = state.clone_rows, AT.offset, state.core
+        joint, cross, offset = (state.P[r, c].copy() for r, c in ((rows, rows), (rows, at), (at, at)))
         return cls(
-            state.clones.stamps,
-            state.clones.poses,
-            state.P[rows, rows].copy(),
-            state.P[rows, OFFSET].copy(),
-            state.core[OFFSET].copy(),
-            state.P[OFFSET, OFFSET].copy(),
-            state.core[MOUNT].copy(),
-            observations,
-            tuple(cams),
-            map_number,
+            state.clones, joint, cross, core[at].copy(), offset, core[AT.mount].copy(), unused, tuple(cams), frame_id,
             settings,
-        )
+        )  # fmt: skip
 
     def refined(self) -> RefinedPoses:
         """Gauss-Newton over the clones: prior is their joint covariance, data are the unused observations.
@@ -87,13 +70,12 @@ class CloneWindow:
         that contradict the prior as a whole are left out: weights relative to the median do not help where all are
         wrong, as when the lines of a car park are matched with each other.
         """
-        P, poses, median = self.P, self.poses, 0.0
+        P, clones, median = self.P, self.clones, 0.0
         error, gain = np.zeros(len(P)), np.asarray(np.eye(len(P)))
         observations = self.observations.select(self.observations.observed.sum(axis=1) >= 2)
-        for _ in range(_ITERATIONS if len(observations.ids) else 0):
-            x = triangulate_window(observations, poses, self.cams)
-            constraint = marginalise_points(observations, poses, self.cams, x)
-            used = _well_known(constraint, x, poses, self.settings.vague_share)
+        for _ in range(2 if len(observations.ids) else 0):
+            constraint = marginalise_points(observations, clones, self.cams)
+            used = constraint.well_known(clones.p[-1], self.settings.vague_share) & (constraint.freedom > 0)
             weight, median = robust_pose_weights(constraint, P, used, error)
             A, b = constraint.information(weight)
             gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
@@ -101,11 +83,11 @@ class CloneWindow:
             error = P @ whitened
             if not whitened @ error <= self.settings.unlikely * len(P):  # so that NaN is refused
                 log.info("observations of %d features contradict the poses, which stay as they were", used.sum())
-                return RefinedPoses(self.poses.R, self.poses.p, P, self.offset_cross)
-            poses = self.poses.moved(error)
-        inflation = relative_inflation(poses.p, max(1.0, self.settings.pixel_repeat * median))
+                return RefinedPoses(self.clones.R, self.clones.p, P, self.offset_cross)
+            clones = self.clones.moved(error)
+        inflation = relative_inflation(clones.p, max(1.0, self.settings.pixel_repeat * median))
         cross = gain.T @ self.offset_cross
-        return RefinedPoses(poses.R, poses.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
+        return RefinedPoses(clones.R, clones.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
 
     def posterior(self) -> KeyframePosterior:
         """Return the joint posterior, oldest first (M23).
@@ -113,7 +95,7 @@ class CloneWindow:
         Covariances of the single motions are marginals in the world. The joint covariance is in the map frame, whose
         offset from the world (`offset_world`) cameras cannot observe. GPS/INS corrections move all poses together.
         """
-        K = len(self.stamps)
+        K = len(self.clones)
         if not K:
             return KeyframePosterior((), np.zeros((0, 0)))
         refined = self.refined()
@@ -128,12 +110,12 @@ class CloneWindow:
         body = Pose(refined.R[i] @ so3_exp(self.mount).T, refined.p[i])
         own, cross = refined.covariance[np.ix_(rows, rows)], refined.offset_cross[rows]
         return Motion(
-            self.stamps[i],
+            self.clones.stamps[i],
             body,
             tuple(rig @ c for c in self.cams),
             moment_in_world(own, cross, self.offset, self.offset_covariance),
             offset_world=self.offset,
-            frame_id=self.map_number,
+            frame_id=self.frame_id,
         )
 
 
@@ -149,13 +131,6 @@ def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
     by_last[:, :3, 3:] = -skew(p - p[-1])
     F = by_last.reshape(-1, CLONE)
     return KeyframePosterior(tuple(motions), F @ motions[-1].covariance @ F.T)
-
-
-def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: float) -> Mask:
-    """(N,) features whose largest sigma is less than a share of their distance from the last pose."""
-    distance = np.linalg.norm(x - poses.p[-1], axis=1)
-    well_known = largest_sigma(constraint.point_covariance) < share * distance
-    return np.asarray(well_known & (constraint.freedom > 0))
 
 
 def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:

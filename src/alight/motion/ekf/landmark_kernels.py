@@ -49,14 +49,9 @@ def linearise_points(
 
 @kernel
 def project_covariance(P: F64, pose: int, points: I64, by_pose: F64, by_point: F64, HP: F64) -> None:
-    """Write the covariance of the rows of N landmarks with all errors.
+    """Write the covariance `HP` of the rows of N landmarks with all errors, of covariance `P` (n, n).
 
-    Args:
-        P: (n, n).
-        pose: first row of the clone in `P`.
-        points: (N,) first row of each landmark.
-        by_pose, by_point: (N, m, 6), (N, m, 3).
-        HP: (N, m, n) out.
+    Arguments as in `LandmarkRows`.
     """
     for k in range(by_pose.shape[0]):
         for r in range(by_pose.shape[1]):
@@ -88,7 +83,7 @@ def _covariance_with(HP: F64, pose: int, point: int, by_pose: F64, by_point: F64
 def gate_distances(HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, out: F64) -> None:
     """Write the (N,) squared Mahalanobis distance of each landmark by the covariance of its own rows.
 
-    Arguments as in `project_covariance`; `residual` (N, m).
+    Arguments as in `LandmarkRows`.
     """
     m = residual.shape[1]
     S, L, y = np.zeros((m, m)), np.zeros((m, m)), np.empty(m)
@@ -107,7 +102,7 @@ def innovation_of(
     """Gather the rows that are used, each times the factor of its landmark.
 
     Args:
-        HP, pose, points, by_pose, by_point: as in `project_covariance`. residual: (N, m).
+        HP, pose, points, by_pose, by_point, residual: as in `LandmarkRows`.
         used: (M, 2) landmark and row.
         scale: (N,) factor of each landmark.
         rows: (M, n) out, covariance with all errors.
@@ -122,8 +117,5 @@ def innovation_of(
             rows[i, j] = f * HP[k, r, j]
         for j in range(i + 1):
             other, s = used[j]
-            S[i, j] = (
-                f
-                * scale[other]
-                * _covariance_with(HP[k, r], pose, points[other], by_pose[other, s], by_point[other, s])
-            )
+            own = _covariance_with(HP[k, r], pose, points[other], by_pose[other, s], by_point[other, s])
+            S[i, j] = f * scale[other] * own

@@ -18,10 +18,9 @@ from alight.motion.ekf.landmark_kernels import (
     project_covariance,
 )
 from alight.motion.ekf.state import CLONE, LANDMARK, FilterState, Landmarks
-from alight.motion.elimination import PoseConstraint, unit_noise_rows
 from alight.motion.observations import cameras_at, positions
+from alight.motion.points import NEAR, PoseConstraint, unit_noise_rows
 from alight.motion.robust import median_residual, robust_weights
-from alight.motion.triangulation import NEAR
 
 MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped: it moves
 _RESIDUAL_GAIN = 0.3  # of the last exposure in a landmark's running mean residual
@@ -42,10 +41,6 @@ class Gate:
         if most >= len(self._limits):
             self._limits = np.append(0.0, 2.0 * gammaincinv(0.5 * np.arange(1, most + 16), self._probability))
         return np.asarray(self._limits[rows])
-
-    def limit(self, rows: int) -> float:
-        """Return the largest squared distance that passes (chi-square)."""
-        return float(self.limits(np.array([rows]))[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +87,12 @@ def linearise_landmarks(
         cams: rig_from_cam.
     """
     n, m = len(index), 2 * len(cams)
-    poses, q = state.clones.poses, state.landmarks
-    (R, p), (first_R, first_p) = (
-        cameras_at(a[-1:], b[-1:], cams) for a, b in ((poses.R, poses.p), (poses.first_R, poses.first_p))
-    )
+    w, q = state.clones, state.landmarks
+    (R, p), (first_R, first_p) = (cameras_at(a[-1:], b[-1:], cams) for a, b in ((w.R, w.p), (w.first_R, w.first_p)))
     residual, by_pose, by_point = np.empty((n, m)), np.empty((n, m, CLONE)), np.empty((n, m, LANDMARK))
     count, HP = np.empty(n, np.int64), np.empty((n, m, len(state.P)))
     linearise_points(
-        q.x[index], q.first_x[index], normalised, sigma, R[0], p[0], first_R[0], first_p[0], poses.first_p[-1], NEAR,
+        q.x[index], q.first_x[index], normalised, sigma, R[0], p[0], first_R[0], first_p[0], w.first_p[-1], NEAR,
         residual, by_pose, by_point, count,
     )  # fmt: skip
     pose, points = state.landmark_start - CLONE, state.landmark_start + LANDMARK * index
@@ -156,9 +149,7 @@ def reject_moving(landmarks: Landmarks, index: I64, residual: F64) -> Landmarks:
     return replace(landmarks, mean_residual=mean, mean_square=square, rejections=rejections)
 
 
-def initialise_landmarks(
-    state: FilterState, ids: I64, x: F64, constraint: PoseConstraint, gate: Gate, rows: int
-) -> Mask:
+def initialise_landmarks(state: FilterState, ids: I64, constraint: PoseConstraint, gate: Gate, rows: int) -> Mask:
     """Move N tracks from the window into the state, if their observations agree (M17); (N,) which were moved.
 
     Delayed initialisation: the observations of a track are split into two independent parts. The part that does not
@@ -167,8 +158,8 @@ def initialise_landmarks(
 
     Args:
         state: changed in place.
-        ids, x: (N,), (N, 3) the tracks and their triangulated points.
-        constraint: of these tracks, linearised at `x`.
+        ids: (N,) the tracks.
+        constraint: of these tracks, linearised at their triangulated points.
         gate: of one track.
         rows: of one exposure's observations of a point.
     """
@@ -179,7 +170,8 @@ def initialise_landmarks(
     passed &= misfit <= _MAX_INITIAL_MISFIT * median_residual(misfit)
     if not passed.any():
         return passed
-    constraint, x = constraint.select(passed), x[passed]
+    constraint = constraint.select(passed)
+    x = constraint.x
     G = constraint.point_by_poses().reshape(-1, len(P))  # negated
     cross = G @ P
     covariance = cross[:, columns] @ G.T

@@ -8,31 +8,25 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp
-from alight.motion.dynamics import (
-    Step,
-    constant_step,
-    constant_transition,
-    inertial_step,
-    inertial_transition,
-)
-from alight.motion.ekf.state import ACC, CLONE, GYRO, MOTION, MOUNT, POS, TIME, VEL, FilterState
+from alight.motion.dynamics import Step, propagate
+from alight.motion.ekf.state import AT, CLONE, FilterState
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral, preintegrate, segments
 from alight.records import Prediction
 from alight.settings import FilterSettings
 
-_CORE = np.r_[MOTION, MOUNT]  # errors of a state on which predicted poses depend
-_MOVING = slice(CLONE, CLONE + MOTION.stop)  # in the covariance of a predictor: ATT to ACC
+_CORE = np.r_[AT.motion, AT.mount]  # errors of a state on which predicted poses depend
+_MOVING = slice(CLONE, CLONE + AT.motion.stop)  # in the covariance of a predictor: attitude to accelerometer bias
 
 
 def instant(stamp_ns: int, core: F64) -> int:
     """Return the time of an exposure by the clock of GPS/INS (M27)."""
-    return stamp_ns - round(float(core[TIME][0]) * 1e9)
+    return stamp_ns - round(float(core[AT.time][0]) * 1e9)
 
 
 def preintegrated(imu: ImuBuffer, start_ns: int, end_ns: int, core: F64, noise: FilterSettings) -> Preintegral:
     """Preintegrate the IMU from `start_ns` to `end_ns` at the biases of `core` (M4-M6)."""
-    return preintegrate(segments(imu, start_ns, end_ns), core[GYRO], core[ACC], noise)
+    return preintegrate(segments(imu, start_ns, end_ns), core[AT.gyro], core[AT.acc], noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +46,7 @@ class MotionPredictor:
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) as in `FilterState`
     last: LastClone | None  # pose of the rig at the last exposure
-    P: F64  # (24, 24) joint: `last` (6; zero without it), ATT to ACC, MOUNT
+    P: F64  # (24, 24) joint: `last` (6; zero without it), attitude to accelerometer bias, AT.mount
     cams: tuple[Pose, ...]  # body_from_cam
     inertial: bool
     noise: FilterSettings
@@ -61,7 +55,7 @@ class MotionPredictor:
     def of(cls, state: FilterState, cams: tuple[Pose, ...], inertial: bool, noise: FilterSettings) -> MotionPredictor:
         """Copy the relevant part of a state."""
         c = state.clones
-        last = LastClone(c.stamps[-1], c.poses.R[-1], c.poses.p[-1]) if len(c) else None
+        last = LastClone(c.stamps[-1], c.R[-1], c.p[-1]) if len(c) else None
         rows = np.concatenate([np.arange(state.landmark_start - CLONE, state.landmark_start), _CORE])
         if last is None:
             P = np.zeros((len(rows), len(rows)))
@@ -76,31 +70,27 @@ class MotionPredictor:
         if last is None and before_ns is not None and (before := instant(before_ns, self.core)) >= self.t_ns:
             return self._at_exposure(before_ns, before, imu).cameras(stamp_ns, before_ns, imu)
         after, F, Q = self._propagated(max(instant(stamp_ns, self.core), self.t_ns), imu)
-        now = self._cameras_of(after.R @ so3_exp(self.core[MOUNT]), after.position)
+        now = self._cameras_of(after.R @ so3_exp(self.core[AT.mount]), after.position)
         if last is None:
             return Prediction(now)
         return Prediction(now, self._cameras_of(last.R, last.p), self._relative_covariance(last, after, F, Q))
 
     def _propagated(self, t_ns: int, imu: ImuBuffer) -> tuple[Step, F64, F64]:
         """Return the step to a later time, its (15, 15) transition and noise."""
-        here = Step(self.R, self.core[POS], self.core[VEL])
-        if self.inertial and len(imu):
-            m = preintegrated(imu, self.t_ns, t_ns, self.core, self.noise)
-            after = inertial_step(self.R, here.position, here.velocity, m)
-            return after, *inertial_transition(here, after, m)
-        dt, rate = (t_ns - self.t_ns) * 1e-9, self.core[GYRO]
-        after = constant_step(self.R, here.position, here.velocity, rate, dt)
-        return after, *constant_transition(self.R, rate, dt, self.noise)
+        here = Step(self.R, self.core[AT.pos], self.core[AT.vel])
+        driven = self.inertial and len(imu)
+        m = preintegrated(imu, self.t_ns, t_ns, self.core, self.noise) if driven else None
+        return propagate(here, self.core[AT.gyro], m, (t_ns - self.t_ns) * 1e-9, self.noise)
 
     def _at_exposure(self, stamp_ns: int, t_ns: int, imu: ImuBuffer) -> MotionPredictor:
         """Return the predictor at an exposure that the state has not processed yet."""
         after, F, Q = self._propagated(t_ns, imu)
         core, P = self.core.copy(), self.P.copy()
-        core[POS], core[VEL] = after.position, after.velocity
+        core[AT.pos], core[AT.vel] = after.position, after.velocity
         P[_MOVING] = F @ P[_MOVING]
         P[:, _MOVING] = P[:, _MOVING] @ F.T
         P[_MOVING, _MOVING] += Q
-        R = after.R @ so3_exp(core[MOUNT])
+        R = after.R @ so3_exp(core[AT.mount])
         H = np.eye(len(P))
         H[:CLONE], H[:3, CLONE : CLONE + 3], H[3:CLONE, CLONE + 3 : 2 * CLONE] = 0.0, np.eye(3), np.eye(3)
         H[:3, -3:] = after.R
@@ -109,7 +99,7 @@ class MotionPredictor:
 
     def _relative_covariance(self, last: LastClone, after: Step, F: F64, Q: F64) -> F64:
         """(6, 6) covariance of the rotation and shift that take earlier points to camera 0 (`Prediction`)."""
-        cam, rig = self.cams[0], after.R @ so3_exp(self.core[MOUNT])
+        cam, rig = self.cams[0], after.R @ so3_exp(self.core[AT.mount])
         cam_from_world, arms = (rig @ cam.rotation).T, (last.R @ cam.translation, rig @ cam.translation)
         baseline = after.position + arms[1] - last.p - arms[0]
         J = np.zeros((6, 2 * CLONE))  # by (rotation, position) of the rig at the last exposure and at this one

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsyrk, dtrsm
@@ -15,54 +16,34 @@ from scipy.linalg.lapack import dpotrf
 from alight.arrays import F64, I64
 from alight.geometry import so3_exp
 from alight.motion.ekf.state_kernels import insert_rows, keep_rows, mirror_lower
-from alight.motion.observations import WindowPoses
+from alight.motion.observations import Clones
 from alight.motion.rotation_kernels import move_poses
 
-ATT = slice(0, 3)  # rad, body attitude
-POS = slice(3, 6)  # m
-VEL = slice(6, 9)  # m/s
-GYRO = slice(9, 12)  # rad/s, gyro bias; without IMU the angular velocity of the body itself
-ACC = slice(12, 15)  # m/s^2, accelerometer bias; without IMU unused
-MOTION = slice(0, 15)  # all of the above: errors that the motion model propagates
-NAV_POS = slice(15, 18)  # m, slowly varying error of the GPS/INS position
-NAV_ATT = slice(18, 21)  # rad, of its attitude, in the world
-NAV_VEL = slice(21, 24)  # m/s, of its velocity
-NAV = slice(15, 24)  # these three
-MOUNT = slice(24, 27)  # rad, rotation from the INS body to the body that the cameras are calibrated to
-OFFSET = slice(27, 30)  # m, from the map frame, where the start is exact, to the world: minus the first GPS error
-TIME = slice(30, 31)  # s that the cameras' stamps are ahead of the clock of GPS/INS and IMU
-CORE = 31
+
+class CoreLayout(NamedTuple):
+    """Rows of the core's errors, in the state's values and in its covariance."""
+
+    att: slice = slice(0, 3)  # rad, body attitude
+    pos: slice = slice(3, 6)  # m
+    vel: slice = slice(6, 9)  # m/s
+    gyro: slice = slice(9, 12)  # rad/s, gyro bias; without IMU the angular velocity of the body itself
+    acc: slice = slice(12, 15)  # m/s^2, accelerometer bias; without IMU unused
+    motion: slice = slice(0, 15)  # all of the above: errors that the motion model propagates
+    nav_pos: slice = slice(15, 18)  # m, slowly varying error of the GPS/INS position
+    nav_att: slice = slice(18, 21)  # rad, of its attitude, in the world
+    nav_vel: slice = slice(21, 24)  # m/s, of its velocity
+    nav: slice = slice(15, 24)  # these three
+    mount: slice = slice(24, 27)  # rad, rotation from the INS body to the body that the cameras are calibrated to
+    offset: slice = slice(27, 30)  # m, from the map frame, where the start is exact, to the world
+    time: slice = slice(30, 31)  # s that the cameras' stamps are ahead of the clock of GPS/INS and IMU
+
+
+AT = CoreLayout()
+CORE: int = AT.time.stop
 CLONE = 6  # errors of a clone: (rotation, position)
 LANDMARK = 3
+POSITION_FIRST = np.r_[AT.pos, AT.att]  # takes (rotation, position) of a pose to (position, rotation)
 _UNMODELLED = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
-
-
-@dataclass(frozen=True, eq=False)
-class Clones:
-    """Poses of the rig at K earlier exposures, oldest first."""
-
-    stamps: tuple[int, ...]  # ns
-    poses: WindowPoses  # K, with their first estimates, where Jacobians are taken
-
-    @classmethod
-    def none(cls) -> Clones:
-        """Return an empty set of clones."""
-        return cls((), WindowPoses(*(np.zeros((0, *shape)) for shape in ((3, 3), (3,)) * 2)))
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
-        """Return these clones and one more."""
-        w = self.poses
-        R, p = R[None], p[None]
-        arrays = (np.concatenate(pair) for pair in ((w.R, R), (w.p, p), (w.first_R, R), (w.first_p, p)))
-        return Clones((*self.stamps, t_ns), WindowPoses(*arrays))
-
-    def select(self, kept: Sequence[int]) -> Clones:
-        """Return the clones of the indices `kept`."""
-        w, at = self.poses, list(kept)
-        return Clones(tuple(self.stamps[i] for i in at), WindowPoses(w.R[at], w.p[at], w.first_R[at], w.first_p[at]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +83,7 @@ class FilterState:
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
-    core: F64  # (31,) values of the slices; ATT stays zero, R holds the attitude
+    core: F64  # (31,) values of the slices; AT.att stays zero, R holds the attitude
     P: F64  # (n, n)
     clones: Clones = field(default_factory=Clones.none)
     landmarks: Landmarks = field(
@@ -119,12 +100,7 @@ class FilterState:
     @property
     def rig(self) -> F64:
         """(3, 3) world_from_rig: the attitude with the mounting correction."""
-        return self.R @ so3_exp(self.core[MOUNT])
-
-    def clone_slice(self, index: int) -> slice:
-        """Rows of a clone in `P`."""
-        start = CORE + CLONE * index
-        return slice(start, start + CLONE)
+        return self.R @ so3_exp(self.core[AT.mount])
 
     @property
     def landmark_start(self) -> int:
@@ -138,8 +114,7 @@ class FilterState:
 
     def relinearise(self) -> None:
         """Take Jacobians at the present estimates from now on."""
-        w = self.clones.poses
-        self.clones = Clones(self.clones.stamps, WindowPoses(w.R, w.p, w.R, w.p))
+        self.clones = replace(self.clones, first_R=self.clones.R, first_p=self.clones.p)
         self.landmarks = replace(self.landmarks, first_x=self.landmarks.x)
 
     def add_clone(self, t_ns: int) -> None:
@@ -148,18 +123,18 @@ class FilterState:
         Its Jacobian by the time offset: a stamp further ahead than assumed means an earlier pose (M27).
         """
         J = np.zeros((CLONE, CORE))
-        J[0:3, ATT], J[0:3, MOUNT], J[3:6, POS] = np.eye(3), self.R, np.eye(3)
-        J[0:3, TIME], J[3:6, TIME] = -(self.R @ self.rate)[:, None], -self.core[VEL][:, None]
+        J[0:3, AT.att], J[0:3, AT.mount], J[3:6, AT.pos] = np.eye(3), self.R, np.eye(3)
+        J[0:3, AT.time], J[3:6, AT.time] = -(self.R @ self.rate)[:, None], -self.core[AT.vel][:, None]
         cross = J @ self.P[:CORE]
         self._insert(self.landmark_start, cross, cross[:, :CORE] @ J.T + self._time_offset_noise())
-        self.clones = self.clones.with_pose(t_ns, self.rig, self.core[POS])
+        self.clones = self.clones.with_pose(t_ns, self.rig, self.core[AT.pos])
 
     def _time_offset_noise(self) -> F64:
         """(6, 6) covariance that M27 leaves out while the time offset is uncertain: errors and changes of the rates.
 
         Without it the noise of a gyro (7 mrad/s a sample) counts as rotation, and the offset becomes wrong.
         """
-        time, velocity = float(self.P[TIME, TIME][0, 0]), float(self.P[VEL, VEL].diagonal().max())
+        time, velocity = float(self.P[AT.time, AT.time][0, 0]), float(self.P[AT.vel, AT.vel].diagonal().max())
         rotation = time * self.rate_variance + (0.5 * time * _UNMODELLED[0]) ** 2
         position = time * velocity + (0.5 * time * _UNMODELLED[1]) ** 2
         return np.diag(np.repeat([rotation, position], 3))
@@ -223,13 +198,12 @@ class FilterState:
     def _apply(self, error: F64) -> None:
         """Add (n,) errors to the nominal values."""
         R = np.empty((1, 3, 3))
-        move_poses(self.R[None], self.core[None, POS], error, R, np.empty((1, 3)))
+        move_poses(self.R[None], self.core[None, AT.pos], error, R, np.empty((1, 3)))
         self.R = R[0]
         self.core[3:] += error[3:CORE]
-        self.clones = Clones(self.clones.stamps, self.clones.poses.moved(error[self.clone_rows]))
-        q = self.landmarks
-        x = q.x + error[self.landmark_start :].reshape(-1, LANDMARK)
-        self.landmarks = Landmarks(q.ids, x, q.first_x, q.rejections, q.mean_residual, q.mean_square)
+        self.clones = self.clones.moved(error[self.clone_rows])
+        x = self.landmarks.x + error[self.landmark_start :].reshape(-1, LANDMARK)
+        self.landmarks = replace(self.landmarks, x=x)
 
 
 def moment_in_world(covariance: F64, by_offset: F64, offset: F64, offset_covariance: F64) -> F64:

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 
-from alight.arrays import F64, I64, Mask
+from alight.arrays import I64
 from alight.geometry import Camera, Pose
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
 from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
-from alight.motion.ekf.state import POS, FilterState
-from alight.motion.elimination import largest_sigma, marginalise_points, unit_noise_rows
-from alight.motion.observations import WindowObservations, positions
-from alight.motion.projection import observation_sigma
+from alight.motion.ekf.state import AT, FilterState
+from alight.motion.observations import WindowObservations, observation_sigma, positions
+from alight.motion.points import marginalise_points, unit_noise_rows
 from alight.motion.robust import median_of, robust_pose_weights
-from alight.motion.triangulation import triangulate_window
 from alight.records import Tracks
 from alight.settings import FilterSettings
 
@@ -28,7 +25,10 @@ _MAX_LINEARISATION_ERROR = 0.04  # rad between a clone and its first estimate; a
 
 
 class VisualUpdate:
-    """Visual update of the state by the tracks of each exposure; it keeps the observations not used yet."""
+    """Visual update of the state by the tracks of each exposure; it keeps the observations not used yet.
+
+    Attributes are replaced, never changed in place, so that `copy.copy` gives an independent copy.
+    """
 
     def __init__(self, camera: Camera, cams: Sequence[Pose], settings: FilterSettings) -> None:
         self._camera, self._cams, self._settings = camera, tuple(cams), settings
@@ -40,11 +40,7 @@ class VisualUpdate:
         state.drop(range(len(state.clones)), range(len(state.landmarks)))
         self._unused = WindowObservations.empty(len(self._cams))
 
-    def copy(self) -> VisualUpdate:
-        """Return an independent copy."""
-        return copy(self)  # attributes are replaced, never changed in place
-
-    def window(self, state: FilterState, exposure_ns: int, map_number: int) -> CloneWindow:
+    def window(self, state: FilterState, exposure_ns: int, frame_id: int) -> CloneWindow:
         """Return the clones with the unused observations, from which their posterior follows (M23).
 
         Without clones, as after a reset, the window has the present pose alone, as that of the exposure.
@@ -52,7 +48,7 @@ class VisualUpdate:
         if not len(state.clones):
             state = state.copy()
             state.add_clone(exposure_ns)
-        return CloneWindow.of(state, self._unused, self._cams, self._settings, map_number)
+        return CloneWindow.of(state, self._unused, self._cams, self._settings, frame_id)
 
     def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:
         """Take one exposure: use ended tracks, clone the pose, update landmarks, initialise new ones."""
@@ -82,7 +78,7 @@ class VisualUpdate:
 
     def _clone_to_drop(self, state: FilterState) -> list[int]:
         """Return the index of the last clone if the one before is near, else of the oldest if there are too many."""
-        p, baseline = state.clones.poses.p, self._settings.clone_baseline
+        p, baseline = state.clones.p, self._settings.clone_baseline
         if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < baseline * self._median_distance(state):
             return [len(p) - 1]
         return [0] if len(p) >= self._settings.clones else []
@@ -92,7 +88,7 @@ class VisualUpdate:
         """Median distance of the landmarks, metres; 0 without any."""
         if not len(state.landmarks):
             return 0.0
-        off = state.landmarks.x - state.core[POS]
+        off = state.landmarks.x - state.core[AT.pos]
         return float(np.sqrt(median_of((off * off).sum(axis=1))))
 
     def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
@@ -110,11 +106,9 @@ class VisualUpdate:
         """Update the clones by tracks whose points are eliminated (MSCKF update)."""
         if not len(observations.ids):
             return GateCounts()
-        poses, columns = state.clones.poses, state.clone_rows
-        x = triangulate_window(observations, poses, self._cams)
-        constraint = marginalise_points(observations, poses, self._cams, x)
-        well_known = self._well_known(constraint.point_covariance, x, state, self._settings.vague_share)
-        well_known &= constraint.freedom > 0
+        columns = state.clone_rows
+        constraint = marginalise_points(observations, state.clones, self._cams)
+        well_known = constraint.well_known(state.core[AT.pos], self._settings.vague_share) & (constraint.freedom > 0)
         P, freedom = state.P[columns, columns], np.maximum(constraint.freedom, 1)
         distance = constraint.mahalanobis(P)
         passed = well_known & (distance <= self._gate.limits(freedom))
@@ -127,12 +121,6 @@ class VisualUpdate:
             float(distance[passed].sum() / max(freedom[passed].sum(), 1)),
         )
 
-    @staticmethod
-    def _well_known(covariance: F64, x: F64, state: FilterState, share: float) -> Mask:
-        """(N,) points whose largest sigma is less than a share of their distance."""
-        distance = np.linalg.norm(x - state.core[POS], axis=1)
-        return np.asarray(largest_sigma(covariance) < share * distance)
-
     def _initialise_landmarks(self, state: FilterState) -> GateCounts:
         """Fill the free places for landmarks, longest tracks first."""
         s, unused = self._settings, self._unused
@@ -141,17 +129,14 @@ class VisualUpdate:
         if free <= 0 or not len(ready):
             return GateCounts()
         ready = ready[np.argsort(-length[ready], kind="stable")][: 2 * free]
-        poses, candidates = state.clones.poses, unused.select(ready)
-        x = triangulate_window(candidates, poses, self._cams)
-        constraint = marginalise_points(candidates, poses, self._cams, x)
-        well_known = self._well_known(constraint.point_covariance, x, state, s.depth_share)
+        constraint = marginalise_points(unused.select(ready), state.clones, self._cams)
+        well_known = constraint.well_known(state.core[AT.pos], s.depth_share)
         tried = np.flatnonzero(well_known & (constraint.freedom >= _MIN_FREEDOM))[:free]
         if not len(tried):
             return GateCounts()
         chosen = ready[tried]
-        passed = initialise_landmarks(
-            state, unused.ids[chosen], x[tried], constraint.select(tried), self._gate, 2 * len(self._cams)
-        )
+        rows = 2 * len(self._cams)
+        passed = initialise_landmarks(state, unused.ids[chosen], constraint.select(tried), self._gate, rows)
         kept = np.ones(len(unused.ids), bool)
         kept[chosen[passed]] = False
         self._unused = unused.select(kept)
@@ -160,5 +145,5 @@ class VisualUpdate:
 
 def _is_stale(state: FilterState) -> bool:
     """True if the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
-    w = state.clones.poses
+    w = state.clones
     return len(w.R) > 0 and float((w.R[0] * w.first_R[0]).sum()) < 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)

@@ -15,52 +15,31 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion.dynamics import (
-    Step,
-    bias_walk,
-    constant_step,
-    constant_transition,
-    inertial_step,
-    inertial_transition,
-    nav_decay,
-)
+from alight.motion.dynamics import Step, add_bias_walk, nav_decay, propagate
+from alight.motion.ekf.filter import LEAST_EXPOSURES, RecordedFlight
 from alight.motion.ekf.keyframe_posterior import relative_inflation
 from alight.motion.ekf.prediction import instant
-from alight.motion.ekf.state import (
-    ACC,
-    ATT,
-    GYRO,
-    MOTION,
-    MOUNT,
-    NAV,
-    OFFSET,
-    POS,
-    VEL,
-)
-from alight.motion.gps_ins import ATTITUDE_ROWS, POSITION_ROWS, VELOCITY_ROWS, sigmas, whites
+from alight.motion.ekf.state import AT, POSITION_FIRST
+from alight.motion.gps_ins import SLOW, Quantity, sigmas, whites
 from alight.motion.imu_buffer import ImuBuffer
+from alight.motion.observations import observation_sigma
 from alight.motion.preintegration import Preintegral, corrected, preintegrate, segments
-from alight.motion.projection import POSITION_FIRST, observation_sigma
 from alight.motion.robust import cauchy
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal, Factors
-from alight.motion.smoother.recorded_flight import LEAST_EXPOSURES, RecordedFlight
-from alight.motion.smoother.track_segments import TrackSegments
+from alight.motion.smoother.track_segments import LinearisedSegments, TrackSegments
 from alight.records import KeyframePosterior, Motion, NavSample, RefinedMotions
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-_SIZE = NAV.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
-_POSE = POS.stop  # of these: attitude and position
+_SIZE = AT.nav.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
+_POSE = AT.pos.stop  # of these: attitude and position
 _NAV_SCALE = np.sqrt(27.0)  # sigmas, Cauchy scale of a quantity of GPS/INS
-_OPEN_INFORMATION = 1e-8  # of unknowns without a measurement (the accelerometer bias without IMU): they are held
-_MIN_VARIANCE = 1e-14  # added to the noise of the motion model, so that it has an inverse
-_ITERATIONS = 12
 _LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
 _SHORTEST = 5  # exposures in a piece
 _MOST_JOINT = 240  # exposures whose joint covariance is given out: 17 MB; between them errors are interpolated
 _LEAD_NS = 50_000_000  # ns by which an exposure may lie before the first inertial sample for the IMU to drive it
-_BIASES = slice(GYRO.start, ACC.stop)
+_BIASES = slice(AT.gyro.start, AT.acc.stop)
 _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
 
 
@@ -94,9 +73,9 @@ class _Batch:
         self._settings, self._motions = r.settings, [m for m, _, _ in r.exposures]
         self._t = [instant(m.t_ns, r.exposures[-1][2]) for m in self._motions]
         self._R = np.array([m.world_from_body.rotation for m in self._motions])
-        self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); ATT is zero
-        self._x[:, POS] += r.exposures[-1][2][OFFSET]
-        self._mount = so3_exp(r.exposures[-1][2][MOUNT])
+        self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); AT.att is zero
+        self._x[:, AT.pos] += r.exposures[-1][2][AT.offset]
+        self._mount = so3_exp(r.exposures[-1][2][AT.mount])
         self._cams = tuple(c.body_from_cam for c in r.rig.cameras)
         self._span = max(_SHORTEST, min(r.settings.track_span, r.settings.track_span * _LONG // len(self._t)))
         tracks = [t for _, t, _ in r.exposures]
@@ -107,17 +86,14 @@ class _Batch:
         self._inertial = bisect_left(self._t, imu.first_ns - _LEAD_NS) if len(imu) else len(self._t)
         if len(imu):  # the filter had no bias before the first sample
             self._x[self._inertial : bisect_left(self._t, imu.first_ns), _BIASES] = 0.0
-        self._imu_motion = self._preintegrals(imu)
+        self._imu_motion = [self._preintegrated(imu, k, b) for k, b in enumerate(self._t[1:])]
         self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, imu)) is not None]
-
-    def _preintegrals(self, imu: ImuBuffer) -> list[Preintegral | None]:
-        return [self._preintegrated(imu, k, b) for k, b in enumerate(self._t[1:])]
 
     def _preintegrated(self, imu: ImuBuffer, k: int, end_ns: int) -> Preintegral | None:
         """Return the IMU sum from exposure k to a later time; None before there is an IMU."""
         if k < self._inertial:
             return None
-        return preintegrate(segments(imu, self._t[k], end_ns), self._x[k, GYRO], self._x[k, ACC], self._settings)
+        return preintegrate(segments(imu, self._t[k], end_ns), self._x[k, AT.gyro], self._x[k, AT.acc], self._settings)
 
     def _nav_row(self, sample: NavSample, imu: ImuBuffer) -> _NavRow | None:
         """Return a row with the exposure before it; None: before the first one, or an interval after the last one."""
@@ -132,15 +108,17 @@ class _Batch:
     def run(self) -> RefinedMotions:
         """Gauss-Newton on all unknowns; the weights of observations follow the residuals."""
         self._segments.triangulate(*self._rigs())
-        for i in range(_ITERATIONS):
+        for i in range(12):
             rms = self._segments.reweigh(*self._rigs())
-            factors = self._iterate()
-            step = self._step(factors)
+            linear = self._segments.linearise(*self._rigs())
+            factors = self._factorised(linear)
+            step = self._step(factors, linear)
             log.debug("batch %d: observations %.3f sigma, step %.2g", i, rms, np.abs(step[:, :_POSE]).max())
             if (np.abs(step[:, :_POSE]) < _ENOUGH).all():
                 break
-        covariance, span = factors.covariance(), self._span
-        motions = tuple(self._motion(k, _own(covariance, k, span)) for k in range(len(self._t)))
+        covariance, order = factors.covariance(), POSITION_FIRST[:, None]
+        of = ((k, _SIZE * (k % self._span)) for k in range(len(self._t)))
+        motions = tuple(self._motion(k, covariance[k // self._span][at + order, at + POSITION_FIRST]) for k, at in of)
         return RefinedMotions(motions, self._joint(motions, factors, covariance))
 
     def _joint(self, motions: tuple[Motion, ...], factors: Factors, own: F64) -> KeyframePosterior:
@@ -154,22 +132,21 @@ class _Batch:
         rows = (some[:, None] * _SIZE + np.arange(_POSE)).ravel()
         order = (_POSE * np.arange(len(some))[:, None] + POSITION_FIRST).ravel()
         factor = max(1.0, self._settings.smoother_repeat * self._segments.median_misfit(*self._rigs()))
-        inflation = relative_inflation(self._x[some, POS], factor, len(some) // 2)
+        inflation = relative_inflation(self._x[some, AT.pos], factor, len(some) // 2)
         covariance = inflation @ factors.joint(rows, own) @ inflation.T
         return KeyframePosterior(tuple(motions[k] for k in some), covariance[np.ix_(order, order)])
 
     def _rigs(self) -> tuple[F64, F64]:
-        return self._R @ self._mount, self._x[:, POS]
+        return self._R @ self._mount, self._x[:, AT.pos]
 
-    def _iterate(self) -> Factors:
+    def _factorised(self, linear: LinearisedSegments) -> Factors:
         """Factorise the normal equations at the present values."""
         span, K = self._span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
-        self._linear = self._segments.linearise(*self._rigs())
         for b in range(blocks):
             last = b == blocks - 1  # unknowns of the last block beyond the flight are held at zero
-            H, g = self._linear.reduced(b * span, (b + 1) * span, span)
+            H, g = linear.reduced(b * span, (b + 1) * span, span)
             rows = (np.arange(b * span, (b + 2) * span)[:, None] * _SIZE + np.arange(_POSE)).ravel()
             keep = slice(0, _POSE * span if last else None)
             system.add(rows[keep], H[keep, keep], g[keep])
@@ -179,37 +156,35 @@ class _Batch:
             self._add_nav(system, row)
         return system.factorise()
 
-    def _step(self, factors: Factors) -> F64:
+    def _step(self, factors: Factors, linear: LinearisedSegments) -> F64:
         """Take the (K, 24) step, points included."""
         step = factors.solution().reshape(-1, _SIZE)[: len(self._t)]
-        self._linear.move_points(step[:, :_POSE])
-        self._R = so3_exp(step[:, ATT]) @ self._R
-        self._x[:, ATT.stop :] += step[:, ATT.stop :]
+        linear.move_points(step[:, :_POSE])
+        self._R = so3_exp(step[:, AT.att]) @ self._R
+        self._x[:, AT.att.stop :] += step[:, AT.att.stop :]
         return step
 
     def _add_priors(self, system: BlockTridiagonal, padded: int) -> None:
         s, information = self._settings, np.zeros(_SIZE)
-        information[NAV] = 1.0 / self._nav_sigma[0] ** 2
+        information[AT.nav] = 1.0 / self._nav_sigma[0] ** 2
         if not self._inertial:
-            information[GYRO], information[ACC] = 1 / s.gyro_bias_sigma**2, 1 / s.accelerometer_bias_sigma**2
+            information[AT.gyro], information[AT.acc] = 1 / s.gyro_bias_sigma**2, 1 / s.accelerometer_bias_sigma**2
         system.add(np.arange(_SIZE), np.diag(information), -information * self._x[0])
         for k in range(len(self._t), padded):
             system.add(np.arange(_SIZE) + k * _SIZE, np.eye(_SIZE), np.zeros(_SIZE))
-        weak = np.eye(_SIZE) * _OPEN_INFORMATION
+        weak = np.eye(_SIZE) * 1e-8  # holds unknowns without a measurement, as the accelerometer bias without IMU
         for k in range(len(self._t)):
             system.add(np.arange(_SIZE) + k * _SIZE, weak, np.zeros(_SIZE))
 
     def _propagated(self, k: int, dt: float, m: Preintegral | None) -> tuple[Step, F64, F64]:
         """Propagate exposure k by `dt`: the step, its transition and noise (15, 15)."""
-        R, x, s = self._R[k], self._x[k], self._settings
+        x, s = self._x[k], self._settings
+        m = None if m is None else corrected(m, x[AT.gyro], x[AT.acc])
+        after, F, Q = propagate(Step(self._R[k], x[AT.pos], x[AT.vel]), x[AT.gyro], m, dt, s)
         if m is None:
-            F, Q = constant_transition(R, x[GYRO], dt, s)
-            Q[ACC, ACC] = np.eye(3)  # unused: any positive number keeps the equations regular
-            return constant_step(R, x[POS], x[VEL], x[GYRO], dt), F, Q
-        m = corrected(m, x[GYRO], x[ACC])
-        after = inertial_step(R, x[POS], x[VEL], m)
-        F, Q = inertial_transition(Step(R, x[POS], x[VEL]), after, m)
-        Q[np.diag_indices(MOTION.stop)] += bias_walk(dt, s)
+            Q[AT.acc, AT.acc] = np.eye(3)  # unused: any positive number keeps the equations regular
+        else:
+            add_bias_walk(Q, dt, s)
         return after, F, Q
 
     def _add_motion(self, system: BlockTridiagonal) -> None:
@@ -222,20 +197,20 @@ class _Batch:
             a, b = self._x[k], self._x[k + 1]
             decay, drift = self._nav_drift(k, dt)
             e = np.empty(_SIZE)
-            e[ATT], e[NAV] = so3_log(self._R[k + 1] @ after.R.T), b[NAV] - decay * a[NAV]
-            e[POS], e[VEL] = b[POS] - after.position, b[VEL] - after.velocity
+            e[AT.att], e[AT.nav] = so3_log(self._R[k + 1] @ after.R.T), b[AT.nav] - decay * a[AT.nav]
+            e[AT.pos], e[AT.vel] = b[AT.pos] - after.position, b[AT.vel] - after.velocity
             e[_BIASES] = b[_BIASES] - F[_BIASES, _BIASES] @ a[_BIASES]
             J = np.zeros((_SIZE, 2 * _SIZE))
             J[:, _SIZE:] = np.eye(_SIZE)
-            J[MOTION, MOTION], J[NAV, NAV] = -F, -np.diag(decay)
+            J[AT.motion, AT.motion], J[AT.nav, AT.nav] = -F, -np.diag(decay)
             W = np.zeros((_SIZE, _SIZE))
-            W[MOTION, MOTION] = np.linalg.inv(Q + _MIN_VARIANCE * np.eye(len(Q)))
-            W[NAV, NAV] = np.diag(1.0 / drift)
+            W[AT.motion, AT.motion] = np.linalg.inv(Q + 1e-14 * np.eye(len(Q)))  # has an inverse
+            W[AT.nav, AT.nav] = np.diag(1.0 / drift)
             rows = np.arange(2 * _SIZE) + k * _SIZE
             system.add(rows, J.T @ W @ J, -J.T @ W @ e)
 
     def _begin_biases(self, F: F64, Q: F64) -> None:
-        """Give the biases at the first exposure with an IMU their prior: until there, GYRO is the angular velocity."""
+        """Give the biases at the first exposure with an IMU their prior: until there, one is the angular velocity."""
         F[_BIASES], Q[_BIASES], Q[:, _BIASES] = 0.0, 0.0, 0.0
         sigma = np.repeat([self._settings.gyro_bias_sigma, self._settings.accelerometer_bias_sigma], 3)
         Q[_BIASES, _BIASES] = np.diag(sigma**2)
@@ -255,25 +230,25 @@ class _Batch:
         Its noise is its own white part, and the motion model's and the drift of its slow error from there to it.
         """
         after, F, Q = self._propagated(row.k, row.dt, row.preintegral)
-        z, nav = row.sample, row.decay * self._x[row.k, NAV]
-        parts: list[tuple[slice, slice, F64]] = []
+        z, nav = row.sample, row.decay * self._x[row.k, AT.nav]
+        parts = list[tuple[Quantity, F64]]()
         if z.position_world is not None:
-            parts.append((POS, POSITION_ROWS, z.position_world - after.position - nav[POSITION_ROWS]))
+            parts.append((Quantity.POSITION, z.position_world - after.position - nav[Quantity.POSITION.rows]))
         if z.world_from_body is not None:
-            e = so3_log(z.world_from_body @ (so3_exp(nav[ATTITUDE_ROWS]) @ after.R).T)
-            parts.append((ATT, ATTITUDE_ROWS, e))
+            expected = so3_exp(nav[Quantity.ATTITUDE.rows]) @ after.R
+            parts.append((Quantity.ATTITUDE, so3_log(z.world_from_body @ expected.T)))
         if z.velocity_world is not None:
-            parts.append((VEL, VELOCITY_ROWS, z.velocity_world - after.velocity - nav[VELOCITY_ROWS]))
-        for value, of, e in parts:
-            J = np.zeros((3, _SIZE))
-            J[:, MOTION] = F[value]
-            J[:, NAV][:, of] = np.diag(row.decay[of])
+            parts.append((Quantity.VELOCITY, z.velocity_world - after.velocity - nav[Quantity.VELOCITY.rows]))
+        for quantity, e in parts:
+            J, value, of = np.zeros((3, _SIZE)), quantity.state, quantity.rows
+            J[:, AT.motion] = F[value]
+            J[:, AT.nav][:, of] = np.diag(row.decay[of])
             self._add_row(system, row.k, J, e, row.variance[of] + np.diag(Q[value, value]))
         if row.preintegral is None and z.angular_velocity_body is not None:
             J = np.zeros((3, _SIZE))
-            J[:, GYRO] = np.eye(3)
-            variance = self._settings.nav_rate_white**2 + np.diag(Q[GYRO, GYRO])
-            self._add_row(system, row.k, J, z.angular_velocity_body - self._x[row.k, GYRO], variance)
+            J[:, AT.gyro] = np.eye(3)
+            variance = self._settings.nav_rate_white**2 + np.diag(Q[AT.gyro, AT.gyro])
+            self._add_row(system, row.k, J, z.angular_velocity_body - self._x[row.k, AT.gyro], variance)
 
     @staticmethod
     def _add_row(system: BlockTridiagonal, k: int, J: F64, e: F64, variance: F64) -> None:
@@ -282,16 +257,15 @@ class _Batch:
         system.add(np.arange(_SIZE) + k * _SIZE, (J.T * W) @ J, J.T @ (W * e))
 
     def _motion(self, k: int, covariance: F64) -> Motion:
-        old, order = self._motions[k], np.r_[POS, ATT]
-        body = Pose(self._R[k], self._x[k, POS])
-        rig = Pose(self._R[k] @ self._mount, self._x[k, POS])
+        body = Pose(self._R[k], self._x[k, AT.pos])
+        rig = Pose(self._R[k] @ self._mount, self._x[k, AT.pos])
         return replace(
-            old,
+            self._motions[k],
             world_from_body=body,
             world_from_cams=tuple(rig @ c for c in self._cams),
-            covariance=covariance[np.ix_(order, order)],
+            covariance=covariance,
             offset_world=None,
-            velocity_world=self._x[k, VEL].copy(),
+            velocity_world=self._x[k, AT.vel].copy(),
         )
 
 
@@ -300,17 +274,9 @@ def _nav_sigmas(nav: Sequence[NavSample], times: Sequence[int], settings: Filter
     if not nav:
         return np.ones((len(times), 9))
     out = np.tile(sigmas(nav[0], settings), (len(times), 1))
-    for name, part in (
-        ("position_world", POSITION_ROWS),
-        ("world_from_body", ATTITUDE_ROWS),
-        ("velocity_world", VELOCITY_ROWS),
-    ):
-        if some := [s for s in nav if getattr(s, name) is not None]:
+    for quantity in SLOW:
+        if some := [s for s in nav if quantity.of(s) is not None]:
             last = np.searchsorted([s.t_ns for s in some], times, side="right") - 1
-            out[:, part] = np.array([sigmas(s, settings)[part] for s in some])[np.maximum(last, 0)]
+            rows = quantity.rows
+            out[:, rows] = np.array([sigmas(s, settings)[rows] for s in some])[np.maximum(last, 0)]
     return out
-
-
-def _own(covariance: F64, k: int, span: int) -> F64:
-    i = slice((k % span) * _SIZE, (k % span + 1) * _SIZE)
-    return np.asarray(covariance[k // span, i, i])

@@ -8,16 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F64, I64
-from alight.geometry import Pose
-from alight.motion.elimination import eliminate_points
-from alight.motion.projection import in_camera, jacobians
+from alight.geometry import Pose, skew
+from alight.motion.point_kernels import MIN_DEPTH, eliminate_list
+from alight.motion.points import NEAR, triangulate_rays
 from alight.motion.robust import cauchy
-from alight.motion.triangulation import NEAR, triangulate_rays
 from alight.records import Tracks
 
-_MIN_EXPOSURES = 3  # of a segment
-_MIN_SCALE2 = 4.0  # squared sigmas: smallest squared scale of the Cauchy cost
 _POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: holds points with parallel rays
+
+
+def in_camera(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
+    """Return the (N, 3) coordinates of world points in a camera, for one pose (N, 3, 3), (N, 3) of the rig a point."""
+    return np.asarray((((x - p)[:, None] @ R)[:, 0] - rig_from_cam.translation) @ rig_from_cam.rotation)
+
+
+def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
+    """Return the Jacobians of normalised coordinates by the rig's (rotation, position), (N, 2, 6), and by the point.
+
+    With d = x - p and C = cam_from_world: d(q) = C (dx - dp + [d]x theta), theta the rotation error in the world (M11).
+    """
+    q = in_camera(R, p, rig_from_cam, x)
+    w = 1.0 / np.maximum(q[:, 2], MIN_DEPTH)
+    J = np.zeros((len(x), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = w
+    J[:, 0, 2], J[:, 1, 2] = -q[:, 0] * w**2, -q[:, 1] * w**2
+    by_point = J @ (rig_from_cam.rotation.T @ np.swapaxes(R, -1, -2))
+    return np.concatenate([by_point @ skew(x - p), -by_point], axis=-1), by_point
 
 
 class TrackSegments:
@@ -37,7 +53,7 @@ class TrackSegments:
         """
         exposure, ids, normalised = _stack(tracks)
         segment = _segment_of(exposure, ids, span)
-        long = np.bincount(segment, minlength=1)[segment] >= _MIN_EXPOSURES if len(segment) else np.zeros(0, bool)
+        long = np.bincount(segment, minlength=1)[segment] >= 3 if len(segment) else np.zeros(0, bool)
         row, cam = np.nonzero(np.isfinite(normalised[..., 0]) & long[:, None])
         order = np.argsort(segment[row], kind="stable")
         row, self.cam = row[order], cam[order]  # (M,)
@@ -88,7 +104,7 @@ class TrackSegments:
         square = (e**2).sum(axis=1)
         valid = np.isfinite(square)
         median = float(np.median(square[valid])) if valid.any() else 0.0
-        weight, _ = cauchy(np.where(valid, square, np.inf), np.sqrt(max(_MIN_SCALE2, 2.0 * median)))
+        weight, _ = cauchy(np.where(valid, square, np.inf), np.sqrt(max(2.0**2, 2.0 * median)))
         of_segment = np.bincount(self.segment, weight, self.count) / np.diff(self.starts)
         self.weights = np.where(valid, weight * of_segment[self.segment], 0.0)
         total = (self.weights[valid] * square[valid]).sum()
@@ -116,11 +132,20 @@ class TrackSegments:
 
 
 class LinearisedSegments:
-    """Linearised observations with the points eliminated (Schur complement)."""
+    """Linearised observations with the points eliminated: the Schur complement in factors (M21).
+
+    The couplings G of all observations of a point are stacked over the poses. G G' is subtracted from the normal matrix
+    of the poses, and G z from the right side, z = root' gradient.
+    """
 
     def __init__(self, segments: TrackSegments, residual: F64, by_pose: F64, by_point: F64) -> None:
-        self._segments, self._residual, self._by_pose = segments, residual, by_pose
-        self._eliminated = eliminate_points(segments.starts, residual, by_pose, by_point, _POINT_PRIOR)
+        self._segments, self._residual, self._by_pose, self._by_point = segments, residual, by_pose, by_point
+        n, m = segments.count, len(residual)
+        self._coupling, self._gradient = np.empty((m, 6, 3)), np.empty((n, 3))  # G; right side of the points
+        root, self._covariance = np.empty((n, 3, 3)), np.empty((n, 3, 3))  # of the points for exact poses
+        given = segments.starts, residual, by_pose, by_point, _POINT_PRIOR
+        eliminate_list(*given, self._coupling, self._gradient, root, self._covariance)
+        self._reduced_gradient = np.einsum("nji,nj->ni", root, self._gradient)  # z
 
     def reduced(self, start: int, stop: int, span: int) -> tuple[F64, F64]:
         """Normal equations of 2 span poses from `start` on, by the segments that begin in [start, stop).
@@ -132,7 +157,7 @@ class LinearisedSegments:
         Returns:
             (12 span, 12 span) matrix and (12 span,) right side.
         """
-        s, E = self._segments, self._eliminated
+        s = self._segments
         chosen = np.flatnonzero((s.first >= start) & (s.first < stop))
         n = 12 * span
         H, g = np.zeros((n, n)), np.zeros(n)
@@ -146,15 +171,16 @@ class LinearisedSegments:
             H[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = own[i]
         np.add.at(g.reshape(-1, 6), k, np.einsum("nki,nk->ni", A, self._residual[rows]))
         coupling = np.zeros((2 * span, len(chosen), 6, 3))
-        np.add.at(coupling, (k, j), E.coupling[rows])
+        np.add.at(coupling, (k, j), self._coupling[rows])
         G = coupling.transpose(0, 2, 1, 3).reshape(n, -1)
-        return H - G @ G.T, g - G @ E.reduced_gradient[chosen].ravel()
+        return H - G @ G.T, g - G @ self._reduced_gradient[chosen].ravel()
 
     def move_points(self, pose_step: F64) -> None:
         """Move the points by their steps for a (K, 6) step of the poses."""
         s = self._segments
         predicted = np.einsum("nki,ni->nk", self._by_pose, pose_step[s.exposure])
-        s.points = s.points + self._eliminated.point_step(predicted)
+        moved = np.add.reduceat(np.einsum("nki,nk->ni", self._by_point, predicted), s.starts[:-1])
+        s.points = s.points + np.einsum("nij,nj->ni", self._covariance, self._gradient - moved)
 
 
 def _stack(tracks: Sequence[Tracks]) -> tuple[I64, I64, F64]:

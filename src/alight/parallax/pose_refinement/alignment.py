@@ -8,17 +8,17 @@ import numpy as np
 
 from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid, Pose, plane_on
-from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, regress_on
+from alight.parallax.pose_refinement.gaussian import PoseGaussian, regress_on
+from alight.parallax.pose_refinement.kernels import PLANE, POSE
 from alight.parallax.pose_refinement.solve import (
     RefinementCells,
     RefinementView,
     ViewPair,
-    posed,
     refine_poses,
     thinning,
 )
-from alight.parallax.views import Kept, Prepared
-from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior, View
+from alight.parallax.views import Kept
+from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior
 from alight.settings.tuning.parallax import PoseRefinementTuning
 
 
@@ -26,13 +26,13 @@ from alight.settings.tuning.parallax import PoseRefinementTuning
 class Alignment:
     """Joint Gaussian over the exposures of a keyframe window and the plane of the map below them."""
 
-    ring: int  # exposures
+    keyframes: int  # exposures of the window
     tuning: PoseRefinementTuning
     about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, to which the plane's offset refers
     state: PoseGaussian | None = None
     plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane found at the last step
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
-    _mapped: bool = False
+    mapped: bool = False  # there are heights that hold the plane
     _offset2: float = 0.0  # m^2, variance of the map's place in the world, of its height; pictures do not show it
 
     def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
@@ -62,52 +62,44 @@ class Alignment:
         drop = max(float(newest.centre[2]) - ground, 1e-2)
         if self.state is None or any(k[0].view.t_ns not in self.state.times for k in exposures):
             return exposures
-        prior = self._prior(drop, newest.centre[:2])
+        prior = self.prior(drop, newest.centre[:2])
         linearisations = self._linearisations(exposures, prior, self._ground(grid, known, old, ground, drop), drop)
         pixel = grid.cell / drop
-        self.state, plane = refine_poses(prior, linearisations, pixel, drop, self.ring, self.tuning)
-        if self._mapped:
+        self.state, plane = refine_poses(prior, linearisations, pixel, drop, self.keyframes, self.tuning)
+        if self.mapped:
             self.plane = plane
         poses = dict(zip(self.state.times, self.state.poses, strict=True))
-        return [[self._moved(k, poses[k.view.t_ns]) for k in e] for e in exposures]
+        return [[k.posed(poses[k.view.t_ns] @ self._mounts[k.view.t_ns, k.view.cam]) for k in e] for e in exposures]
 
-    def _prior(self, drop: float, here: F64) -> PoseGaussian:
+    def prior(self, drop: float, here: F64) -> PoseGaussian:
         """The state, with a plane that may have wandered about `here`, (2,) east and north; before a map, any plane."""
         assert self.state is not None
         scale = np.array([drop, 1.0, 1.0])
-        if not self._mapped:
+        if not self.mapped:
             return self.state.with_plane(np.array(self.tuning.plane_sigma) * scale)
-        wander = self._moved_by(self.about - here) * (np.array(self.tuning.wander) * scale)
+        wander = self._transition(self.about - here) * (np.array(self.tuning.wander) * scale)
         P = self.state.covariance.copy()
         P[:PLANE, :PLANE] += wander @ wander.T
         return replace(self.state, covariance=P)
 
     @staticmethod
-    def _moved_by(way: F64) -> F64:
+    def _transition(way: F64) -> F64:
         """Transition (3, 3) of a plane to the reference point that lies `way` (2,) metres east and north of its own."""
         out = np.eye(PLANE)
         out[0, 1:] = way
         return out
-
-    def _moved(self, kept: Kept, world_from_body: Pose) -> Kept:
-        view = kept.view
-        pose = world_from_body @ self._mounts[view.t_ns, view.cam]
-        return Kept(replace(view, world_from_cam=pose), posed(kept.fine, pose), kept.half)
 
     def _linearisations(
         self, exposures: list[list[Kept]], prior: PoseGaussian, cells: RefinementCells, drop: float
     ) -> list[ViewPair]:
         """Pictures and cells of each linearisation, coarse to fine; more if the newest exposure is less certain."""
         all_of = [k for e in exposures for k in e]
-        fine = [self._refinement_view(k.view, k.fine) for k in all_of]
+        fine = [RefinementView(k.fine, self._mounts[k.view.t_ns, k.view.cam], k.view.t_ns) for k in all_of]
         uncertainty = ground_uncertainty(prior, drop) / cells.arm
         if uncertainty > self.tuning.far_cells:
-            coarse = [self._refinement_view(k.view, k.coarse) for k in all_of]
+            coarse = [replace(v, prepared=k.coarse) for v, k in zip(fine, all_of, strict=True)]
             return [(coarse, cells.coarser())] * 2 + [(fine, cells)] * 2
         return [(fine, cells)] * (2 if uncertainty > self.tuning.near_cells else 1)
-
-    def _refinement_view(self, view: View, prepared: Prepared) -> RefinementView:
-        return RefinementView(prepared, self._mounts[view.t_ns, view.cam], view.t_ns)
 
     def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
         """A thinned set of cells: trusted ones held to the map, unseen ones free, no others."""
@@ -115,8 +107,8 @@ class Alignment:
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
-        self._mapped = self._mapped or int(ok.sum()) >= self.tuning.least_known
-        free = (self.tuning.free if self._mapped else self.tuning.flat) * drop
+        self.mapped = self.mapped or int(ok.sum()) >= self.tuning.least_known
+        free = (self.tuning.free if self.mapped else self.tuning.flat) * drop
         level = np.float32(np.median(height[ok]) if ok.any() else ground)
         kappa = np.where(ok, 1 / (self.tuning.hold * np.maximum(np.nan_to_num(sigma, nan=1.0), 1e-3)) ** 2, 1 / free**2)
         height = np.where(ok, height, np.where(seen, np.float32(np.nan), level))
@@ -130,10 +122,10 @@ class Alignment:
 
     def datum(self, grid: Grid) -> Datum | None:
         """Offset and tilt that all heights of a window share, about its middle, with covariance."""
-        if self.state is None or not self._mapped:
+        if self.state is None or not self.mapped:
             return None
         east, north = (float(v.mean()) for v in grid.xy())
-        move = self._moved_by(np.array([east, north]) - self.about)
+        move = self._transition(np.array([east, north]) - self.about)
         covariance = move @ self.state.covariance[:PLANE, :PLANE] @ move.T
         covariance[0, 0] += self._offset2
         return Datum(east, north, covariance)

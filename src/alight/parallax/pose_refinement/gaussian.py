@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
+from alight.parallax.pose_refinement.kernels import PLANE, POSE
 from alight.records import KeyframePosterior
-
-PLANE = 3  # offset up [m], rise per metre towards east and towards north [rad]
-POSE = 6  # position [m], rotation vector [rad], world axes
 
 
 def corrected_pose(pose: Pose, error: F64) -> Pose:
@@ -31,7 +29,11 @@ def between(a: Pose, b: Pose) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class PoseGaussian:
-    """Means and joint covariance; an error must be added to the map's plane and to the poses."""
+    """Means and joint covariance; an error must be added to the map's plane and to the poses.
+
+    Of the plane: offset up [m], rise per metre towards east and towards north [rad]. Of a pose: position [m], rotation
+    vector [rad], world axes.
+    """
 
     times: tuple[int, ...]  # t_ns of the exposures
     poses: tuple[Pose, ...]  # world_from_body

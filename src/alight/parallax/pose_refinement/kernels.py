@@ -6,7 +6,6 @@ from alight.arrays import F32, F64, I64
 from alight.compiled import kernel, parallel_kernel, prange
 
 PLANE, POSE = 3, 6  # unknowns of the map's plane, which come first, and of an exposure
-EAST, WEST, NORTH, SOUTH = 1, 2, 3, 4  # arms of the cross of samples; 0 is the cell itself
 
 
 @kernel
@@ -95,6 +94,7 @@ def joint_normal_equations(
         A: (R, 3 + 6E, 3 + 6E); b: (R, 3 + 6E). Both are overwritten.
     """
     n, rows, cols = samples.shape
+    east, west, north, south = mean[1], mean[2], mean[3], mean[4]
     for r in prange(rows):
         A[r], b[r] = 0.0, 0.0
         sums, row = np.empty((2, b.shape[1])), np.empty(POSE)
@@ -103,8 +103,8 @@ def joint_normal_equations(
         for c in range(cols):
             point[0], point[1], point[2] = xs[c], ys[r], np.float64(h[r, c])
             phi[1], phi[2] = xs[c] - about[0], ys[r] - about[1]
-            gradient[0] = (np.float64(mean[EAST, r, c]) - np.float64(mean[WEST, r, c])) * (0.5 / arm)
-            gradient[1] = (np.float64(mean[NORTH, r, c]) - np.float64(mean[SOUTH, r, c])) * (0.5 / arm)
+            gradient[0] = (np.float64(east[r, c]) - np.float64(west[r, c])) * (0.5 / arm)
+            gradient[1] = (np.float64(north[r, c]) - np.float64(south[r, c])) * (0.5 / arm)
             if np.isfinite(gradient[0] + gradient[1] + mean[0, r, c]):
                 for i in range(n):
                     s[i], w[i] = samples[i, r, c], weights[i, r, c]

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, F64
-from alight.geometry import Grid, Pose, ground_projection, plane_on
+from alight.geometry import Grid, Pose, plane_on
 from alight.parallax.gauss_newton_kernels import template
 from alight.parallax.pose_refinement import kernels
-from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, corrected_pose
+from alight.parallax.pose_refinement.gaussian import PoseGaussian, corrected_pose
+from alight.parallax.pose_refinement.kernels import PLANE, POSE
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps_at, sample
 from alight.settings.tuning.parallax import PoseRefinementTuning
@@ -35,7 +36,7 @@ class RefinementView:
 
     def at(self, world_from_body: Pose) -> Prepared:
         """The prepared picture with another pose of its body."""
-        return posed(self.prepared, world_from_body @ self.body_from_cam)
+        return self.prepared.posed(world_from_body @ self.body_from_cam)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +63,6 @@ class RefinementCells:
 ViewPair = tuple[list[RefinementView], RefinementCells]  # pictures and cells of one linearisation
 
 
-def posed(prepared: Prepared, world_from_cam: Pose) -> Prepared:
-    """A prepared picture with another pose of its camera."""
-    H, b = ground_projection(prepared.camera, world_from_cam)
-    return replace(prepared, H=H, b=b, centre=np.array(world_from_cam.translation))
-
-
 def thinning(grid: Grid, count: int) -> tuple[slice, slice]:
     """Every k-th row and column, so that about `count` cells are left."""
     k = max(1, round((grid.rows * grid.cols / count) ** 0.5))
@@ -79,7 +74,7 @@ def refine_poses(
     linearisations: Sequence[ViewPair],
     pixel: float,
     drop: float,
-    ring: int,
+    keyframes: int,
     tuning: PoseRefinementTuning,
 ) -> tuple[PoseGaussian, F64]:
     """The posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
@@ -89,7 +84,7 @@ def refine_poses(
         linearisations: pictures and cells of each, of exposures that the prior holds.
         pixel: rad, angle of a pixel.
         drop: metres from the cameras to the ground.
-        ring: steps that a picture takes part in; its information is shared among them.
+        keyframes: steps that a picture takes part in; its information is shared among them.
     """
     times = [t for t in prior.times if any(s.exposure == t for s in linearisations[0][0])]
     rows = np.concatenate([np.arange(PLANE), prior.rows(times)])
@@ -110,7 +105,7 @@ def refine_poses(
     if not whitened @ x <= tuning.unlikely * len(x):  # so that NaN is refused
         log.info("the pictures contradict the prior of the poses, which stay as they were")
         return prior, np.zeros(PLANE)
-    across, shared = prior.covariance[:, rows], A / ring
+    across, shared = prior.covariance[:, rows], A / keyframes
     gain = np.linalg.solve(one + shared @ P, shared)
     after = prior.covariance - across @ (0.5 * (gain + gain.T)) @ across.T
     follow = _following(seen, rows, len(after), tuning.taken_share)

@@ -15,8 +15,8 @@ from scipy.sparse.linalg import splu
 from alight.arrays import F64, I64
 from alight.geometry import so3_exp, so3_log
 from alight.motion.ekf.state_kernels import mirror_lower
+from alight.motion.points import WEAK_PRIOR
 from alight.motion.robust import cauchy, huber
-from alight.motion.triangulation import WEAK_PRIOR
 from alight.photos.bundle.adjustment_kernels import FAR, linearise, predict_pixels
 from alight.photos.bundle.elimination_kernels import eliminate, move_points
 from alight.photos.bundle.lenses import PhotoLenses

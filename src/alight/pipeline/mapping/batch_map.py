@@ -15,8 +15,7 @@ from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
 from alight.parallax.batch import Images, match_tile
-from alight.parallax.datum import with_datum
-from alight.parallax.pose_error import Matched
+from alight.parallax.datum import Matched, with_datum
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
 from alight.pipeline.mapping.cell_size import BYTES_A_CELL, cell_size, level_for, refuse_too_large

@@ -44,7 +44,7 @@ class RecursiveMap(GroundMap):
         if self.find_ground(views, least):
             self.ground_here = self.ground
             if self.estimator is not None:
-                self.estimator.look_anew()
+                self.estimator.reset_sweep()
         self.out_of_range = False
 
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:

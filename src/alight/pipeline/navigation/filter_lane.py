@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from alight.motion import RollbackFilter
+from alight.motion import MotionFilter
+from alight.motion.ekf.filter import LEAST_EXPOSURES
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.smoother.recorded_flight import LEAST_EXPOSURES
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
@@ -93,7 +93,7 @@ class FilterLane:
 
     def _begin(self) -> None:
         self._tracker, self._imu = Tracker(self._rig, self._tracks), ImuBuffer()
-        self._filter = RollbackFilter(self._rig, self._settings, self.next_frame)
+        self._filter = MotionFilter(self._rig, self._settings, self.next_frame)
         self._predictors: deque[MotionPredictor | None] = deque(maxlen=2)  # after the last two exposures
         self._predicted_from: MotionPredictor | None = None  # predictor of the last exposure
         self._attitude = False  # one was measured

@@ -8,26 +8,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from point_flight import DOWN, NOISE, PointFlight, error, nees, run
+from point_flight import NOISE, PointFlight, error, nees, run
+from pose_window import ALIKE, CAMS, clone_slice, ground, moved, row_of_poses, seen_from, window_at
 from scipy.stats import chi2
 
 from alight.arrays import F64
-from alight.geometry import Pose, skew, so3_exp, so3_log
+from alight.geometry import skew, so3_exp, so3_log
 from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
-from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmarks
-from alight.motion.elimination import marginalise_points, unit_noise_rows
+from alight.motion.ekf.state import AT, CORE, FilterState, Landmarks
 from alight.motion.gps_ins import Quantity, measurements
-from alight.motion.observations import WindowObservations, WindowPoses
-from alight.motion.projection import project
+from alight.motion.points import marginalise_points, triangulate_window, unit_noise_rows
 from alight.motion.robust import robust_pose_weights
-from alight.motion.triangulation import triangulate_window
 from alight.records import Motion, NavSample, Tracks
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected
 SMALL = NOISE.model_copy(update={"points": 12, "clones": 6})
-ALIKE = NOISE.model_copy(update={"vague_share": 10.0, "pixel_repeat": 1e-9})  # each error by itself, any depth
 
 
 @pytest.fixture(scope="module")
@@ -57,35 +54,6 @@ def test_each_part_of_the_pose_is_as_good_as_it_claims(flights: list[tuple[Point
 # -- parts ---------------------------------------------------------------------------------------------------------
 
 angles = st.floats(-0.3, 0.3)
-CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
-
-
-def seen_from(poses: WindowPoses, x: F64, rng: np.random.Generator, noise: float = 0.0) -> WindowObservations:
-    """Return observations of all points from all poses by both cameras."""
-    z = np.array([[[project(R, p, c, q) for c in CAMS] for R, p in zip(poses.R, poses.p, strict=True)] for q in x])
-    return WindowObservations(np.arange(len(x)), z + noise * rng.normal(size=z.shape), np.full(z.shape[:2], 1e-3))
-
-
-def row_of_poses(rng: np.random.Generator, count: int = 4) -> WindowPoses:
-    """Return some poses 30 m up, a metre apart."""
-    R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(count)])
-    p = np.array([[1.0 * k, 0.1 * k, 30.0] for k in range(count)]) + 0.1 * rng.normal(size=(count, 3))
-    return WindowPoses(R, p, R, p)
-
-
-def window_at(poses: WindowPoses, *variances: float) -> FilterState:
-    """Return a state with an independent clone at each pose; variances of rotation [rad^2] and position [m^2]."""
-    state = FilterState(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
-    for k, (R, p) in enumerate(zip(poses.R, poses.p, strict=True)):
-        state.R, state.core[3:6] = R, p
-        state.add_clone(k)
-    state.P[CORE:, :] = state.P[:, CORE:] = 0.0
-    state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat(variances, 3), len(poses.R)))
-    return state
-
-
-def ground(rng: np.random.Generator, count: int = 20) -> F64:
-    return np.column_stack([rng.uniform(-8, 8, (count, 2)), rng.uniform(-2, 2, count)])
 
 
 @given(st.integers(0, 1000))
@@ -99,7 +67,7 @@ def test_rays_meet_in_their_points(seed: int) -> None:
 @given(st.integers(0, 1000), st.tuples(angles, angles, angles))
 @settings(max_examples=20, deadline=None, derandomize=True)
 def test_turning_and_moving_everything_is_not_seen(seed: int, turn: tuple[float, float, float]) -> None:
-    """A rigid motion of all poses (about any axis) leaves every eliminated row unchanged: it is the gauge."""
+    """A rigid motion of all poses (about any axis) leaves every eliminated row unchanged: it cannot be observed."""
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
     found = marginalise_points(seen_from(poses, x, rng, 1e-3), poses, CAMS, x)
@@ -118,12 +86,9 @@ def test_misfits_follow_the_poses(seed: int) -> None:
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
     observations, error = seen_from(poses, x, rng, 1e-3), 1e-4 * rng.normal(size=24) * np.tile([1, 1, 1, 20, 20, 20], 4)
-    e = error.reshape(-1, 6)
-    R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
-    moved = WindowPoses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-    there = marginalise_points(observations, moved, CAMS, triangulate_window(observations, moved, CAMS)).misfit
-    said = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS)).misfit_at(error)
-    np.testing.assert_allclose(said, there, rtol=0.05, atol=0.2)
+    there = marginalise_points(observations, moved(poses, error), CAMS).misfit
+    predicted = marginalise_points(observations, poses, CAMS).misfit_at(error)
+    np.testing.assert_allclose(predicted, there, rtol=0.05, atol=0.2)
 
 
 def test_features_that_drift_together_get_little_weight() -> None:
@@ -140,7 +105,7 @@ def test_features_that_drift_together_get_little_weight() -> None:
         moves = np.arange(60) < 20
         observations.normalised[moves] += np.arange(6)[:, None, None] * drift
         state = window_at(poses, 4e-6, 1e-2)
-        found = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS))
+        found = marginalise_points(observations, poses, CAMS)
         weight = robust_pose_weights(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
         for name, some in (("all", observations), ("still", observations.select(~moves))):
@@ -169,7 +134,7 @@ def test_gps_and_ins_rows_agree_with_differences() -> None:
     """The Jacobians of M14 to M16 by every part of the core agree with differences of the residuals."""
     rng = np.random.default_rng(4)
     state = FilterState(0, so3_exp(rng.normal(size=3)), rng.normal(size=CORE), np.eye(CORE))
-    state.core[NAV_ATT] *= 1e-3  # degrees at most: H replaces the error of a turned frame by that of the frame
+    state.core[AT.nav_att] *= 1e-3  # degrees at most: H replaces the error of a turned frame by that of the frame
     sample = NavSample(0, rng.normal(size=3), state.R @ so3_exp([1e-3, 2e-3, -1e-3]), rng.normal(size=3))
     sigma, h = np.ones(9), 1e-6
 
@@ -189,17 +154,17 @@ def test_a_new_clone_agrees_with_differences() -> None:
     """The derivatives of a clone by attitude and mounting agree with differences of the rig's pose."""
     rng, h = np.random.default_rng(6), 1e-6
     state = FilterState(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.diag(rng.uniform(1.0, 2.0, CORE)))
-    state.core[MOUNT], state.P[TIME, TIME] = 1e-3 * rng.normal(size=3), 0.0
+    state.core[AT.mount], state.P[AT.time, AT.time] = 1e-3 * rng.normal(size=3), 0.0
     before = np.maximum(state.P.diagonal(), 1.0)
     state.add_clone(0)
-    J = state.P[state.clone_slice(0), :CORE] / before
-    for part in (ATT, MOUNT):
+    J = state.P[clone_slice(0), :CORE] / before
+    for part in (AT.att, AT.mount):
         for k, e in enumerate(h * np.eye(3)):
-            R = so3_exp(e) @ state.R if part is ATT else state.R
-            mount = state.core[MOUNT] + (e if part is MOUNT else 0.0)
+            R = so3_exp(e) @ state.R if part is AT.att else state.R
+            mount = state.core[AT.mount] + (e if part is AT.mount else 0.0)
             turned = so3_log(R @ so3_exp(mount) @ state.rig.T) / h
             np.testing.assert_allclose(J[:3, part][:, k], turned, atol=2e-3)
-    np.testing.assert_allclose(J[3:, POS], np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(J[3:, AT.pos], np.eye(3), atol=1e-12)
 
 
 def test_eliminated_rows_agree_with_differences() -> None:
@@ -209,16 +174,9 @@ def test_eliminated_rows_agree_with_differences() -> None:
     observations = seen_from(poses, x, rng, 1e-3)
 
     def misfit(d: F64) -> float:
-        e = d.reshape(-1, 6)
-        R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
-        moved = WindowPoses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-        return float(
-            marginalise_points(observations, moved, CAMS, triangulate_window(observations, moved, CAMS)).misfit.sum()
-        )
+        return float(marginalise_points(observations, moved(poses, d), CAMS).misfit.sum())
 
-    _, b = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS)).information(
-        np.ones(6)
-    )
+    _, b = marginalise_points(observations, poses, CAMS).information(np.ones(6))
     h = 1e-6
     numeric = np.array([(misfit(h * e) - misfit(-h * e)) / (2 * h) for e in np.eye(18)])
     np.testing.assert_allclose(-2.0 * b, numeric, rtol=1e-3, atol=2e-3 * np.abs(b).max())
@@ -247,7 +205,7 @@ def test_a_correction_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(state.core[3:], (state.P @ full.T @ r)[3:], rtol=1e-6, atol=1e-8)
 
 
-def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
+def test_the_refined_keyframes_are_those_of_one_large_adjustment() -> None:
     """With a loose prior of the poses and many observations, errors are small and fit their covariance."""
     rng = np.random.default_rng(8)
     true, x = row_of_poses(rng, 4), ground(rng, 40)
@@ -257,7 +215,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
         off = np.zeros(6) if k == 0 else rng.normal(size=6) * np.repeat([2e-3, 0.2], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
         state.add_clone(k)
-        at = state.clone_slice(k)
+        at = clone_slice(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))
     found = CloneWindow.of(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE).refined()
@@ -267,7 +225,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
     assert 0.4 < np.sqrt(np.mean((e[3:] / sigma) ** 2)) < 1.6
 
 
-def test_a_ring_claims_less_where_the_sights_disagree() -> None:
+def test_keyframes_claim_less_where_observations_disagree() -> None:
     """With residuals of five sigmas and ten observations that count as one, poses relative to the last one get 10 x 25
     times the variance, and the covariance of the last one stays."""
     rng, wide = np.random.default_rng(8), ALIKE.model_copy(update={"pixel_repeat": 10.0})
@@ -319,7 +277,7 @@ def test_each_quantity_of_a_row_has_a_gate_of_its_own(wrong: Quantity | None) ->
         estimator.feed_nav(row)
         state = estimator.state
         assert state is not None
-        assert np.linalg.norm(state.core[POS] - last) < 5.0
+        assert np.linalg.norm(state.core[AT.pos] - last) < 5.0
         if k == 2:
             break
     motion = estimator.feed_tracks(next(e for e in f.events if isinstance(e, Tracks) and e.t_ns > state.t_ns))

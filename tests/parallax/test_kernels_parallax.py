@@ -607,7 +607,7 @@ def test_the_orthophoto_adds_the_views_that_count(kind: str, wanted: int) -> Non
         pose = Pose(DOWN, np.array([6.0 * scale, -7.0, 2.0 + 50.0 * scale]))
         seen, use = np.zeros((*shape, 3), np.uint8), np.zeros(shape, bool)
         pixel, exposures = np.zeros(shape, np.float32), np.zeros((ROWS, ortho.EXPOSURES))
-        ortho.look(
+        ortho.sample_view(
             image, tone, *ground_projection(camera, pose), np.array([90.0, 90.0, 19.5, 14.5]), camera.coefficients,
             camera.code, radius2_limit(camera), np.zeros(0), pose.translation, xs, ys, height, 2.0, coarser, wants,
             finest, total, number, seen, use, pixel, exposures,

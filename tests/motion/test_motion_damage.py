@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from motion_scenarios import COVERED, DEGRADED, DROPPED, GOOD, JUMP, LOST, MOVING, OUTAGE, TURNED, Outcome
 from point_flight import NOISE, PointFlight, blind, damaged, nees, run, seconds
 
@@ -109,7 +108,7 @@ def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
     assert max(nees(m, f.truth(m.t_ns)) for m in motions if seconds(m) > 7.0) < 30.0
 
 
-def test_lost_is_said_while_it_lasts() -> None:
+def test_lost_is_reported_while_it_lasts() -> None:
     """Blind and without GPS, the motion is DEGRADED, then LOST, with the reason, and the covariance grows."""
     f = PointFlight(seed=4, seconds=5.0, count=60)
 
@@ -126,18 +125,12 @@ def test_lost_is_said_while_it_lasts() -> None:
     assert motions[-1].covariance[0, 0] > motions[9].covariance[0, 0]
 
 
-@pytest.mark.parametrize("smooth", [True, False])
-def test_live_needs_no_recording(smooth: bool) -> None:
-    """With `smooth: false` nothing is kept for the smoother, and motions still come out."""
-    f = PointFlight(seed=5, seconds=1.0, count=60)
-    estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": smooth}))
-    assert bool(estimator.refined().motions) == smooth
-    assert motions[-1].state in (MotionState.GOOD, MotionState.INITIALISING)
-
-
 def test_motions_are_the_same_with_and_without_a_recording() -> None:
+    """With `smooth: false` nothing is kept for the smoother."""
     f = PointFlight(seed=5, seconds=1.0, count=60)
-    kept, free = (run(f.events, NOISE.model_copy(update={"smooth": smooth}))[1] for smooth in (True, False))
+    runs = [run(f.events, NOISE.model_copy(update={"smooth": smooth})) for smooth in (True, False)]
+    assert [bool(estimator.refined().motions) for estimator, _ in runs] == [True, False]
+    kept, free = (motions for _, motions in runs)
     assert len(kept) == len(free) > 5
     for a, b in zip(kept, free, strict=True):
         assert a.state is b.state

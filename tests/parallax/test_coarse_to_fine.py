@@ -52,7 +52,7 @@ def test_at_the_border_of_a_picture_a_ray_tries_the_nearest_heights() -> None:
     spans = Spans.about(found, (40, 40), LEVELS)
     assert (np.abs(LEVELS[spans.low] - 1.5) < 0.4).all()
     nothing = Spans.about(np.full((20, 20), np.nan, np.float32), (40, 40), LEVELS)
-    assert (nothing.high - nothing.low).max() <= sweeps.SLACK
+    assert (nothing.high - nothing.low).max() <= sweeps.NARROW.slack
 
 
 def test_costs_lie_one_ray_after_the_other() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from point_flight import PointFlight, best, run
-from test_motion_consistency import ALIKE, CAMS, ground, row_of_poses, seen_from
+from pose_window import ALIKE, CAMS, clone_slice, ground, row_of_poses, seen_from
 
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.ekf.keyframe_posterior import CloneWindow
@@ -26,13 +26,13 @@ def loose_state(seed: int, count: int = 5) -> tuple[FilterState, object, np.ndar
         off = rng.normal(size=6) * np.repeat([2e-3, 0.1], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
         state.add_clone(k)
-        at = state.clone_slice(k)
+        at = clone_slice(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 1e-2], 3))
     return state, seen_from(true, x, rng, 1e-3), x
 
 
-def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_keyframe_posterior_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
     """Solve the same priors and observations, with equal weights, by gtsam's Levenberg-Marquardt over all points.
 
     Poses agree to 2 mm and 0.05 mrad, sigmas to 3 %.
@@ -45,7 +45,7 @@ def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
     pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([2e-3, 0.1], 3))
     pixel, lens = gtsam.noiseModel.Isotropic.Sigma(2, 1e-3), gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
     bodies = [gtsam.Pose3(gtsam.Rot3(c.rotation), c.translation) for c in CAMS]
-    for k, (R, p) in enumerate(zip(state.clones.poses.R, state.clones.poses.p, strict=True)):
+    for k, (R, p) in enumerate(zip(state.clones.R, state.clones.p, strict=True)):
         pose = gtsam.Pose3(gtsam.Rot3(R), p)
         graph.add(gtsam.PriorFactorPose3(k, pose, pose_noise))
         start.insert(k, pose)

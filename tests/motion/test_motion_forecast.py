@@ -13,7 +13,7 @@ from alight.arrays import F64
 from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.ekf.prediction import MotionPredictor
-from alight.motion.ekf.state import POS, VEL
+from alight.motion.ekf.state import AT
 from alight.motion.imu_buffer import ImuBuffer
 from alight.records import Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import TracksSettings
@@ -43,7 +43,7 @@ def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
     """Return a predictor with (24,) errors of the last rig, then of attitude, place, velocity, biases, mounting."""
     assert f.last is not None
     core = f.core.copy()
-    core[POS], core[VEL] = core[POS] + error[9:12], core[VEL] + error[12:15]
+    core[AT.pos], core[AT.vel] = core[AT.pos] + error[9:12], core[AT.vel] + error[12:15]
     core[9:15], core[24:27] = core[9:15] + error[15:21], core[24:27] + error[21:24]
     last = replace(f.last, R=so3_exp(error[:3]) @ f.last.R, p=f.last.p + error[3:6])
     return replace(f, R=so3_exp(error[6:9]) @ f.R, core=core, last=last)

@@ -14,6 +14,7 @@ from alight.geometry import Pose
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral, Segments, preintegrate, segments
 from alight.motion.smoother import smoother
+from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.motion.smoother.track_segments import TrackSegments
 from alight.records import Event, ImuSample, Motion, NavSample, Tracks
 from alight.settings import FilterSettings
@@ -106,7 +107,7 @@ def test_rows_long_after_the_last_exposure_change_nothing() -> None:
     np.testing.assert_array_equal(until(1.6), until(6.0))
 
 
-def test_a_guessed_attitude_is_believed_as_little_as_in_the_filter() -> None:
+def test_a_guessed_attitude_is_as_uncertain_as_in_the_filter() -> None:
     """A flight without attitude starts from a camera that is taken to look down within 0.1 rad (M26)."""
     f = PointFlight(seed=2, seconds=3.0, count=40, imu=False)
     bare = {"world_from_body": None, "velocity_world": None, "angular_velocity_body": None}
@@ -134,3 +135,20 @@ def test_points_behind_the_cameras_count_as_misfit() -> None:
     R, p = np.tile(np.eye(3), (4, 1, 1)), np.zeros((4, 3))
     some.points = np.array([[0.0, 0.0, -5.0], [0.0, 0.0, -5.0], [0.01, 0.0, 5.0]])
     assert some.median_misfit(R, p) == pytest.approx(4 * 2.0**2 / 5)
+
+
+def test_a_block_tridiagonal_system_is_solved_as_the_dense_one() -> None:
+    """The solution, the diagonal blocks of the inverse, and the inverse at any unknowns in any blocks."""
+    rng, size, count = np.random.default_rng(2), 4, 5
+    A, g, system = np.zeros((20, 20)), np.zeros(20), BlockTridiagonal(count, size)
+    for b in range(count):
+        rows = np.arange(size * b, min(size * (b + 2), 20))
+        root = rng.normal(size=(len(rows), len(rows) + 3))
+        A[np.ix_(rows, rows)] += root @ root.T
+        g[rows] += root.sum(axis=1)
+        system.add(rows, root @ root.T, root.sum(axis=1))
+    factors, rows, inverse = system.factorise(), np.array([1, 2, 5, 9, 10, 17, 18]), np.linalg.inv(A)
+    own = factors.covariance()
+    np.testing.assert_allclose(factors.solution(), np.linalg.solve(A, g), rtol=1e-8)
+    np.testing.assert_allclose(own, [inverse[4 * b : 4 * b + 4, 4 * b : 4 * b + 4] for b in range(5)], atol=1e-12)
+    np.testing.assert_allclose(factors.joint(rows, own), inverse[np.ix_(rows, rows)], atol=1e-12)

@@ -18,7 +18,7 @@ from alight.parallax.batch import Images, match_tile
 from alight.parallax.gauss_newton import Fit, Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.recursive import RecursiveParallax
-from alight.parallax.sparse_points import _Features, _pair, find_points, height_range, triangulate_pair
+from alight.parallax.sparse_points import ViewFeatures, find_points, height_range, pair_points, triangulate_pair
 from alight.parallax.uncertainty import pooled
 from alight.parallax.views import choose_views, ground_sampling, may_see, picture_at, prepare_view
 from alight.records import REFUSED, Flag, Heights, View, is_trusted
@@ -208,8 +208,8 @@ def test_ground_beside_a_hole_is_as_sure_on_a_slope_as_elsewhere(slope: float) -
     height[80:120, 150:190] = np.nan
     one = {k: np.full((n, n), v, np.float32) for k, v in (("precision", 50.0), ("noise", 0.02), ("px", 0.1))}
     mean, seen = np.random.default_rng(0).normal(0, 1, (n, n)).astype(np.float32), np.full((n, n), 7, np.uint8)
-    fit = Fit(height, one["precision"], one["noise"], mean, seen, seen, one["px"])
-    found = pooled(fit, 0.05, tuning)
+    fit = Fit(Grid(0.0, 0.0, 0.05, n, n), height, one["precision"], one["noise"], mean, seen, seen, one["px"])
+    found = pooled(fit, tuning)
     beside = np.zeros((n // 2, n // 2), bool)
     beside[34:66, 69:101] = True
     beside &= np.isfinite(height[::2, ::2])
@@ -308,18 +308,18 @@ def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
 # -- one step at a time
 
 
-def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
+def test_the_recursive_estimator_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
     """Flat ground is found from nothing at the first baseline; every later keyframe starts from the map."""
     s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
     truth = s.surface(EAST, NORTH)
-    ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
+    estimator = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
     views, known = s.views(COUNT), nothing_known(GRID)
-    ring.push([views[0]])
-    assert not ring.step(GRID, known, LOW, HIGH)  # one view sees no parallax
+    estimator.push([views[0]])
+    assert not estimator.step(GRID, known, LOW, HIGH)  # one view sees no parallax
     spread = []
     for v in views[1:]:
-        ring.push([v])
-        parts = ring.step(GRID, known, LOW, HIGH)
+        estimator.push([v])
+        parts = estimator.step(GRID, known, LOW, HIGH)
         if parts:  # no part while the baseline is too short
             known = with_parts(known, parts)
             spread.append(nmad(known.height - truth))
@@ -331,13 +331,13 @@ def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
     assert np.percentile(np.abs(height - truth), 95) < 0.25 * PX
 
 
-def test_the_ring_never_fills_what_it_does_not_see() -> None:
+def test_the_recursive_estimator_never_fills_what_it_does_not_see() -> None:
     wide = Grid(-29.9, 4.5, CELL, 46, 300)
-    ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
+    estimator = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
     for v in level_views():
-        ring.push([v])
+        estimator.push([v])
     known = nothing_known(wide)
-    parts = ring.step(wide, known, LOW, HIGH)
+    parts = estimator.step(wide, known, LOW, HIGH)
     found = with_parts(known, parts)
     assert parts
     assert np.isnan(found.height[:, :60]).all()
@@ -355,11 +355,11 @@ def test_a_seam_starts_from_the_heights_beside_it_and_a_wide_hole_does_not() -> 
     fields = {k: np.where(seen, v, getattr(known, k)).astype(getattr(known, k).dtype) for k, v in values.items()}
     rgb = np.where(seen[..., None], np.uint8(90), np.uint8(0))
     never = ParallaxSettings().recursive.model_copy(update={"first_baseline": 9.0})
-    ring = RecursiveParallax(ParallaxSettings().model_copy(update={"recursive": never}), CELL, 0.0)
+    estimator = RecursiveParallax(ParallaxSettings().model_copy(update={"recursive": never}), CELL, 0.0)
     for v in s.views(COUNT)[:3]:
-        ring.push([v])
+        estimator.push([v])
     before = replace(known, rgb=rgb, **fields)
-    found = with_parts(before, ring.step(GRID, before, LOW, HIGH))
+    found = with_parts(before, estimator.step(GRID, before, LOW, HIGH))
     inner = seam & (np.arange(GRID.rows)[:, None] > 5) & (np.arange(GRID.rows)[:, None] < GRID.rows - 6)
     assert np.isfinite(found.height[inner]).all()
     assert np.abs(found.height - truth)[inner].max() < 0.25 * PX
@@ -408,14 +408,12 @@ def test_a_pair_whose_rays_mostly_meet_at_too_small_an_angle_gives_no_points(sha
     ground = np.column_stack([rng.uniform(-8, 8, (100, 2)), np.full(100, -100.0)])
     ground[: round(100 * share), 2] = -40.0  # a base of 1 m: angles of 0.01 and 0.025 rad
 
-    def seen(centre: np.ndarray) -> _Features:
-        f = object.__new__(_Features)
+    def seen(centre: np.ndarray) -> ViewFeatures:
         rays = ground - centre
-        f.rays, f.centre = rays / np.linalg.norm(rays, axis=1, keepdims=True), centre
-        f.descriptors = 100 * np.eye(100, 128, dtype=np.float32)
-        return f
+        unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        return ViewFeatures(centre, unit, 100 * np.eye(100, 128, dtype=np.float32))
 
-    points, _ = _pair(seen(np.zeros(3)), seen(np.array([1.0, 0.0, 0.0])), PointsTuning())
+    points, _ = pair_points(seen(np.zeros(3)), seen(np.array([1.0, 0.0, 0.0])), PointsTuning())
     assert len(points) == found
 
 

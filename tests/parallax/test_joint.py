@@ -16,7 +16,8 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, ground_projection, plane_on, so3_exp
 from alight.parallax.pose_refinement import kernels
 from alight.parallax.pose_refinement.alignment import Alignment
-from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, between, corrected_pose, regress_on
+from alight.parallax.pose_refinement.gaussian import PoseGaussian, between, corrected_pose, regress_on
+from alight.parallax.pose_refinement.kernels import PLANE, POSE
 from alight.parallax.pose_refinement.solve import thinning
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.navigation.given import GivenLane
@@ -146,7 +147,7 @@ def covariance(size: int, seed: int) -> F64:
     return 1e-4 * (L @ L.T + 0.1 * np.eye(size))
 
 
-def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
+def test_a_posterior_replaces_the_distribution_and_the_rest_follows() -> None:
     """The update is the joint Gaussian: other unknowns keep their density given the replaced poses (eq. 23)."""
     ms = motions(4)
     first = PoseGaussian.none(np.array([0.3, 0.02, 0.01])).with_posterior(KeyframePosterior(ms[:3], covariance(18, 1)))
@@ -180,12 +181,12 @@ def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
     assert kept.times == (0, 3)
 
 
-def test_poses_told_of_one_by_one_are_independent() -> None:
+def test_poses_of_separate_posteriors_are_independent() -> None:
     ms = motions(2)
-    belief = PoseGaussian.none(np.ones(3))
+    joint = PoseGaussian.none(np.ones(3))
     for m in ms:
-        belief = belief.with_posterior(KeyframePosterior((m,), m.covariance))
-    assert_array_equal(belief.covariance, np.eye(15))
+        joint = joint.with_posterior(KeyframePosterior((m,), m.covariance))
+    assert_array_equal(joint.covariance, np.eye(15))
 
 
 def test_some_cells_of_a_grid() -> None:
@@ -199,7 +200,7 @@ def test_errors_in_common_are_passed_on_whole() -> None:
     assert_allclose(regress_on(np.ones((3, 3)), np.ones((3, 1))), np.full((1, 3), 1 / 3), atol=1e-6)
 
 
-def test_given_poses_are_told_of_when_the_settings_say_that_they_have_errors() -> None:
+def test_given_poses_have_a_posterior_when_the_settings_give_them_errors() -> None:
     rig = Rig((RigCamera("cam0", ANY_CAMERA, Pose()),))
     times = np.array([0, 10**8], np.int64), [Pose(), Pose(np.eye(3), np.ones(3))]
     frame = Frame(10**8, (np.zeros((120, 160), np.uint8),))
@@ -239,17 +240,21 @@ def off(errors: F64) -> list[tuple[View, Motion]]:
 
 
 def flown(
-    errors: F64, refine: bool = True, told: Callable[[list[Motion]], KeyframePosterior] | None = None
+    errors: F64, refine: bool = True, posterior: Callable[[list[Motion]], KeyframePosterior] | None = None
 ) -> ElevationMap:
-    """Return the recursive map with poses given one by one, or as the posterior that `told` makes of all so far."""
-    ring, elevation, seen = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64), list[Motion]()
+    """Return the recursive map with poses given one by one, or as what `posterior` makes of all so far."""
+    estimator, elevation, seen = (
+        RecursiveParallax(ParallaxSettings(), CELL, 0.1),
+        TiledElevation(CELL, 64),
+        list[Motion](),
+    )
     datum: Datum | None = None
     for view, motion in off(errors):
         seen.append(motion)
-        poses = told(seen) if told else KeyframePosterior((motion,), motion.covariance)
-        ring.push([view], poses if refine else None)
-        parts = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
-        elevation.add_plane(ring.plane, ring.about)
+        poses = posterior(seen) if posterior else KeyframePosterior((motion,), motion.covariance)
+        estimator.push([view], poses if refine else None)
+        parts = estimator.step(GRID, elevation.read(GRID), -4.0, 4.0)
+        elevation.add_plane(estimator.plane, estimator.about)
         for part in parts:
             elevation.add(part, replace_all=True)
             datum = part.datum
@@ -298,7 +303,7 @@ def test_good_poses_are_left_alone() -> None:
 
 def test_exact_poses_do_not_move() -> None:
     """With poses claimed exact to a tenth of a millimetre, the result is that without refinement."""
-    exact = flown(NOTHING, told=lambda ms: KeyframePosterior((ms[-1],), 1e-8 * np.eye(6)))
+    exact = flown(NOTHING, posterior=lambda ms: KeyframePosterior((ms[-1],), 1e-8 * np.eye(6)))
     plain = flown(NOTHING, refine=False)
     both = exact.trusted & plain.trusted
     assert both.mean() > 0.95
@@ -306,18 +311,18 @@ def test_exact_poses_do_not_move() -> None:
     assert shape(exact)[0] < 1.05 * perfect()
 
 
-def test_the_gauge_follows_the_prior() -> None:
+def test_the_datum_follows_the_prior() -> None:
     """No picture shows the error that all poses share: the map is raised and tilted by it, and the datum covers it.
 
     The poses have a common error, and the joint covariance claims such an error.
     """
     common = np.repeat((2.0 * np.array([0.01, -0.02, 0.05, 0.002, -0.001, 0.001]))[None], COUNT, axis=0)
 
-    def told(ms: list[Motion]) -> KeyframePosterior:
+    def together(ms: list[Motion]) -> KeyframePosterior:
         n = len(ms)
         return KeyframePosterior(tuple(ms), np.kron(np.ones((n, n)) + 1e-4 * np.eye(n), np.diag(SIGMA**2)))
 
-    found = flown(common, told=told)
+    found = flown(common, posterior=together)
     spread, fit = shape(found)
     assert found.datum is not None
     assert spread < 1.25 * perfect()
@@ -328,7 +333,7 @@ def test_the_gauge_follows_the_prior() -> None:
     assert 0.5 * SIGMA[3] < sigma[1:].max() < 2 * SIGMA[3]
 
 
-def test_the_gauge_covers_what_the_map_is_off() -> None:
+def test_the_datum_covers_what_the_map_is_off() -> None:
     for seed in (2, 3, 4):
         found = flown(white(seed))
         fit = shape(found)[1]
@@ -351,11 +356,11 @@ def test_pictures_of_nothing_change_nothing() -> None:
     """
     rng = np.random.default_rng(0)
     for paint in (lambda: np.full((120, 160), 90, np.uint8), lambda: rng.integers(0, 255, (120, 160), dtype=np.uint8)):
-        ring, elevation = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64)
+        estimator, elevation = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64)
         for view, motion in off(white(6)):
-            ring.push([replace(view, image=paint())], KeyframePosterior((motion,), motion.covariance))
-            parts = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
-            assert np.isfinite(ring.plane).all()
+            estimator.push([replace(view, image=paint())], KeyframePosterior((motion,), motion.covariance))
+            parts = estimator.step(GRID, elevation.read(GRID), -4.0, 4.0)
+            assert np.isfinite(estimator.plane).all()
             for part in parts:
                 elevation.add(part, replace_all=True)
         left = elevation.read(GRID)
@@ -391,7 +396,7 @@ def known_plane(posterior: KeyframePosterior) -> Alignment:
     out = Alignment(7, ParallaxSettings().poses)
     out.update_posterior(posterior, {0}, UP)
     assert out.state is not None
-    out.state, out._mapped = replace(out.state, covariance=np.zeros_like(out.state.covariance)), True
+    out.state, out.mapped = replace(out.state, covariance=np.zeros_like(out.state.covariance)), True
     return out
 
 
@@ -399,7 +404,7 @@ def known_plane(posterior: KeyframePosterior) -> Alignment:
 def test_new_ground_is_as_near_to_the_plane_of_the_map_however_far_the_flight_has_come(away: float) -> None:
     """Its tilt wanders about the vehicle. About the first keyframe, 2e-4 rad would be 0.2 m of height 1 km away."""
     lane, here = known_plane(at(np.array([3.0, -2.0, UP]))), np.array([3.0 + away, -2.0 + 0.5 * away])
-    lane.state = lane._prior(UP, here)
+    lane.state = lane.prior(UP, here)
     datum = lane.datum(Grid(here[0] - 1.9, here[1] + 1.9, 0.2, 20, 20))
     assert datum is not None
     wander = ParallaxSettings().poses.wander

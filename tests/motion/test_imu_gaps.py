@@ -60,6 +60,7 @@ def test_before_the_first_sample_it_is_as_after_the_last_one() -> None:
     np.testing.assert_allclose(before.rotation, after.rotation, atol=1e-12)
     assert before.rotation[1, 0] == pytest.approx(np.sin(0.1), rel=1e-3)
     assert before.covariance[2, 2] == pytest.approx(after.covariance[2, 2])
+    assert after.velocity[2] == pytest.approx(2 * UP[2])  # the force of the nearest sample holds for all of it
     parts = [summed(imu, -2000, -150), summed(imu, -150, 0)]
     np.testing.assert_allclose(parts[0].rotation @ parts[1].rotation, before.rotation, atol=1e-12)
 

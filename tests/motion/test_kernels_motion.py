@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import cv2
 import numpy as np
 import pytest
 import twins_motion as twins
-from point_flight import DOWN
+from pose_window import CAMS, scene
+from twins_motion import picture
 
-from alight.geometry import Camera, Pose, so3_exp
-from alight.motion.elimination import eliminate_points, marginalise_points
-from alight.motion.observations import WindowObservations, WindowPoses
-from alight.motion.projection import project
-from alight.motion.triangulation import triangulate_rays, triangulate_window
+from alight.geometry import Camera
+from alight.motion.observations import WindowObservations
+from alight.motion.points import marginalise_points, triangulate_rays, triangulate_window
+from alight.motion.smoother.track_segments import LinearisedSegments, TrackSegments
 from alight.settings import TracksSettings
 from alight.tracks.corners import corner_response, detect_corners
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
 
 SETTINGS = TracksSettings(window_px=15)
-CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
-
-
-def picture(seed: int, height: int = 120, width: int = 160) -> np.ndarray:
-    noise = np.random.default_rng(seed).uniform(0, 255, (height, width)).astype(np.float32)
-    soft = cv2.GaussianBlur(noise, (0, 0), 1.5)
-    return np.clip(128 + (soft - 128) * 4, 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("window", [5, 8, 21])
@@ -102,21 +98,6 @@ def test_the_table_takes_the_lens_out() -> None:
     assert np.isfinite(outside).all()
 
 
-def scene(seed: int) -> tuple[WindowObservations, WindowPoses]:
-    """Points observed now and then from six poses, one behind the cameras; first estimates are a little off."""
-    rng = np.random.default_rng(seed)
-    R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(6)])
-    p = np.array([[1.0 * k, 0.1 * k, 30.0] for k in range(6)]) + 0.1 * rng.normal(size=(6, 3))
-    first_R = np.array([so3_exp(rng.normal(size=3) * 1e-3) @ a for a in R])
-    x = np.column_stack([rng.uniform(-8, 8, (30, 2)), rng.uniform(-2, 2, 30)])
-    z = np.array([[[project(a, b, c, q) for c in CAMS] for a, b in zip(R, p, strict=True)] for q in x])
-    z += 1e-3 * rng.normal(size=z.shape)
-    z[rng.random(z.shape[:3]) < 0.3] = np.nan
-    z[0, :, :, :] = -z[0]
-    poses = WindowPoses(R, p, first_R, p + 0.02 * rng.normal(size=p.shape))
-    return WindowObservations(np.arange(30), z, rng.uniform(5e-4, 2e-3, (30, 6))), poses
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_points_and_pose_constraints_are_those_of_numpy(seed: int) -> None:
     observations, poses = scene(seed)
@@ -165,28 +146,26 @@ def test_points_of_ray_lists_are_those_of_least_squares(seed: int) -> None:
 
 def test_eliminated_points_are_the_schur_complement_of_the_full_system() -> None:
     """Reduced matrix, right side and back substitution agree; one point is seen from one pose, one has no depth."""
-    rng = np.random.default_rng(4)
-    starts, poses = starts_of(rng, 9), 4
+    rng, poses = np.random.default_rng(4), 4
+    starts = starts_of(rng, 9)
     m = int(starts[-1])
     pose = rng.integers(0, poses, m)
     pose[starts[2] : starts[3]] = 1
     residual, by_pose, by_point = rng.normal(size=(m, 2)), rng.normal(size=(m, 2, 6)), rng.normal(size=(m, 2, 3))
     by_point[starts[6] : starts[7], :, 2] = 0.0
-    H, g, step = twins.schur(starts, residual, by_pose, by_point, 1e-3, pose, poses)
-    points = eliminate_points(starts, residual, by_pose, by_point, 1e-3)
-    G = np.zeros((6 * poses, 9, 3))
-    for k, point in enumerate(np.repeat(np.arange(9), np.diff(starts))):
-        G[6 * pose[k] : 6 * pose[k] + 6, point] += points.coupling[k]
-    G = G.reshape(6 * poses, -1)
-    full, right = np.zeros((6 * poses, 6 * poses)), np.zeros(6 * poses)
-    for k in range(m):
-        at = slice(6 * pose[k], 6 * pose[k] + 6)
-        full[at, at] += by_pose[k].T @ by_pose[k]
-        right[at] += by_pose[k].T @ residual[k]
-    np.testing.assert_allclose(full - G @ G.T, H, rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(right - G @ points.reduced_gradient.ravel(), g, rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(points.point_step(np.zeros((m, 2))), step, rtol=1e-8, atol=1e-8)
-    moved = np.linalg.solve(H + np.eye(len(H)), g)
-    predicted = np.einsum("nki,ni->nk", by_pose, moved.reshape(poses, 6)[pose])
-    left = twins.schur(starts, residual - predicted, by_pose, by_point, 1e-3, pose, poses)[2]
-    np.testing.assert_allclose(points.point_step(predicted), left, rtol=1e-8, atol=1e-8)
+    H, g, step = twins.schur(starts, residual, by_pose, by_point, 1e-4, pose, poses)
+    segment, none = np.repeat(np.arange(9), np.diff(starts)), np.zeros((9, 3))
+    points = SimpleNamespace(
+        starts=starts, count=9, first=np.zeros(9, np.int64), exposure=pose, segment=segment, points=none
+    )
+    found = LinearisedSegments(cast(TrackSegments, points), residual, by_pose, by_point)
+    full, right = found.reduced(0, 1, poses // 2)
+    np.testing.assert_allclose(full, H, rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(right, g, rtol=1e-8, atol=1e-6)
+    found.move_points(np.zeros((poses, 6)))
+    np.testing.assert_allclose(points.points, step, rtol=1e-7, atol=1e-6)
+    moved, points.points = np.linalg.solve(H + np.eye(len(H)), g).reshape(poses, 6), np.zeros((9, 3))
+    found.move_points(moved)
+    predicted = np.einsum("nki,ni->nk", by_pose, moved[pose])
+    left = twins.schur(starts, residual - predicted, by_pose, by_point, 1e-4, pose, poses)[2]
+    np.testing.assert_allclose(points.points, left, rtol=1e-7, atol=1e-6)

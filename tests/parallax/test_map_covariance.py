@@ -11,11 +11,9 @@ from point_flight import NOISE, PointFlight, run
 from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose, skew, so3_exp
 from alight.motion.ekf.keyframe_posterior import relative_inflation, rigid_posterior
-from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
-from alight.parallax.datum import shared_error, steepness, with_datum
-from alight.parallax.pose_error import Matched, PosedCamera, sensitivity
-from alight.parallax.pose_refinement.gaussian import corrected_pose
-from alight.records import ElevationMap, Flag, KeyframePosterior, Motion
+from alight.parallax.datum import Matched, sensitivity, shared_error, steepness, with_datum
+from alight.parallax.pose_refinement.gaussian import between, corrected_pose
+from alight.records import ElevationMap, Flag, KeyframePosterior, Motion, View
 
 CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
 BODY_FROM_CAM = Pose(so3_exp([0.02, 0.01, 0.0]) @ np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), [0.3, 0.1, -0.1])
@@ -34,8 +32,8 @@ def motions_of(count: int = 6, seed: int = 0) -> tuple[Motion, ...]:
     return tuple(out)
 
 
-def cameras_of(motions: tuple[Motion, ...]) -> tuple[PosedCamera, ...]:
-    return tuple(PosedCamera(m.t_ns, CAMERA, m.world_from_cams[0]) for m in motions)
+def views_of(motions: tuple[Motion, ...]) -> tuple[View, ...]:
+    return tuple(View(m.t_ns, 0, np.empty((0, 0), np.uint8), CAMERA, m.world_from_cams[0]) for m in motions)
 
 
 def together(motions: tuple[Motion, ...], turn: F64, move: F64) -> F64:
@@ -66,24 +64,9 @@ def matched(motions: tuple[Motion, ...], error: F64, points: F64, true: Camera =
     return out
 
 
-def test_blocks_of_the_inverse() -> None:
-    """The blocks agree for any unknowns, in any blocks, of a random system of four blocks."""
-    rng, size, count = np.random.default_rng(2), 4, 5
-    A, system = np.zeros((20, 20)), BlockTridiagonal(count, size)
-    for b in range(count):
-        rows = np.arange(size * b, min(size * (b + 2), 20))
-        root = rng.normal(size=(len(rows), len(rows) + 3))
-        A[np.ix_(rows, rows)] += root @ root.T
-        system.add(rows, root @ root.T, np.zeros(len(rows)))
-    factors, rows = system.factorise(), np.array([1, 2, 5, 9, 10, 17, 18])
-    np.testing.assert_allclose(
-        factors.joint(rows, factors.covariance()), np.linalg.inv(A)[np.ix_(rows, rows)], atol=1e-12
-    )
-
-
 def test_poses_that_are_off_as_one_carry_the_ground_along() -> None:
     motions, points = motions_of(), ground(np.random.default_rng(1))
-    J = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((36, 36))))
+    J = sensitivity(points, views_of(motions), KeyframePosterior(motions, np.zeros((36, 36))))
     turn, move = np.array([2e-3, -1e-3, 3e-3]), np.array([0.1, -0.2, 0.3])
     np.testing.assert_allclose(J @ together(motions, turn, move), -(move + np.cross(turn, points)), atol=1e-7)
 
@@ -93,15 +76,15 @@ def test_any_errors_move_a_point_to_where_its_rays_agree(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motions, points = motions_of(seed=seed), ground(rng)
     error = rng.normal(size=36) * np.tile(np.repeat([1e-3, 1e-5], 3), 6)
-    J = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((36, 36))))
+    J = sensitivity(points, views_of(motions), KeyframePosterior(motions, np.zeros((36, 36))))
     np.testing.assert_allclose(J @ error, matched(motions, error, points) - points, atol=2e-5)
 
 
-def test_a_lens_that_is_off_is_felt_too() -> None:
+def test_a_lens_that_is_off_moves_the_ground_too() -> None:
     """With a true focal length longer by a thousandth, heights shrink towards the cameras by 3 cm."""
     motions, points = motions_of(), ground(np.random.default_rng(5))
     longer = replace(CAMERA, fu=CAMERA.fu * 1.001, fv=CAMERA.fv * 1.001)
-    J = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((37, 37)), ((longer,),)))
+    J = sensitivity(points, views_of(motions), KeyframePosterior(motions, np.zeros((37, 37)), ((longer,),)))
     found = matched(motions, np.zeros(36), points, longer) - points
     assert np.abs(found[:, 2]).mean() > 0.02
     np.testing.assert_allclose(J[:, :, 36], found, atol=2e-3)
@@ -111,15 +94,15 @@ def test_an_exposure_between_two_has_the_errors_of_both() -> None:
     motions, points = motions_of(), ground(np.random.default_rng(1))
     some, error = motions[::5], np.random.default_rng(3).normal(size=12) * 1e-4
     between = np.concatenate([error[:6] * (1 - k / 5) + error[6:] * k / 5 for k in range(6)])
-    full = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((36, 36)))) @ between
-    thin = sensitivity(points, cameras_of(motions), KeyframePosterior(some, np.zeros((12, 12)))) @ error
+    full = sensitivity(points, views_of(motions), KeyframePosterior(motions, np.zeros((36, 36)))) @ between
+    thin = sensitivity(points, views_of(motions), KeyframePosterior(some, np.zeros((12, 12)))) @ error
     np.testing.assert_allclose(thin, full, atol=5e-4 * np.abs(full).max() + 2e-4 * 5)
 
 
 def test_what_one_view_sees_is_not_known() -> None:
     motions = motions_of(2)
     far = np.array([[0.0, 0.0, 0.0], [500.0, 0.0, 0.0]])
-    J = sensitivity(far, cameras_of(motions), KeyframePosterior(motions, np.zeros((12, 12))))
+    J = sensitivity(far, views_of(motions), KeyframePosterior(motions, np.zeros((12, 12))))
     assert np.isfinite(J[0]).all()
     assert np.isnan(J[1]).all()
 
@@ -136,7 +119,7 @@ def a_map(slope: float = 0.0) -> ElevationMap:
 
 def datum_of(covariance: F64, slope: float = 0.0) -> ElevationMap:
     motions = motions_of()
-    return with_datum(a_map(slope), [Matched(GRID, cameras_of(motions))], KeyframePosterior(motions, covariance))
+    return with_datum(a_map(slope), [Matched(GRID, views_of(motions))], KeyframePosterior(motions, covariance))
 
 
 def rigid_covariance(sigma: F64) -> F64:
@@ -177,7 +160,7 @@ def test_errors_of_each_pose_bend_the_map_and_the_claim_holds() -> None:
     motions, rng = motions_of(), np.random.default_rng(7)
     sigma = np.tile(np.repeat([5e-3, 1e-4], 3), 6)
     joint = KeyframePosterior(motions, np.diag(sigma**2))
-    shared = shared_error(a_map(), [Matched(GRID, cameras_of(motions))], joint)
+    shared = shared_error(a_map(), [Matched(GRID, views_of(motions))], joint)
     assert shared is not None
     e, n = GRID.xy()
     points = np.column_stack([e[shared.cols], n[shared.rows], np.zeros(len(shared.rows))])[::7]
@@ -195,7 +178,7 @@ def test_too_little_map_has_no_datum() -> None:
     motions, found = motions_of(), a_map()
     unseen = replace(found, flags=np.full(GRID.shape, Flag.UNSEEN, np.uint16))
     joint = KeyframePosterior(motions, np.eye(36))
-    assert with_datum(unseen, [Matched(GRID, cameras_of(motions))], joint) is unseen
+    assert with_datum(unseen, [Matched(GRID, views_of(motions))], joint) is unseen
     assert with_datum(found, [], joint) is found
 
 
@@ -253,11 +236,5 @@ def test_the_joint_covariance_of_a_recording() -> None:
     seen[:, 6 * k + 3 : 6 * k + 6] = skew(arm)  # relative to the middle one, which turns with its frame
     before, after = (np.trace(seen @ j.covariance @ seen.T) for j in (joint, wide))
     assert after > 5.0 * before
-    error = np.concatenate([_error(f, m) for m in joint.motions])
+    error = np.concatenate([between(m.world_from_body, f.truth(m.t_ns)) for m in joint.motions])
     assert 0.2 < error @ np.linalg.solve(joint.covariance, error) / len(error) < 5.0
-
-
-def _error(f: PointFlight, m: Motion) -> F64:
-    from alight.parallax.pose_refinement.gaussian import between
-
-    return between(m.world_from_body, f.truth(m.t_ns))
