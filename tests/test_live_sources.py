@@ -25,11 +25,9 @@ from alight.runner.live import open_live
 from alight.runner.opening import open_source
 from alight.runs import flown_home
 from alight.settings import Settings
-from alight.sources.arrival import as_they_arrive
 from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
 from alight.sources.growing import GrowingLog, GrowingTable
-from alight.sources.live import LiveSource
-from alight.sources.paced import paced
+from alight.sources.live import LiveSource, as_they_arrive, paced
 from alight_sim import default_rig, fly
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
@@ -329,7 +327,7 @@ def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -
     assert np.linalg.norm(first) < 5.0
     now = time.monotonic_ns()
     assert all(0 <= now - r.t_ns < 60_000_000_000 for r in rows)
-    home = flown_home(None, opened.heard(), None)  # of route.plan: the autopilot's own
+    home = flown_home(None, opened.telemetry(), None)  # of route.plan: the autopilot's own
     assert home is not None
     assert np.isfinite(home.height)
 

@@ -19,7 +19,7 @@ from alight.geometry import LocalFrame, enu_from_flu, so3_log
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.photos.reading.photo_tags import finite
 from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
-from alight.photos.reading.photos import SECOND, _spread
+from alight.photos.reading.photos import SECOND, spread_times
 from alight.records import Event, Frame, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
@@ -234,7 +234,7 @@ def test_a_set_on_both_sides_of_longitude_180(tmp_path: Path) -> None:
     ],
 )
 def test_equal_times_are_spread(times: list[int], spread: list[int]) -> None:
-    assert _spread(times) == spread
+    assert spread_times(times) == spread
 
 
 # -- order and choice

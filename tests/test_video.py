@@ -39,7 +39,7 @@ OLD = """7
 def test_subtitles_of_two_generations_are_read() -> None:
     new, old = read_srt(NEW + "\n" + OLD.replace("\n", "\r\n"))
     assert (new.seconds, new.place) == (0.0, (45.123456, -7.654321, 330.2))
-    assert {k: new.said[k] for k in ("rel_alt", "focal_len", "gb_yaw", "gb_pitch")} == {
+    assert {k: new.values[k] for k in ("rel_alt", "focal_len", "gb_yaw", "gb_pitch")} == {
         "rel_alt": 30.1, "focal_len": 24.0, "gb_yaw": 12.5, "gb_pitch": -89.9,
     }  # fmt: skip
     assert new.taken is not None

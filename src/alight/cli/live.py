@@ -81,7 +81,7 @@ def live(
         result = fly_live(
             opened.source, opened.events, out, chosen, record, opened.real_time, force, tell, inputs=inputs
         )
-    leave_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
+    leave_result(with_home(result, flown_home(wanted, opened.telemetry(), separation)), out, force)
 
 
 def compile_if_cold() -> None:

@@ -8,8 +8,7 @@ from pathlib import Path
 from alight.records import InputError
 from alight.runner.opening import open_source
 from alight.settings import Settings
-from alight.sources.live import LiveSource, is_cameras, never, open_sensors
-from alight.sources.paced import paced
+from alight.sources.live import LiveSource, is_cameras, never, open_sensors, paced
 
 
 def open_live(

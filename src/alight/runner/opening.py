@@ -43,7 +43,7 @@ def _open(path: Path, settings: Settings) -> Source:
         from alight.sources.flight_log import FlightLog
 
         return FlightLog(root, settings)
-    from alight.photos.reading.photo_finding import find_photos
+    from alight.photos.reading.photo_selection import find_photos
 
     if (found := find_photos(root)).files:
         from alight.photos.reading.photos import Photos

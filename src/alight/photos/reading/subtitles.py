@@ -6,12 +6,10 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-COARSE_DECIMALS = 4  # of a degree: 11 m
 _TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 _STAMP = re.compile(r"(\d{4})[-.](\d\d)[-.](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
 _NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 _PAIR = re.compile(rf"\b([a-z_]+)\s*:\s*{_NUMBER}", re.IGNORECASE)
-_NAMES = {"longtitude": "longitude"}  # DJI's own spelling
 _GPS = re.compile(rf"\bGPS\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*(?:,\s*{_NUMBER}\s*(M?)\s*)?\)", re.IGNORECASE)
 _UP = re.compile(rf"\bBAROMETER\s*[:(]\s*{_NUMBER}|,\s*H\s+{_NUMBER}\s*m\b", re.IGNORECASE)
 
@@ -22,14 +20,14 @@ class Subtitle:
 
     seconds: float  # from the start of the video
     taken: datetime | None
-    said: dict[str, float]  # latitude, longitude, abs_alt, rel_alt, focal_len, gb_yaw, ...
+    values: dict[str, float]  # latitude, longitude, abs_alt, rel_alt, focal_len, gb_yaw, ...
     coarse: bool = False  # latitude or longitude has few decimals
 
     @property
     def place(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (degrees), and the altitude, else the height above take-off (m); None without a fix."""
-        latitude, longitude = self.said.get("latitude"), self.said.get("longitude")
-        up = self.said.get("rel_alt") if self.altitude is None else self.altitude
+        latitude, longitude = self.values.get("latitude"), self.values.get("longitude")
+        up = self.values.get("rel_alt") if self.altitude is None else self.altitude
         if latitude is None or longitude is None or up is None or (latitude, longitude) == (0, 0):
             return None
         return latitude, longitude, up
@@ -37,7 +35,7 @@ class Subtitle:
     @property
     def altitude(self) -> float | None:
         """Metres above the maker's datum; None where at most the height above take-off is given."""
-        return next((self.said[k] for k in ("abs_alt", "altitude") if k in self.said), None)
+        return next((self.values[k] for k in ("abs_alt", "altitude") if k in self.values), None)
 
 
 def read_srt(text: str) -> list[Subtitle]:
@@ -50,11 +48,12 @@ def read_srt(text: str) -> list[Subtitle]:
         if (at := _TIME.search(block)) is None:
             continue
         h, m, s, ms = (int(v) for v in at.groups())
-        written = {_NAMES.get(k.lower(), k.lower()): v for k, v in _PAIR.findall(block[at.end() :])}
+        written = {k.lower().replace("longtitude", "longitude"): v for k, v in _PAIR.findall(block[at.end() :])}
         written |= _bracketed(block[at.end() :])
-        said = {k: float(v) for k, v in written.items()}
         seconds = 3600 * h + 60 * m + s + ms / 10 ** len(at.group(4))
-        out.append(Subtitle(seconds, _stamp(block), said, _is_coarse(written)))
+        decimals = [len(written[k].partition(".")[2]) for k in ("latitude", "longitude") if k in written]
+        coarse = bool(decimals) and max(decimals) <= 4  # of a degree: 11 m
+        out.append(Subtitle(seconds, _stamp(block), {k: float(v) for k, v in written.items()}, coarse))
     return out
 
 
@@ -78,18 +77,12 @@ def _bracketed(block: str) -> dict[str, str]:
     return {"latitude": latitude, "longitude": longitude} | height
 
 
-def _is_coarse(written: dict[str, str]) -> bool:
-    decimals = [len(written[k].partition(".")[2]) for k in ("latitude", "longitude") if k in written]
-    return bool(decimals) and max(decimals) <= COARSE_DECIMALS
-
-
 def _stamp(block: str) -> datetime | None:
     if (found := _STAMP.search(block)) is None:
         return None
     *whole, fraction = found.groups()
-    year, month, day, hour, minute, second = (int(v) for v in whole)
     try:
-        at = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+        at = datetime(*(int(v) for v in whole), tzinfo=UTC)  # type: ignore[arg-type, misc]
     except ValueError:
         return None
     return at + timedelta(milliseconds=int((fraction or "0").ljust(3, "0")))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import shutil
@@ -15,22 +16,18 @@ from xml.sax.saxutils import quoteattr
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image
 
 from alight.arrays import U8
+from alight.photos.reading.photo_camera import film_focal_px
 from alight.photos.reading.photos import Photos
-from alight.photos.reading.sensor_sizes import FOUR_THIRDS, film_focal_px
 from alight.photos.reading.subtitles import Subtitle, read_srt
 from alight.records import InputError
 from alight.settings import Settings
 
+Base, Gps = ExifTags.Base, ExifTags.GPS
+
 OVERLAP = 0.8  # of one frame with the next, along the flight
-LEAST_STEP = 0.5  # metres
-USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not give it
-USUAL_FIELD = 0.56  # ground of a frame's height over the distance, where the focal length is unknown
-QUALITY = 95  # of the JPEGs
-COARSE_SIGMA = 11.0  # m, of a place with four decimals of a degree
-TENTHS = 200  # mm; whole numbers above are tenths of a millimetre
 
 
 def open_video(path: Path, settings: Settings) -> Photos:
@@ -52,25 +49,20 @@ def open_video(path: Path, settings: Settings) -> Photos:
             "with GPS(...) and BAROMETER:..."
         )
     folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
-    root = folder / path.stem
-    root.mkdir()
     try:
-        source = _opened(path, rows, root, settings)
+        root = folder / path.stem
+        root.mkdir()
+        files = list(_write_frames(path, rows, root))
+        if not files:
+            raise InputError(
+                f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
+            )
+        source = Photos(root, files, settings)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    weakref.finalize(source, shutil.rmtree, folder, True)
-    return source
-
-
-def _opened(path: Path, rows: Sequence[Subtitle], root: Path, settings: Settings) -> Photos:
-    files = list(_write_frames(path, rows, root))
-    if not files:
-        raise InputError(
-            f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
-        )
-    source = Photos(root, files, settings)
     source.notes["video"] = f"{len(files)} frames of {path.name}, chosen by the distance flown"
+    weakref.finalize(source, shutil.rmtree, folder, True)
     return source
 
 
@@ -80,9 +72,7 @@ def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[
     try:
         rate = film.get(cv2.CAP_PROP_FPS) or 30.0
         at, last = np.array([t.seconds for t in rows]), None
-        number = -1
-        while film.grab():
-            number += 1
+        for number in itertools.takewhile(lambda _: film.grab(), itertools.count()):
             row = rows[max(int(np.searchsorted(at, number / rate, side="right")) - 1, 0)]
             if last is not None and _apart(last, row) < _step(row, film):
                 continue
@@ -108,21 +98,20 @@ def _apart(a: Subtitle, b: Subtitle) -> float:
 
 def focal_px(row: Subtitle, width: float) -> float | None:
     """Focal length in pixels from the 35 mm equivalent (DJI's 4:3 sensors, whose whole width is filmed)."""
-    film = row.said.get("focal_len")
+    film = row.values.get("focal_len")
     if not film or film <= 0:
         return None
-    if film > TENTHS and film == int(film):
+    if film > 200 and film == int(film):  # mm; larger whole numbers are tenths of a millimetre
         film /= 10
-    return film_focal_px(film, width, FOUR_THIRDS)
+    return film_focal_px(film, width, 4 / 3)
 
 
 def _step(row: Subtitle, film: Any) -> float:
-    """Distance in metres from one frame to the next, for the overlap `OVERLAP`."""
+    """Distance in metres from one frame to the next, for the overlap `OVERLAP`; usual values where none is known."""
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     focal = focal_px(row, width)
-    field = USUAL_FIELD if focal is None else height / focal
-    above = row.said.get("rel_alt", USUAL_HEIGHT)
-    return max((1 - OVERLAP) * field * max(above, 1.0), LEAST_STEP)
+    field = 0.56 if focal is None else height / focal  # ground of a frame's height over the distance
+    return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
 def _dms(degrees: float) -> tuple[float, float, float]:
@@ -137,26 +126,32 @@ def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
     (latitude, longitude, _), altitude = row.place, row.altitude
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
     exif = Image.Exif()
-    exif[0x010F], exif[0x0110], exif[0x0112] = "video", "with telemetry", 1
-    exif.get_ifd(0x8769).update({0x9003: f"{taken:%Y:%m:%d %H:%M:%S}", 0x9291: f"{taken.microsecond // 1000:03d}"})
-    exif.get_ifd(0x8825).update(
+    exif[Base.Make], exif[Base.Model], exif[Base.Orientation] = "video", "with telemetry", 1
+    exif.get_ifd(ExifTags.IFD.Exif).update(
         {
-            1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude)),
-            **({} if altitude is None else {5: b"\x01" if altitude < 0 else b"\x00", 6: abs(altitude)}),
+            Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
+            Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
         }
-    )  # fmt: skip
+    )
+    gps: dict[int, Any] = {
+        Gps.GPSLatitudeRef: "NS"[latitude < 0], Gps.GPSLatitude: _dms(abs(latitude)),
+        Gps.GPSLongitudeRef: "EW"[longitude < 0], Gps.GPSLongitude: _dms(abs(longitude)),
+    }  # fmt: skip
+    if altitude is not None:
+        gps |= {Gps.GPSAltitudeRef: b"\x01" if altitude < 0 else b"\x00", Gps.GPSAltitude: abs(altitude)}
+    exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps)
     tags = {
         "GpsLatitude": latitude, "GpsLongitude": longitude, "AbsoluteAltitude": altitude,
-        "RelativeAltitude": row.said.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
-        "GimbalYawDegree": row.said.get("gb_yaw"), "GimbalPitchDegree": row.said.get("gb_pitch"),
-        "GimbalRollDegree": row.said.get("gb_roll"),
+        "RelativeAltitude": row.values.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
+        "GimbalYawDegree": row.values.get("gb_yaw"), "GimbalPitchDegree": row.values.get("gb_pitch"),
+        "GimbalRollDegree": row.values.get("gb_roll"),
     }  # fmt: skip
     attributes = " ".join(f"d:{k}={quoteattr(f'{v:.9g}')}" for k, v in tags.items() if v is not None)
     if row.coarse:
-        attributes += f' c:GPSXYAccuracy="{COARSE_SIGMA}"'
+        attributes += ' c:GPSXYAccuracy="11.0"'  # m
     xmp = (
         '<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
         f'<r:Description r:about="" xmlns:d="http://www.dji.com/drone-dji/1.0/" xmlns:c="http://pix4d.com/camera/1.0/" '
         f"{attributes}/></r:RDF></x:xmpmeta>"
     )
-    Image.fromarray(pixels).save(path, "JPEG", quality=QUALITY, exif=exif, xmp=xmp.encode())
+    Image.fromarray(pixels).save(path, "JPEG", quality=95, exif=exif, xmp=xmp.encode())
