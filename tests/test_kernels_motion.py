@@ -15,8 +15,8 @@ from alight.motion.projection import project
 from alight.motion.triangulation import triangulate_rays, triangulate_window
 from alight.settings import TracksSettings
 from alight.tracks.corners import corner_response, detect_corners
-from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
+from alight.tracks.view_transfer import Lens
 
 SETTINGS = TracksSettings(window_px=15)
 CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))

@@ -55,6 +55,33 @@ class GrowingTable:
         return out
 
 
+class WaitingExposures:
+    """Exposures that wait until all cameras have named their image."""
+
+    def __init__(self, cameras: int) -> None:
+        self.names: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
+        self.since: dict[int, float] = {}  # s, when it was named first
+        self._cameras = cameras
+        self._stamps: deque[int] = deque(maxlen=32)  # the newest of the first camera, ns, for its period
+
+    def add(self, camera: int, t_ns: int, name: str, now: float) -> None:
+        """Add an image to the waiting exposure of its time, else to the nearest one within half a period."""
+        if camera == 0:
+            self._stamps.append(t_ns)
+        steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
+        half = max(int(np.median(steps) if len(steps) else 1e9 / 30) // 2, 1)
+        near = [t for t, names in self.names.items() if names[camera] is None and abs(t - t_ns) < half]
+        found = t_ns if t_ns in self.names else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
+        names = self.names.pop(found, [None] * self._cameras)
+        names[camera] = name
+        at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
+        self.names[at], self.since[at] = names, self.since.pop(found, now)
+
+    def remove(self, t_ns: int) -> None:
+        """Remove an exposure."""
+        del self.names[t_ns], self.since[t_ns]
+
+
 class GrowingLog(CalibratedFolder):
     """A folder in the layout of a flight log that another program fills.
 
@@ -71,9 +98,7 @@ class GrowingLog(CalibratedFolder):
         self._idle = idle
         self._tables = {name: GrowingTable(self._root / name / "data.csv") for name in ("nav0", "imu0")}
         self._cams = [GrowingTable(self._root / c.name / "data.csv") for c in self.rig.cameras]
-        self._waiting: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
-        self._since: dict[int, float] = {}
-        self._stamps: deque[int] = deque(maxlen=32)  # the newest of the first camera, ns, for its period
+        self._waiting = WaitingExposures(len(self._cams))
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
@@ -83,7 +108,7 @@ class GrowingLog(CalibratedFolder):
             found = [*self._new_rows(), *self._new_exposures()]
             yield from sorted(found, key=lambda e: (e.t_ns, isinstance(e, Frame)))
             now = time.monotonic()
-            last = now if found or self._waiting else last
+            last = now if found or self._waiting.names else last
             if now - last > self._idle:
                 return
             if not found:
@@ -115,31 +140,18 @@ class GrowingLog(CalibratedFolder):
             group = f"{self.rig.cameras[k].name} images"
             for row in rows_of(table.new_lines(), (2,), group, self.findings):
                 if names_file(row, group, self.findings):
-                    self._join(k, row.t_ns, row.fields[0], now)
-        for t_ns in sorted(self._waiting):
-            names = self._waiting[t_ns]
-            if None in names and now - self._since[t_ns] < PARTNER:
+                    self._waiting.add(k, row.t_ns, row.fields[0], now)
+        for t_ns, names in sorted(self._waiting.names.items()):
+            waited = now - self._waiting.since[t_ns]
+            if None in names and waited < PARTNER:
                 return  # in order: later exposures wait as well
-            images = self._images(names, now - self._since[t_ns] > WRITTEN)
+            images = self._images(names, waited > WRITTEN)
             if images is None:
                 return
-            del self._waiting[t_ns], self._since[t_ns]
+            self._waiting.remove(t_ns)
             if any(i is not None for i in images):
                 self.length += 1
                 yield Frame(t_ns, images, next(n for n in names if n))
-
-    def _join(self, camera: int, t_ns: int, name: str, now: float) -> None:
-        """Add an image to the waiting exposure of its time, else to the nearest one within half a period."""
-        if camera == 0:
-            self._stamps.append(t_ns)
-        steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
-        half = max(int(np.median(steps) if len(steps) else 1e9 / 30) // 2, 1)
-        near = [t for t, names in self._waiting.items() if names[camera] is None and abs(t - t_ns) < half]
-        found = t_ns if t_ns in self._waiting else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
-        names = self._waiting.pop(found, [None] * len(self._cams))
-        names[camera] = name
-        at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
-        self._waiting[at], self._since[at] = names, self._since.pop(found, now)
 
     def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
         """The images; None while one of them is still being written."""

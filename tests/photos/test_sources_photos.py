@@ -16,6 +16,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame, enu_from_flu, so3_log
+from alight.photos.reading.photo_pixels import PhotoPixels, PictureMemory
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.photos.reading.photo_tags import finite
 from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
@@ -902,12 +903,10 @@ def test_mirafiori_attitude_and_place_agree_with_the_reference(shared_data: Path
 
 
 def test_pictures_that_are_let_go_take_no_memory_and_are_read_again(photos: Path) -> None:
-    frames = of_kind(opened(photos), Frame)
-    memory = frames[0].images[0]._memory  # type: ignore[union-attr]
-    before = [np.asarray(f.images[0]).copy() for f in frames]
-    assert memory._held == sum(p.nbytes for p in before)
-    for f in frames:
-        f.images[0].let_go()  # type: ignore[union-attr]
-    assert memory._held == 0
-    for f, pixels in zip(frames, before, strict=True):
-        np.testing.assert_array_equal(np.asarray(f.images[0]), pixels)
+    memory, path = PictureMemory(1e9), photos / "DJI_0000.JPG"
+    pixels = PhotoPixels(path, d.SIZE, memory)
+    before = np.asarray(pixels).copy()
+    assert memory.held_bytes == before.nbytes
+    pixels.let_go()
+    assert memory.held_bytes == 0
+    np.testing.assert_array_equal(np.asarray(pixels), before)

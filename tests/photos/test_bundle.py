@@ -12,22 +12,13 @@ from numpy.typing import NDArray
 
 pytest.importorskip("pycolmap")
 
+
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.photos.bundle.adjust import joint_of, select, solve_bundle
+from alight.photos.bundle.adjust import confirmed, joint_of, select, solve_bundle
 from alight.photos.bundle.exposure import exposure_gains
-from alight.photos.bundle.lenses import PhotoLenses
-from alight.photos.bundle.matching import (
-    BundleObservations,
-    Pair,
-    PhotoFeatures,
-    match_descriptors,
-    neighbours,
-    tracks,
-    verify,
-)
-from alight.photos.bundle.points import confirmed
-from alight.photos.bundle.priors import make_priors, rolling_priors
-from alight.photos.bundle.rolling import velocities
+from alight.photos.bundle.features import PhotoFeatures
+from alight.photos.bundle.matching import BundleObservations, Pair, match_descriptors, neighbours, tracks, verify
+from alight.photos.bundle.priors import make_priors, rolling_priors, velocities
 from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
@@ -339,7 +330,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         np.zeros(3),
         np.zeros((len(exact.centres), 2, 3)),
     )
-    start = triangulate_bundle(true, PhotoLenses.one(CAMERA, len(exact.centres)), priors.velocity, obs)
+    start = triangulate_bundle(true, obs, priors)
     state = BundleState(
         exact.centres + rng.normal(0, 0.05, exact.centres.shape),
         np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),
@@ -349,7 +340,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         rng.normal(0, 0.005, (len(exact.centres), 2, 3)),
     )
     system = Adjustment(obs, priors, np.ones(len(obs.photo)), 3.0)
-    system.linearise(state)
+    equations = system.linearise(state)
     n = len(exact.centres)
 
     def cost(**moved: F64) -> float:
@@ -369,18 +360,18 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         return rotations
 
     for axis in range(3):
-        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * system.b[60 + axis], rel=1e-3, abs=0.5)
+        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * equations.b[60 + axis], rel=1e-3, abs=0.5)
         rotation = (cost(rotations=turned(1, axis)) - cost(rotations=turned(-1, axis))) / 2e-6
-        assert rotation == pytest.approx(-2 * system.b[63 + axis], rel=1e-2, abs=5.0)
+        assert rotation == pytest.approx(-2 * equations.b[63 + axis], rel=1e-2, abs=5.0)
         for k in range(2):
             assert slope("turns", (5, k, axis), 1e-6) == pytest.approx(
-                -2 * system.b[66 + 3 * k + axis], rel=1e-2, abs=1.0
+                -2 * equations.b[66 + 3 * k + axis], rel=1e-2, abs=1.0
             )
-        assert slope("points", (7, axis), 1e-5) == pytest.approx(-2 * system.gradient[7, axis], rel=1e-3, abs=0.5)
+        assert slope("points", (7, axis), 1e-5) == pytest.approx(-2 * equations.gradient[7, axis], rel=1e-3, abs=0.5)
         mounting = slope("mounting", (axis,), 1e-6)
-        assert mounting == pytest.approx(-2 * system.b[len(system.b) - 3 + axis], rel=2e-2, abs=5.0)
+        assert mounting == pytest.approx(-2 * equations.b[len(equations.b) - 3 + axis], rel=2e-2, abs=5.0)
     for k, number in enumerate(system.free):
-        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[12 * n + k], rel=1e-2, abs=1.0)
+        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * equations.b[12 * n + k], rel=1e-2, abs=1.0)
 
 
 def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None:
