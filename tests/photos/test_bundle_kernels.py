@@ -10,10 +10,10 @@ import twins_bundle as twins
 
 from alight.arrays import F64, I64
 from alight.geometry import Camera, so3_exp
-from alight.photos.bundle.lens_kernels import distort, undistort
+from alight.photos.bundle.adjustment_kernels import meet_rays, rays_of_pixels
+from alight.photos.bundle.camera_kernels import distort, undistort
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.matching import BundleObservations
-from alight.photos.bundle.ray_kernels import meet_rays, rays_of_pixels
 from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,

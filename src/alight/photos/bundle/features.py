@@ -18,7 +18,7 @@ import numpy as np
 from alight.arrays import F32, F64, U8
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
-from alight.photos.bundle.sift_kernels import COLUMNS, features
+from alight.photos.bundle.sift_kernels import features
 from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
@@ -117,7 +117,7 @@ def detect(grey: U8, contrast: float, blurred: float = BLURRED, octaves: int = 1
     """
     out = []
     for octave, pictures in enumerate(blurred_octaves(grey, blurred, octaves)):
-        found = np.empty((pictures[0].size // 8, COLUMNS))
+        found = np.empty((pictures[0].size // 8, 5))
         n = features(np.diff(pictures, axis=0), pictures, SIGMA, 255.0 * contrast / LAYERS, found)
         between, layer, angle = found[:n, 2:].T
         size = 2.0 * SIGMA * 2.0 ** (between / LAYERS + octave)

@@ -18,11 +18,10 @@ from alight.geometry import so3_exp, so3_log
 from alight.motion.ekf.state_kernels import mirror_lower
 from alight.motion.robust import cauchy, huber
 from alight.motion.triangulation import WEAK_PRIOR
-from alight.photos.bundle.adjustment_kernels import FAR, linearise, predict_pixels
+from alight.photos.bundle.adjustment_kernels import FAR, linearise, meet_rays, predict_pixels, rays_of_pixels
 from alight.photos.bundle.elimination_kernels import eliminate, move_points
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.matching import BundleObservations
-from alight.photos.bundle.ray_kernels import meet_rays, rays_of_pixels, widest_angles
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
 
@@ -316,6 +315,7 @@ def triangulate_bundle(state: BundleState, obs: BundleObservations, priors: Prio
 
 def intersection_angle(points: F64, centres: F64, obs: BundleObservations) -> F64:
     """Return (m,) the angle in rad between the first ray of each point and the one farthest from it."""
-    out = np.empty(len(points))
-    widest_angles(np.append(obs.starts, len(obs.point)), obs.photo, np.ascontiguousarray(centres), points, out)
-    return out
+    way = points[obs.point] - centres[obs.photo]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
+    sine = np.linalg.norm(np.cross(way[obs.starts[obs.point]], way), axis=1)
+    return np.asarray(np.arcsin(np.minimum(np.maximum.reduceat(sine, obs.starts), 1.0)))
