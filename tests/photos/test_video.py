@@ -12,8 +12,7 @@ from drawn_photos import CAMERA, PLACE, UP, look, texture
 
 from alight.geometry import enu_from_flu
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
-from alight.photos.reading.subtitles import read_srt
-from alight.photos.reading.video import focal_px
+from alight.photos.reading.video import focal_px, read_srt
 from alight.records import Frame, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.sources import Source

@@ -18,10 +18,11 @@ from alight.sources.streams import (
     Table,
     imu_samples,
     nav_samples,
-    read_imu,
     read_names,
-    read_nav,
+    read_table,
     read_trajectory,
+    usable_imu,
+    usable_nav,
 )
 
 
@@ -65,7 +66,7 @@ class FlightLog(CalibratedFolder):
 
     def _read_nav(self) -> Table | None:
         """Rows of `nav0`; an origin that is far from them is refused, because heights are single precision."""
-        nav = read_nav(self._root, self.findings)
+        nav = usable_nav(read_table(self._root, "nav0", self.findings), self.findings)
         if nav is None:
             if self.georeferenced:
                 self.findings.warn("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
@@ -87,7 +88,7 @@ class FlightLog(CalibratedFolder):
         return nav
 
     def _read_imu(self) -> Table | None:
-        imu = read_imu(self._root, self._body_from_imu, self.findings)
+        imu = usable_imu(read_table(self._root, "imu0", self.findings), self._body_from_imu, self.findings)
         force = 9.8 if imu is None else float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
         if not 3.0 <= force <= 30.0:  # gravity, and some turns
             self.findings.warn(

@@ -121,9 +121,9 @@ class GrowingLog(CalibratedFolder):
                 "nav0 came after the start and is not used: put nav0/sensor.yaml there before the start, and start "
                 "again with it"
             )
-        elif (read := self._read("nav0")) and (nav := usable_nav(read, self.findings)):
+        elif nav := usable_nav(self._read("nav0"), self.findings):
             out += nav_samples(nav, self.local)
-        if (read := self._read("imu0")) and (imu := usable_imu(read, self._body_from_imu, self.findings)):
+        if imu := usable_imu(self._read("imu0"), self._body_from_imu, self.findings):
             out += imu_samples(imu)
         return out
 

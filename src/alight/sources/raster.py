@@ -107,27 +107,27 @@ def _band(path: Path, dataset: Any, band: int) -> F32:
     return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
-def _metres_of(given: str) -> float | None:
-    """The number of `--sigma`, metres; None: it names a raster."""
-    try:
-        return float(given)
-    except ValueError:
-        return None
+def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None, list[Path]]:
+    """Sigma of every cell, a warning, and the raster that it was read from.
 
-
-def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None]:
-    """Sigma of every cell: a number, a raster, the heights' own second band, or the usual one, with a warning."""
-    if given is None and own is not None:
-        return _sensible_sigma(own), None
-    if given is None:
+    A number, a raster, the heights' own second band, or the usual one, with a warning; NaN where a value is no
+    possible 1-sigma of a height.
+    """
+    if given is None and own is None:
         warning = f"no sigma given: {usual:g} m is taken for every height; P(safe) is no better than that (--sigma)"
-        return np.full(grid.shape, usual, np.float32), warning
-    value = _metres_of(given)
-    if value is None:
-        return _sigma_raster(Path(given), grid), None
-    if not 0 <= value < LARGEST_SIGMA:
-        raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")
-    return np.full(grid.shape, value, np.float32), None
+        return np.full(grid.shape, usual, np.float32), warning, []
+    files = list[Path]()
+    if given is not None:
+        try:
+            value = float(given)
+        except ValueError:  # it names a raster
+            own, files = _sigma_raster(Path(given), grid), [Path(given)]
+        else:
+            if not 0 <= value < LARGEST_SIGMA:
+                raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")
+            own = np.full(grid.shape, value, np.float32)
+    assert own is not None
+    return np.where((own >= 0) & (own < LARGEST_SIGMA), own, np.float32(np.nan)), None, files
 
 
 def _sigma_raster(path: Path, grid: Grid) -> F32:
@@ -139,12 +139,7 @@ def _sigma_raster(path: Path, grid: Grid) -> F32:
         )
     if (sigma < 0).any():
         raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
-    return _sensible_sigma(sigma)
-
-
-def _sensible_sigma(sigma: F32) -> F32:
-    """Sigma with NaN where a value is no possible 1-sigma of a height."""
-    return np.where((sigma >= 0) & (sigma < LARGEST_SIGMA), sigma, np.float32(np.nan))
+    return sigma
 
 
 def _image(path: Path, grid: Grid) -> U8:
@@ -188,15 +183,14 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     known = np.isfinite(height)
     if not known.any():
         raise InputError(f"{path}: no height is known; check its nodata value")
-    spread, no_sigma = _sigma(sigma, grid, own, usual_sigma)
+    spread, no_sigma, of_sigma = _sigma(sigma, grid, own, usual_sigma)
     known &= np.isfinite(spread)
     if not known.any():
         raise InputError(f"{path}: no height has a sigma; give --sigma in metres")
     doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
     doubts += [doubt for doubt in (no_sigma, suspect) if doubt]
     pixels = None if image is None else _image(image, grid)
-    files = [path, *([Path(sigma)] if sigma is not None and _metres_of(sigma) is None else [])]
-    files += [] if image is None else [image]
+    files = [path, *of_sigma, *([] if image is None else [image])]
     return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts), tuple(files))
 
 

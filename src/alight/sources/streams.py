@@ -153,7 +153,8 @@ def table_of(rows: Iterable[Row], stream: str, findings: Findings, in_order: boo
     return Table(np.array([row.t_ns for row in good], np.int64), values, [row.line for row in good])
 
 
-def _read(root: Path, stream: str, findings: Findings) -> Table | None:
+def read_table(root: Path, stream: str, findings: Findings) -> Table | None:
+    """All rows of a stream in order of time; None: there is no such stream."""
     path = root / stream / "data.csv"
     if path.exists() and not path.is_file():
         findings.warn(f"{stream}/data.csv is no plain file and is not read; give a file")
@@ -162,14 +163,10 @@ def _read(root: Path, stream: str, findings: Findings) -> Table | None:
     return table_of(_read_rows(path, COLUMNS[stream], f"{stream} rows", findings), stream, findings)
 
 
-def read_nav(root: Path, findings: Findings) -> Table | None:
-    """Rows of `nav0`; None when there is none that can be used."""
-    found = _read(root, "nav0", findings)
-    return None if found is None else usable_nav(found, findings)
-
-
-def usable_nav(table: Table, findings: Findings) -> Table | None:
+def usable_nav(table: Table | None, findings: Findings) -> Table | None:
     """The rows of `nav0` that can be used; None when there is none."""
+    if table is None:
+        return None
     v = table.values
     sigma = v[:, 13:22]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -189,14 +186,10 @@ def usable_nav(table: Table, findings: Findings) -> Table | None:
     return table.without(bad, "nav0", findings)
 
 
-def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | None:
-    """Rows of `imu0` turned into the body's axes; None when there is none that can be used."""
-    found = _read(root, "imu0", findings)
-    return None if found is None else usable_imu(found, body_from_imu, findings)
-
-
-def usable_imu(table: Table, body_from_imu: Pose, findings: Findings) -> Table | None:
+def usable_imu(table: Table | None, body_from_imu: Pose, findings: Findings) -> Table | None:
     """The rows of `imu0` that can be used, turned into the body's axes; None when there is none."""
+    if table is None:
+        return None
     with np.errstate(invalid="ignore"):
         rates, forces = (np.abs(table.values[:, a:b]).max(axis=1) for a, b in ((0, 3), (3, 6)))
     large = (rates > LARGEST["angular_velocity_body"]) | (forces > LARGEST["specific_force_body"])
@@ -213,7 +206,7 @@ def usable_imu(table: Table, body_from_imu: Pose, findings: Findings) -> Table |
 
 def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
     """True body poses in the world; None when the log has none."""
-    if (found := _read(root, TRUTH, findings)) is None:
+    if (found := read_table(root, TRUTH, findings)) is None:
         return None
     v = found.values[:, :7]
     with np.errstate(over="ignore", invalid="ignore"):

@@ -281,23 +281,21 @@ def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
 
 def _from_calibrated(tags: PhotoTags) -> Found:
     focal = tags.xmp_number("dji:CalibratedFocalLength")
-    if not focal or focal <= 0:
-        return None
-    return _camera(tags, focal * _scale(tags)), {"focal_from": "CalibratedFocalLength"}
+    return _nominal(tags, focal, _scale(tags), "CalibratedFocalLength")
 
 
 def _from_sensor(tags: PhotoTags) -> Found:
-    focal, pixels = tags.number(Base.FocalLength), _pixels_a_millimetre(tags)
-    if not focal or pixels is None:
-        return None
-    return _camera(tags, focal * pixels), {"focal_from": "FocalLength and FocalPlaneXResolution"}
+    pixels = _pixels_a_millimetre(tags)
+    return _nominal(tags, tags.number(Base.FocalLength), pixels, "FocalLength and FocalPlaneXResolution")
 
 
 def _from_film(tags: PhotoTags) -> Found:
-    pixels = _film_focal(tags)
-    if pixels is None:
-        return None
-    return _camera(tags, pixels), {"focal_from": "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)"}
+    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)")
+
+
+def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
+    """A camera by a focal length in units of so many pixels."""
+    return None if not focal or unit is None else (_camera(tags, focal * unit), {"focal_from": name})
 
 
 def _film_focal(tags: PhotoTags) -> float | None:
@@ -325,8 +323,8 @@ def _from_model(tags: PhotoTags) -> Found:
     focal, (width, shape) = tags.number(Base.FocalLength), _sensor(tags)
     if not focal or width is None or shape is None:
         return None
-    camera = _camera(tags, focal * (_sensor_width(tags.size, shape) / width) * tags.digital_zoom)
-    return camera, {"focal_from": f"FocalLength and the sensor's size of a {tags.text(Base.Model)}"}
+    name = f"FocalLength and the sensor's size of a {tags.text(Base.Model)}"
+    return _nominal(tags, focal * (_sensor_width(tags.size, shape) / width), tags.digital_zoom, name)
 
 
 def _sensor(tags: PhotoTags) -> tuple[float, float] | tuple[None, None]:
