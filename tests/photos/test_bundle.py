@@ -115,8 +115,8 @@ def told(
     )
 
 
-def solved(s: Scene, priors: Priors, **settings: object) -> Solved:
-    out = solve_bundle(s.observations, s.pairs, priors, BundleSettings.model_validate(settings))
+def solved(s: Scene, priors: Priors, seconds: F64 | None = None, **settings: object) -> Solved:
+    out = solve_bundle(s.observations, s.pairs, priors, BundleSettings.model_validate(settings), seconds=seconds)
     assert out is not None
     return out
 
@@ -481,12 +481,7 @@ def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float
     seconds = BETWEEN * np.arange(len(survey.centres))
     turn = np.random.default_rng(3).normal(0, turning, (len(seconds), 2, 3))
     seen = rolled(survey, velocity_of(survey, seconds) * READOUT, turn)
-    settings = BundleSettings.model_validate({"lens": "free"})
-    by_rows, at_once = (
-        solve_bundle(seen.observations, seen.pairs, told(seen, sigma=0.1), settings, seconds=s) for s in (seconds, None)
-    )
-    assert by_rows is not None
-    assert at_once is not None
+    by_rows, at_once = (solved(seen, told(seen, sigma=0.1), s, lens="free") for s in (seconds, None))
     readout = by_rows.priors.lenses.moved(by_rows.state.lens).readouts[0]
     assert abs(readout - READOUT) < (0.2 if turning else 0.1) * READOUT
     assert (by_rows.priors.sigma_turn > 0) == (turning > 0)
@@ -500,11 +495,7 @@ def test_a_readout_that_the_maker_tells_is_held(small: Scene, readout: float) ->
     seconds = BETWEEN * np.arange(len(small.centres))
     turn = np.random.default_rng(3).normal(0, 0.03, (len(seconds), 2, 3))
     seen = rolled(small, velocity_of(small, seconds) * READOUT, turn)
-    out = solve_bundle(
-        seen.observations, seen.pairs, told(seen, sigma=0.1, readout=readout),
-        BundleSettings.model_validate({"lens": "free"}), seconds=seconds,
-    )  # fmt: skip
-    assert out is not None
+    out = solved(seen, told(seen, sigma=0.1, readout=readout), seconds, lens="free")
     assert out.priors.lenses.moved(out.state.lens).readouts == (readout,)
     assert (misfit(out) < 0.45) == (readout > 0)
 
@@ -513,11 +504,7 @@ def test_a_readout_that_the_maker_tells_counts_with_a_held_lens_too(small: Scene
     """The calibration is held, and its readout with it: rows are exposed one after the other."""
     seconds = BETWEEN * np.arange(len(small.centres))
     seen = rolled(small, velocity_of(small, seconds) * READOUT, np.zeros((len(seconds), 2, 3)))
-    out = solve_bundle(
-        seen.observations, seen.pairs, told(seen, sigma=0.1, readout=READOUT, lens="held"),
-        BundleSettings.model_validate({"lens": "held"}), seconds=seconds,
-    )  # fmt: skip
-    assert out is not None
+    out = solved(seen, told(seen, sigma=0.1, readout=READOUT, lens="held"), seconds, lens="held")
     lenses = out.priors.lenses.moved(out.state.lens)
     assert lenses.readouts == (READOUT,)
     assert lenses.cameras == (CAMERA,)
@@ -528,11 +515,7 @@ def test_rows_that_are_exposed_at_once_stay_so(small: Scene) -> None:
     """A readout that fits only noise is rejected, and no turns are estimated."""
     seconds = BETWEEN * np.arange(len(small.centres))
     seen = rolled(small, np.zeros((len(seconds), 3)), np.zeros((len(seconds), 2, 3)))
-    out = solve_bundle(
-        seen.observations, seen.pairs, told(seen, sigma=0.1), BundleSettings.model_validate({"lens": "free"}),
-        seconds=seconds,
-    )  # fmt: skip
-    assert out is not None
+    out = solved(seen, told(seen, sigma=0.1), seconds, lens="free")
     assert not any(out.priors.lenses.moved(out.state.lens).readouts)
     assert not out.state.turns.any()
     assert out.priors.sigma_turn == 0

@@ -21,7 +21,7 @@ COLUMNS = {"nav0": (23,), "imu0": (7,), TRUTH: (17, 8)}  # numbers of columns; 8
 LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
 
 
-class Row(NamedTuple):
+class StreamRow(NamedTuple):
     """One row of a stream: its line, its time and the fields after the time."""
 
     line: int
@@ -46,9 +46,11 @@ class Table:
         return Table(self.t_ns[keep], self.values[keep], [self.lines[i] for i in keep]) if len(keep) else None
 
 
-def rows_of(lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings) -> list[Row]:
+def rows_of(
+    lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings
+) -> list[StreamRow]:
     """The rows of numbered lines that have a time and so many columns; comments and empty lines are none."""
-    rows: list[Row] = []
+    rows: list[StreamRow] = []
     for number, line in lines:
         text = line.strip()
         if not text or text.startswith("#"):
@@ -59,11 +61,11 @@ def rows_of(lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: s
         elif not stamp.isascii() or not stamp.isdigit() or len(stamp) > 19 or int(stamp) >= 2**63:
             findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds, 0 or more")
         else:
-            rows.append(Row(number, int(stamp), fields))
+            rows.append(StreamRow(number, int(stamp), fields))
     return rows
 
 
-def _read_rows(path: Path, columns: tuple[int, ...], group: str, findings: Findings) -> list[Row]:
+def _read_rows(path: Path, columns: tuple[int, ...], group: str, findings: Findings) -> list[StreamRow]:
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = [(n, line) for n, line in enumerate(file, 1) if line.strip() and not line.strip().startswith("#")]
     findings.expect(group, len(lines))
@@ -85,7 +87,7 @@ def rising(times: list[int]) -> list[bool]:
     return keep
 
 
-def _in_order(rows: list[Row], group: str, findings: Findings) -> list[Row]:
+def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[StreamRow]:
     """Rows sorted by time: of repeated times the first one, of times that go backwards only late rows."""
     if all(a.t_ns < b.t_ns for a, b in pairwise(rows)):
         return rows
@@ -111,7 +113,7 @@ def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, st
     return [(row.t_ns, row.fields[0]) for row in _in_order(rows, group, findings)]
 
 
-def names_file(row: Row, group: str, findings: Findings) -> bool:
+def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
     """True if a row names a file of the folder."""
     name = row.fields[0]
     fits = len(name.encode(errors="replace")) <= 255 and "\0" not in name  # bytes; file systems take no longer one
@@ -121,7 +123,7 @@ def names_file(row: Row, group: str, findings: Findings) -> bool:
     return False
 
 
-def _numbers(row: Row, group: str, findings: Findings) -> list[float] | None:
+def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | None:
     """The numbers of a row, NaN for an empty field; None if a field is no finite number."""
     out = []
     for field in row.fields:
@@ -137,7 +139,7 @@ def _numbers(row: Row, group: str, findings: Findings) -> list[float] | None:
     return out
 
 
-def table_of(rows: Iterable[Row], stream: str, findings: Findings, in_order: bool = True) -> Table:
+def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_order: bool = True) -> Table:
     """Rows of numbers, those with a field that is none left out; shorter rows are filled with NaN.
 
     Args:
