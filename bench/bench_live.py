@@ -37,7 +37,7 @@ from alight.runner.opening import open_source
 from alight.runs import appearance_of
 from alight.settings import Settings, load_settings
 from alight.sources import Source
-from alight.sources.paced import paced
+from alight.sources.live import paced
 
 KEPT = Path(__file__).parents[1] / "out" / "bench-live"
 RATE, SECONDS = 30.0, 10.0

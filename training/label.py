@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import U8
 from alight.outputs.reading import Run, read_run
-from alight.photos.reading.photo_finding import find_photos
+from alight.photos.reading.photo_selection import find_photos
 from alight.records import Frame
 from alight.runner.opening import open_source
 from alight.settings import Settings

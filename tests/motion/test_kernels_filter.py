@@ -29,10 +29,9 @@ from alight.motion.rotation_kernels import exponential, move_poses
 from alight.motion.smoother.track_segments import in_camera, jacobians
 from alight.records import ImuSample
 from alight.settings import FilterSettings, TracksSettings
-from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.patches import FeaturePatches, follow_patches
-from alight.tracks.search_region import pixel_covariance
 from alight.tracks.transfer_kernels import carry_points
+from alight.tracks.view_transfer import epipolar_distance, inverse_depth, pixel_covariance
 
 RNG = np.random.default_rng(0)
 

@@ -18,8 +18,8 @@ from alight.motion.points import marginalise_points, triangulate_rays, triangula
 from alight.motion.smoother.track_segments import LinearisedSegments, TrackSegments
 from alight.settings import TracksSettings
 from alight.tracks.corners import corner_response, detect_corners
-from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
+from alight.tracks.view_transfer import Lens
 
 SETTINGS = TracksSettings(window_px=15)
 

@@ -18,7 +18,7 @@ from alight.motion.imu_buffer import ImuBuffer
 from alight.records import Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import TracksSettings
 from alight.tracks import Tracker
-from alight.tracks.search_region import inside_search_region, pixel_covariance
+from alight.tracks.view_transfer import inside_search_region, pixel_covariance
 
 STEP = 100_000_000  # ns between two exposures
 

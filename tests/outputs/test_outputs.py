@@ -25,7 +25,7 @@ from alight.outputs import atomic_write as whole
 from alight.outputs.plan import plan_items
 from alight.outputs.reading import read_run
 from alight.outputs.verdict import write_judgement
-from alight.photos.work.work_folder import WorkFolder
+from alight.photos.work import WorkFolder
 from alight.records import (
     Datum,
     Flag,

@@ -57,7 +57,7 @@ def live(
     request = LiveRequest(out, chosen, record, opened.real_time, force, inputs)
     with live_table() as show:
         result = fly_live(opened.source, opened.events, request, lambda health: show((), [health.line]))
-    save_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)
+    save_result(with_home(result, flown_home(wanted, opened.telemetry(), separation)), out, force)
 
 
 def compile_if_cold() -> None:

@@ -6,7 +6,7 @@ from typing import cast
 
 from alight.jobs import Jobs, Task
 from alight.photos.bundle.adjust import adjust
-from alight.photos.bundle.matching import colmap
+from alight.photos.bundle.features import colmap
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, NavSample, Rig
@@ -40,20 +40,6 @@ class BundleLane:
     def finish(self, progress: Progress) -> Trajectory:
         """Adjust; the photos that could not be registered are in the warnings."""
         of = " ".join(str(f.t_ns) for f in self._frames)
-        (found,) = self._jobs.run([Task("motion", self._adjusted, (progress,), of, here=True)])
+        arguments = self._frames, self._nav, self._rig, self._settings, progress, self._jobs
+        (found,) = self._jobs.run([Task("motion", adjust, arguments, of, here=True)])
         return cast(Trajectory, found)
-
-    def _adjusted(self, progress: Progress) -> Trajectory:
-        found = adjust(self._frames, self._nav, self._rig, self._settings, progress, self._jobs)
-        attitude = any(n is not None and n.world_from_body is not None for n in self._nav)
-        motions = tuple(m for m in found.motions if m is not None)
-        return Trajectory(
-            motions,
-            found.rig,
-            tuple(found.warnings),
-            dict(found.notes),
-            found.joint,
-            found.photos,
-            attitude,
-            found.points_world,
-        )

@@ -48,7 +48,7 @@ def _open(path: Path, settings: Settings) -> Source:
         from alight.sources.flight_log import FlightLog
 
         return FlightLog(root, settings)
-    from alight.photos.reading.photo_finding import find_photos
+    from alight.photos.reading.photo_selection import find_photos
 
     if (found := find_photos(root)).files:
         from alight.photos.reading.photos import Photos
@@ -84,8 +84,7 @@ def open_live(
     Raises:
         InputError: it is no source, or cannot be used; the message names what was looked for.
     """
-    from alight.sources.live import LiveSource, is_cameras, open_sensors
-    from alight.sources.paced import paced
+    from alight.sources.live import LiveSource, is_cameras, open_sensors, paced
 
     if follow or is_cameras(name):
         return open_sensors(name, settings, rig, stopped)

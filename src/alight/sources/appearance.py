@@ -20,8 +20,6 @@ from alight.terrain.features import LEVELS, names
 from alight.terrain.model import Head, Model
 
 DEFAULT_MODEL = table_path("appearance")
-LARGEST = 64_000_000  # bytes
-LONGEST_PROVENANCE = 20_000  # characters
 
 
 def model_bytes(model: Model) -> bytes:
@@ -52,10 +50,10 @@ def _default_model() -> Model:
 
 def _model_of(path: Path) -> Model:
     try:
-        arrays = arrays_of(read_bytes(path, LARGEST))
+        arrays = arrays_of(read_bytes(path, 64_000_000))
         classes = _classes(arrays["classes"])
         heads = tuple(_head(arrays, len(classes), level) for level in range(LEVELS))
-        provenance = str(arrays["provenance"])[:LONGEST_PROVENANCE]
+        provenance = str(arrays["provenance"])[:20_000]
     except OSError as e:
         raise InputError(
             f"{path}: cannot be read ({e.strerror or 'no model'}); name a file of 'alight terrain train'"
@@ -75,28 +73,25 @@ def _classes(codes: NDArray[Any]) -> U8:
 
 
 def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
+    """The head of a level; a ValueError for other features, other shapes, or numbers that are not finite."""
     if f"{level}.names" not in z:
         return None
     if tuple(z[f"{level}.names"]) != names(level):
         raise ValueError("other features")
-    if any(z[f"{level}.{f.name}"].dtype.kind not in "fiu" for f in fields(Head)):
-        raise ValueError("an array of other than numbers")
-    values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"].astype(np.float32) for f in fields(Head)}
-    numbers: dict[str, Any] = {k: float(v) if v.ndim == 0 else v for k, v in values.items()}
-    head = Head(**numbers)
-    _check(head, classes, len(names(level)))
-    return head
-
-
-def _check(head: Head, classes: int, features: int) -> None:
-    """Raise a ValueError for a head of other shapes, or with numbers that are not finite."""
-    wanted = {
-        "mean": (features,), "spread": (features,), "weights": (classes, features), "bias": (classes,),
-        "centres": (classes, features), "metric": (features, features), "reach": (), "temperature": (),
+    n, values = len(names(level)), dict[str, Any]()
+    shapes = {
+        "mean": (n,), "spread": (n,), "weights": (classes, n), "bias": (classes,), "centres": (classes, n),
+        "metric": (n, n), "reach": (), "temperature": (),
     }  # fmt: skip
-    for name, shape in wanted.items():
-        value = np.asarray(getattr(head, name))
+    for name, shape in shapes.items():
+        value = z[f"{level}.{name}"]
+        if value.dtype.kind not in "fiu":
+            raise ValueError("an array of other than numbers")
+        value = value.astype(np.float32)
         if value.shape != shape or not np.isfinite(value).all():
             raise ValueError(f"{name} is not {shape} finite numbers")
+        values[name] = value if shape else float(value)
+    head = Head(**values)
     if not ((head.spread > 0).all() and head.reach > 0 and head.temperature > 0):
         raise ValueError("spread, reach and temperature must be above 0")
+    return head

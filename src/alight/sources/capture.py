@@ -5,8 +5,10 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,7 @@ from alight.records import Event, Frame, InputError
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
 
-DEVICE, GSTREAMER = "camera", "gst"
-RATE_PERIODS = 0.5  # of a frame: images of two cameras that are nearer are one exposure
 SILENT = 10.0  # s without an image after which the cameras are over
-WAITING = 4  # images a camera that wait for their partners
 DRIFT = 1e-4  # s of arrival a second by which the smallest delay may grow: clocks drift
 
 
@@ -93,12 +92,12 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
         InputError: it cannot be opened, or its pictures have another size.
     """
     kind, _, rest = name.partition(":")
-    if kind == DEVICE:
+    if kind == "camera":
         capture = cv2.VideoCapture(int(rest) if rest.isdigit() else rest)
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest image, not the oldest
-    elif kind == GSTREAMER:
+    elif kind == "gst":
         capture = cv2.VideoCapture(rest, cv2.CAP_GSTREAMER)
     else:
         capture = cv2.VideoCapture(rest if kind == "video" else name)
@@ -139,19 +138,14 @@ class Cameras(CalibratedFolder):
         """Yield an exposure as soon as all cameras have it."""
         waiting: queue.Queue[tuple[int, StampedImage | None]] = queue.Queue(64)
 
-        def into(k: int) -> Callable[[StampedImage | None], None]:
-            def put(image: StampedImage | None) -> None:
-                try:
-                    waiting.put_nowait((k, image))
-                except queue.Full:
-                    self._findings.lose(
-                        "images", str(image.t_ns if image else 0), "they came faster than they were used"
-                    )
-
-            return put
+        def put(k: int, image: StampedImage | None) -> None:
+            try:
+                waiting.put_nowait((k, image))
+            except queue.Full:
+                self.findings.lose("images", str(image.t_ns if image else 0), "they came faster than they were used")
 
         threads = [
-            CameraThread(name, (c.camera.width, c.camera.height), into(k))
+            CameraThread(name, (c.camera.width, c.camera.height), partial(put, k))
             for k, (name, c) in enumerate(zip(self._names, self.rig.cameras, strict=True))
         ]
         matcher, over = ExposureMatcher(len(threads)), 0
@@ -160,7 +154,7 @@ class Cameras(CalibratedFolder):
                 try:
                     k, image = waiting.get(timeout=SILENT)
                 except queue.Empty:
-                    self._findings.say(f"no image for {SILENT:.0f} s: the cameras are taken to be off")
+                    self.findings.warn(f"no image for {SILENT:.0f} s: the cameras are taken to be off")
                     return
                 if image is None:
                     over += 1
@@ -176,11 +170,13 @@ class Cameras(CalibratedFolder):
 
 
 class ExposureMatcher:
-    """Groups the images of several cameras by their stamps; an image without partner is an exposure of its own if it
-    is the first camera's, and is dropped otherwise."""
+    """Groups the images of several cameras by their stamps, those that are nearer than half a frame period.
+
+    An image without partner is an exposure of its own if it is the first camera's, and is dropped otherwise.
+    """
 
     def __init__(self, cameras: int) -> None:
-        self._images: list[list[StampedImage]] = [[] for _ in range(cameras)]
+        self._images: list[deque[StampedImage]] = [deque() for _ in range(cameras)]
         self._period = 1.0 / 30.0  # s, of the first camera
         self._last = 0
 
@@ -198,19 +194,17 @@ class ExposureMatcher:
         return out
 
     def _first(self) -> Frame | None:
-        left, near = self._images[0][0], self._period * RATE_PERIODS * 1e9
-        images: list[U8 | None] = [left.image]
+        """The oldest exposure; None while a partner may still come: four images of the first camera wait at most."""
+        left, near = self._images[0][0], self._period * 0.5 * 1e9
+        partners: list[StampedImage | None] = []
         for others in self._images[1:]:
             while others and others[0].t_ns < left.t_ns - near:
-                others.pop(0)
-            if not others and len(self._images[0]) < WAITING:
+                others.popleft()
+            if not others and len(self._images[0]) < 4:
                 return None
-            if others and others[0].t_ns <= left.t_ns + near:
-                images.append(others[0].image)
-            else:
-                images.append(None)
-        for k, others in enumerate(self._images[1:], 1):
-            if images[k] is not None:
-                others.pop(0)
-        self._images[0].pop(0)
-        return Frame(left.t_ns, tuple(images))
+            partners.append(others[0] if others and others[0].t_ns <= left.t_ns + near else None)
+        for others, partner in zip(self._images[1:], partners, strict=True):
+            if partner is not None:
+                others.popleft()
+        self._images[0].popleft()
+        return Frame(left.t_ns, (left.image, *(None if p is None else p.image for p in partners)))

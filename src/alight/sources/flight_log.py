@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from alight.arrays import I64, U8
+from alight.arrays import I64
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
-from alight.sources.clocks import apart, said_apart
-from alight.sources.exposures import Exposure, group_exposures
-from alight.sources.images import UNREADABLE, image_size, read_image
+from alight.sources.images import UNREADABLE, image_size
 from alight.sources.streams import (
     Table,
     imu_samples,
-    median_force,
     nav_samples,
-    read_imu,
-    read_nav,
+    read_names,
+    read_table,
     read_trajectory,
-    without_height,
+    usable_imu,
+    usable_nav,
 )
-from alight.sources.tables import read_names
 
-FASTEST_CAMERA = 400.0  # exposures a second
-WEIGHT = (3.0, 30.0)  # m/s^2, the median force on an aircraft: gravity, and some turns
-FARTHEST = (100.0, 10.0)  # km that a flight may be from its origin, across and up: heights are single precision
+
+@dataclass(frozen=True)
+class Exposure:
+    """One moment: the file of each camera, None where a camera has none."""
+
+    t_ns: int
+    names: tuple[str | None, ...]
 
 
 class FlightLog(CalibratedFolder):
@@ -41,31 +43,17 @@ class FlightLog(CalibratedFolder):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._nav = read_nav(self._root, self._findings)
-        if self._nav is not None:
-            self._check_origin(self._nav)
-        if self._nav is not None and (low := without_height(self._nav)):
-            self._findings.say(
-                f"nav0: {low} rows have latitude and longitude, but no height, so they are no position; write metres "
-                "above the WGS84 ellipsoid"
-            )
-        if self.georeferenced and self._nav is None:
-            self._findings.say("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
-        self._imu = read_imu(self._root, self._body_from_imu, self._findings)
-        if self._imu is not None and not WEIGHT[0] <= (force := median_force(self._imu)) <= WEIGHT[1]:
-            self._findings.say(
-                f"imu0: half of its accelerations are below {force:.3g} m/s^2, and an aircraft measures about 9.8; "
-                "write m/s^2 with gravity in them"
-            )
+        self._nav = self._read_nav()
+        self._imu = self._read_imu()
         self._exposures = self._read_exposures()[settings.sources.skip :: settings.sources.every]
         if not self._exposures:
             raise InputError(f"{root}: no exposure is left; lower sources.skip ({settings.sources.skip})")
         self.length = len(self._exposures)
         shift = round(1e9 * settings.motion.filter.time_offset)
         stamps = np.array([e.t_ns - shift for e in (self._exposures[0], self._exposures[-1])])
-        self._nav = self._meeting(self._nav, "nav0 (GPS/INS)", stamps)
-        self._imu = self._meeting(self._imu, "imu0", stamps)
-        self.truth_trajectory = read_trajectory(self._root, self._findings)
+        self._nav = self._overlapping(self._nav, "nav0 (GPS/INS)", stamps)
+        self._imu = self._overlapping(self._imu, "imu0", stamps)
+        self.truth_trajectory = read_trajectory(self._root, self.findings)
         self._note(self._nav is not None, self._imu is not None)
 
     def events(self) -> Iterator[Event]:
@@ -76,22 +64,43 @@ class FlightLog(CalibratedFolder):
         ]
         return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
 
-    def _check_origin(self, nav: Table) -> None:
-        """Refuse an origin that is farther than `FARTHEST` from this flight."""
-        place = nav.values[np.isfinite(nav.values[:, :3]).all(axis=1), :3]
-        if not len(place):
-            return
-        east, north, up = np.abs(np.median(self.local.to_enu(*place.T), axis=0)) / 1e3
-        if max(east, north) > FARTHEST[0] or up > FARTHEST[1]:
-            raise InputError(
-                f"{self._root / 'nav0' / 'sensor.yaml'}: origin is {np.hypot(east, north):,.0f} km away from the rows "
-                f"of nav0/data.csv and {up:,.1f} km above or below; write a place of this flight"
+    def _read_nav(self) -> Table | None:
+        """Rows of `nav0`; an origin that is far from them is refused, because heights are single precision."""
+        nav = usable_nav(read_table(self._root, "nav0", self.findings), self.findings)
+        if nav is None:
+            if self.georeferenced:
+                self.findings.warn("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
+            return None
+        known = np.isfinite(nav.values[:, :3])
+        if known.all(axis=1).any():
+            place = nav.values[known.all(axis=1), :3]
+            east, north, up = np.abs(np.median(self.local.to_enu(*place.T), axis=0)) / 1e3
+            if max(east, north) > 100.0 or up > 10.0:
+                raise InputError(
+                    f"{self._root / 'nav0' / 'sensor.yaml'}: origin is {np.hypot(east, north):,.0f} km away from the "
+                    f"rows of nav0/data.csv and {up:,.1f} km above or below; write a place of this flight"
+                )
+        if low := int((known[:, 0] & known[:, 1] & ~known[:, 2]).sum()):
+            self.findings.warn(
+                f"nav0: {low} rows have latitude and longitude, but no height, so they are no position; write metres "
+                "above the WGS84 ellipsoid"
             )
+        return nav
+
+    def _read_imu(self) -> Table | None:
+        imu = usable_imu(read_table(self._root, "imu0", self.findings), self._body_from_imu, self.findings)
+        force = 9.8 if imu is None else float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
+        if not 3.0 <= force <= 30.0:  # gravity, and some turns
+            self.findings.warn(
+                f"imu0: half of its accelerations are below {force:.3g} m/s^2, and an aircraft measures about 9.8; "
+                "write m/s^2 with gravity in them"
+            )
+        return imu
 
     def _read_exposures(self) -> list[Exposure]:
         streams = [self._images(c.name) for c in self.rig.cameras]
         if not streams[0]:
-            why = self._findings.loss("cam0 images") or "it has no row"
+            why = self.findings.loss("cam0 images") or "it has no row"
             raise InputError(
                 f"{self._root / 'cam0'}: no image of data.csv is there ({why}); write lines of "
                 "'timestamp [ns],filename', and put the images into cam0/data/"
@@ -99,30 +108,30 @@ class FlightLog(CalibratedFolder):
         for cam, stream in zip(self.rig.cameras, streams, strict=True):
             self._check_size(cam.name, (cam.camera.width, cam.camera.height), stream)
         stamps = [np.array([t for t, _ in s], dtype=np.int64) for s in streams]
-        if len(stamps[0]) > 1 and (gap := float(np.median(np.diff(stamps[0])))) * FASTEST_CAMERA < 1e9:
+        if len(stamps[0]) > 1 and (gap := float(np.median(np.diff(stamps[0])))) < 1e9 / 400.0:  # exposures a second
             raise InputError(
                 f"{self._root / 'cam0' / 'data.csv'}: its images are {gap / 1e6:.2g} ms apart, as of no camera; write "
                 "the times of all streams in nanoseconds"
             )
         for k in range(1, len(streams)):
-            if streams[k] and (gap := apart(stamps[k], stamps[0])):
-                self._findings.say(said_apart(self.rig.cameras[k].name, gap, "cam0"))
+            if streams[k] and (why := _no_overlap(self.rig.cameras[k].name, stamps[k], "cam0", stamps[0])):
+                self.findings.warn(why)
                 streams[k] = []
         exposures, between = group_exposures(streams)
         if between:
-            self._findings.say(f"the cameras do not expose together: paired images are {between / 1e6:.1f} ms apart")
+            self.findings.warn(f"the cameras do not expose together: paired images are {between / 1e6:.1f} ms apart")
         for k in range(1, len(streams)):
             if streams[k] and not any(e.names[0] and e.names[k] for e in exposures):
-                self._findings.say(
+                self.findings.warn(
                     f"{self.rig.cameras[k].name} never exposes together with cam0: no pair of images shows one moment"
                 )
         return exposures
 
-    def _meeting(self, table: Table | None, name: str, stamps: I64) -> Table | None:
+    def _overlapping(self, table: Table | None, name: str, stamps: I64) -> Table | None:
         """Return a stream, or None, with a warning, if it does not overlap with the images in time."""
-        if table is None or not (gap := apart(table.t_ns, stamps)):
+        if table is None or not (why := _no_overlap(name, table.t_ns, "the images", stamps)):
             return table
-        self._findings.say(said_apart(name, gap, "the images"))
+        self.findings.warn(why)
         return None
 
     def _images(self, cam: str) -> list[tuple[int, str]]:
@@ -130,23 +139,23 @@ class FlightLog(CalibratedFolder):
         table, group = self._root / cam / "data.csv", f"{cam} images"
         if not table.is_file():
             raise InputError(f"{table}: missing, or no plain file; write lines of 'timestamp [ns],filename'")
-        rows = read_names(table, group, self._findings)
-        there = [(self._root / cam / "data" / name).is_file() for _, name in rows]
+        rows = read_names(table, group, self.findings)
+        there = [self._image_path(cam, name).is_file() for _, name in rows]
         first, last = (there.index(True), len(there) - there[::-1].index(True)) if any(there) else (0, len(rows))
         if last - first < len(rows):
             self.notes[f"{cam} excerpt"] = f"rows {first + 1} to {last} of {len(rows)} have images"
-            self._findings.expect(group, self._findings.counts[group] - len(rows) + last - first)
+            self.findings.expect(group, self.findings.counts[group] - len(rows) + last - first)
         for (_, name), here in zip(rows[first:last], there[first:last], strict=True):
             if not here:
-                there_is = (self._root / cam / "data" / name).exists()
-                self._findings.lose(group, name, "it is no plain file" if there_is else "the file is missing")
+                exists = self._image_path(cam, name).exists()
+                self.findings.lose(group, name, "it is no plain file" if exists else "the file is missing")
         return [row for row, here in zip(rows, there, strict=True) if here]
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:
         """Refuse a calibration for images of another size; the first readable image is compared."""
         for _, name in stream:
             try:
-                real = image_size(self._root / cam / "data" / name)
+                real = image_size(self._image_path(cam, name))
             except UNREADABLE:
                 continue
             if real != size:
@@ -162,12 +171,41 @@ class FlightLog(CalibratedFolder):
             if any(image is not None for image in images):
                 yield Frame(exposure.t_ns, images, next(n for n in exposure.names if n))
 
-    def _image(self, index: int, name: str | None) -> U8 | None:
-        if name is None:
-            return None
-        cam = self.rig.cameras[index]
-        try:
-            return read_image(self._root / cam.name / "data" / name, (cam.camera.width, cam.camera.height))
-        except ValueError as e:
-            self._findings.lose(f"{cam.name} images", name, str(e))
-            return None
+
+def group_exposures(streams: Sequence[Sequence[tuple[int, str]]]) -> tuple[list[Exposure], int]:
+    """Group the images of one time: equal times first, then the nearest within half a frame period.
+
+    Args:
+        streams: for each camera its (time ns, file name), in order of time.
+
+    Returns:
+        Exposures in order of time, exposures of one camera alone included, and the largest difference in ns
+        between images that were paired although their times differ.
+    """
+    found: dict[int, list[str | None]] = {t: [name] + [None] * (len(streams) - 1) for t, name in streams[0]}
+    apart = 0
+    for k, stream in enumerate(streams[1:], 1):
+        times = np.array(sorted(found), dtype=np.int64)
+        tolerance = int(np.median(np.diff(times))) // 2 if len(times) > 1 else 0
+        for t, name in sorted(stream, key=lambda row: row[0] not in found):  # exact ones take their place first
+            i = int(np.searchsorted(times, t))
+            around = times[max(i - 1, 0) : i + 1]
+            partner = int(around[np.argmin(np.abs(around - t))])
+            if abs(partner - t) < max(tolerance, 1) and found[partner][k] is None:
+                found[partner][k] = name
+                apart = max(apart, abs(partner - t))
+            else:
+                found.setdefault(t, [None] * len(streams))[k] = name
+    return [Exposure(t, tuple(found[t])) for t in sorted(found)], apart
+
+
+def _no_overlap(name: str, times: I64, other: str, others: I64) -> str:
+    """A warning if two streams, (N,) and (M,) ns, do not overlap: they were stamped by different clocks. Else empty.
+
+    Two seconds at the ends of a stream, as of a recorder that starts later, are no gap.
+    """
+    after, before = (int(times[0]) - int(others[-1])) / 1e9, (int(others[0]) - int(times[-1])) / 1e9
+    if max(after, before) <= 2.0:
+        return ""
+    where = f"begins {after:,.1f} s after the end" if after > 2.0 else f"ends {before:,.1f} s before the beginning"
+    return f"the clocks do not meet: {name} {where} of {other}, so {name} is left out; stamp both by one clock"

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from alight.records import InputError
 from alight.records.telemetry import FARTHEST_FROM_SEA
-from alight.sources.raster import open_raster
+from alight.sources.raster import open_raster, to_its_end
 
 
 def separation_at(grid: Path, latitude: float, longitude: float) -> float:
@@ -29,10 +28,8 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
             raise InputError(f"--geoid {grid}: its cells are not degrees; give a grid of geoid heights such as EGM2008")
         row, col = _cell(grid, geoid, latitude, longitude)
         top, left = (int(min(place, size - 2)) for place, size in ((row, geoid.height), (col, geoid.width)))
-        try:
+        with to_its_end(f"--geoid {grid}"):
             read = geoid.read(1, window=Window(left, top, 2, 2), masked=True)
-        except RasterioError as e:
-            raise InputError(f"--geoid {grid}: cannot be read to its end ({e}); copy it again") from e
         corners = read.astype(np.float64).filled(np.nan) * geoid.scales[0] + geoid.offsets[0]
     v, u = row - top, col - left
     weights = np.outer([1.0 - v, v], [1.0 - u, u])

@@ -13,18 +13,21 @@ from alight.arrays import U8
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
-from alight.sources.images import read_image
-from alight.sources.streams import IMU_COLUMNS, NAV_COLUMNS, Table, imu_samples, nav_samples, usable_imu, usable_nav
-from alight.sources.tables import Row, named, numbers_of, rows_of
+from alight.sources.streams import (
+    COLUMNS,
+    Table,
+    imu_samples,
+    names_file,
+    nav_samples,
+    rows_of,
+    table_of,
+    usable_imu,
+    usable_nav,
+)
 
 POLL = 0.01  # s between two reads of the folder
 PARTNER = 0.15  # s that an image waits for that of another camera
 WRITTEN = 1.0  # s that an image may take from its row until it is whole
-USUAL_PERIOD = 33_333_333  # ns, of exposures, until two are known
-STAMPS = 32  # newest ones of the first camera, for its period
-LATE_NAV = (
-    "nav0 came after the start and is not used: put nav0/sensor.yaml there before the start, and start again with it"
-)
 
 
 class GrowingTable:
@@ -52,6 +55,33 @@ class GrowingTable:
         return out
 
 
+class WaitingExposures:
+    """Exposures that wait until all cameras have named their image."""
+
+    def __init__(self, cameras: int) -> None:
+        self.names: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
+        self.since: dict[int, float] = {}  # s, when it was named first
+        self._cameras = cameras
+        self._stamps: deque[int] = deque(maxlen=32)  # the newest of the first camera, ns, for its period
+
+    def add(self, camera: int, t_ns: int, name: str, now: float) -> None:
+        """Add an image to the waiting exposure of its time, else to the nearest one within half a period."""
+        if camera == 0:
+            self._stamps.append(t_ns)
+        steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
+        half = max(int(np.median(steps) if len(steps) else 1e9 / 30) // 2, 1)
+        near = [t for t, names in self.names.items() if names[camera] is None and abs(t - t_ns) < half]
+        found = t_ns if t_ns in self.names else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
+        names = self.names.pop(found, [None] * self._cameras)
+        names[camera] = name
+        at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
+        self.names[at], self.since[at] = names, self.since.pop(found, now)
+
+    def remove(self, t_ns: int) -> None:
+        """Remove an exposure."""
+        del self.names[t_ns], self.since[t_ns]
+
+
 class GrowingLog(CalibratedFolder):
     """A folder in the layout of a flight log that another program fills.
 
@@ -63,14 +93,12 @@ class GrowingLog(CalibratedFolder):
         InputError: the calibration is missing or invalid.
     """
 
-    def __init__(self, root: Path, settings: Settings, idle: float) -> None:
+    def __init__(self, root: Path, settings: Settings, idle: float = 10.0) -> None:
         super().__init__(root, settings)
         self._idle = idle
         self._tables = {name: GrowingTable(self._root / name / "data.csv") for name in ("nav0", "imu0")}
         self._cams = [GrowingTable(self._root / c.name / "data.csv") for c in self.rig.cameras]
-        self._waiting: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
-        self._since: dict[int, float] = {}
-        self._stamps: deque[int] = deque(maxlen=STAMPS)  # of the first camera, ns
+        self._waiting = WaitingExposures(len(self._cams))
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
@@ -80,7 +108,7 @@ class GrowingLog(CalibratedFolder):
             found = [*self._new_rows(), *self._new_exposures()]
             yield from sorted(found, key=lambda e: (e.t_ns, isinstance(e, Frame)))
             now = time.monotonic()
-            last = now if found or self._waiting else last
+            last = now if found or self._waiting.names else last
             if now - last > self._idle:
                 return
             if not found:
@@ -89,74 +117,48 @@ class GrowingLog(CalibratedFolder):
     def _new_rows(self) -> list[Event]:
         out: list[Event] = []
         if not self.georeferenced and self._tables["nav0"].exists():
-            self._findings.say(LATE_NAV)
-        elif (read := self._read("nav0", NAV_COLUMNS)) is not None:
-            nav = usable_nav(*read, self._findings)
-            out += [] if nav is None else list(nav_samples(nav, self.local))
-        if (read := self._read("imu0", IMU_COLUMNS)) is not None:
-            imu = usable_imu(*read, self._body_from_imu, self._findings)
-            out += [] if imu is None else list(imu_samples(imu))
+            self.findings.warn(
+                "nav0 came after the start and is not used: put nav0/sensor.yaml there before the start, and start "
+                "again with it"
+            )
+        elif nav := usable_nav(self._read("nav0"), self.findings):
+            out += nav_samples(nav, self.local)
+        if imu := usable_imu(self._read("imu0"), self._body_from_imu, self.findings):
+            out += imu_samples(imu)
         return out
 
-    def _read(self, stream: str, columns: tuple[int, ...]) -> tuple[Table, list[int]] | None:
+    def _read(self, stream: str) -> Table | None:
         group = f"{stream} rows"
-        good, values = list[Row](), list[list[float]]()
-        for row in rows_of(self._tables[stream].new_lines(), columns, group, self._findings):
-            if (numbers := numbers_of(row, group, self._findings)) is not None:
-                good.append(row)
-                values.append(numbers)
-        self._findings.counts[group] = self._findings.counts.get(group, 0) + len(good)
-        if not good:
-            return None
-        return Table(np.array([t for _, t, _ in good], np.int64), np.array(values)), [n for n, _, _ in good]
+        rows = rows_of(self._tables[stream].new_lines(), COLUMNS[stream], group, self.findings)
+        table = table_of(rows, stream, self.findings, in_order=False)
+        self.findings.counts[group] = self.findings.counts.get(group, 0) + len(table.lines)
+        return table if table.lines else None
 
     def _new_exposures(self) -> Iterator[Frame]:
         now = time.monotonic()
         for k, table in enumerate(self._cams):
             group = f"{self.rig.cameras[k].name} images"
-            for row in rows_of(table.new_lines(), (2,), group, self._findings):
-                if named(row, group, self._findings):
-                    self._join(k, row[1], row[2][0], now)
-        for t_ns in sorted(self._waiting):
-            names = self._waiting[t_ns]
-            if None in names and now - self._since[t_ns] < PARTNER:
+            for row in rows_of(table.new_lines(), (2,), group, self.findings):
+                if names_file(row, group, self.findings):
+                    self._waiting.add(k, row.t_ns, row.fields[0], now)
+        for t_ns, names in sorted(self._waiting.names.items()):
+            waited = now - self._waiting.since[t_ns]
+            if None in names and waited < PARTNER:
                 return  # in order: later exposures wait as well
-            images = self._images(names, now - self._since[t_ns] > WRITTEN)
+            images = self._images(names, waited > WRITTEN)
             if images is None:
                 return
-            del self._waiting[t_ns], self._since[t_ns]
+            self._waiting.remove(t_ns)
             if any(i is not None for i in images):
                 self.length += 1
                 yield Frame(t_ns, images, next(n for n in names if n))
 
-    def _join(self, camera: int, t_ns: int, name: str, now: float) -> None:
-        """Add an image to the waiting exposure of its time, else to the nearest one within half a period."""
-        if camera == 0:
-            self._stamps.append(t_ns)
-        steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
-        half = max(int(np.median(steps) if len(steps) else USUAL_PERIOD) // 2, 1)
-        near = [t for t, names in self._waiting.items() if names[camera] is None and abs(t - t_ns) < half]
-        found = t_ns if t_ns in self._waiting else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
-        names = self._waiting.pop(found, [None] * len(self._cams))
-        names[camera] = name
-        at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
-        self._waiting[at], self._since[at] = names, self._since.pop(found, now)
-
     def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
         """The images; None while one of them is still being written."""
-        out = list[U8 | None]()
-        for cam, name in zip(self.rig.cameras, names, strict=True):
-            if name is None:
-                out.append(None)
-                continue
-            try:
-                out.append(read_image(self._root / cam.name / "data" / name, (cam.camera.width, cam.camera.height)))
-            except ValueError as e:
-                if not late:
-                    return None
-                self._findings.lose(f"{cam.name} images", name, str(e))
-                out.append(None)
-        return tuple(out)
+        try:
+            return tuple(self._image(k, name, unfinished=not late) for k, name in enumerate(names))
+        except ValueError:
+            return None
 
 
 def wait_for_calibration(root: Path, seconds: float) -> None:

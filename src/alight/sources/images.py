@@ -9,11 +9,11 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags, Image, TiffTags, UnidentifiedImageError
 from PIL.TiffImagePlugin import IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
-CLASSIC_TIFF, SHORT = 42, 3  # numbers of a TIFF's header and of the type of a tag
+from alight.arrays import U8
+
 UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
 
 
@@ -49,10 +49,6 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
     return image.size
 
 
-def _is_turned(image: Image.Image) -> bool:
-    return isinstance(image, TiffImageFile) and image.tag_v2.get(ExifTags.Base.Orientation, 1) in range(2, 9)
-
-
 def _not_turned(tiff: bytes) -> bytes:
     """Return the file with an EXIF orientation of 1: pillow scrambles some images that it turns.
 
@@ -61,40 +57,34 @@ def _not_turned(tiff: bytes) -> bytes:
     """
     order = "<" if tiff.startswith(b"II") else ">"
     magic, directory = struct.unpack_from(f"{order}HI", tiff, 2)
-    if magic != CLASSIC_TIFF:
+    if magic != 42:  # of a classic TIFF
         raise ValueError("it is a BigTIFF with an EXIF orientation other than 1; set it to 1")
     (entries,) = struct.unpack_from(f"{order}H", tiff, directory)
     upright = bytearray(tiff)
     for at in range(directory + 2, directory + 2 + 12 * entries, 12):
         if struct.unpack_from(f"{order}H", tiff, at)[0] == ExifTags.Base.Orientation:
-            struct.pack_into(f"{order}HHIHH", upright, at, ExifTags.Base.Orientation, SHORT, 1, 1, 0)
+            struct.pack_into(f"{order}HHIHH", upright, at, ExifTags.Base.Orientation, TiffTags.SHORT, 1, 1, 0)
     return bytes(upright)
 
 
-def _pixels(image: Image.Image) -> NDArray[np.uint8]:
+def _pixels(image: Image.Image) -> U8:
     if image.mode.startswith("I"):  # 16 bits: keep the upper eight
         return (np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8)
-    grey = image.mode in ("L", "1", "LA")
-    return np.array(image.convert("L" if grey else "RGB"), dtype=np.uint8)
-
-
-_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")  # in coded data: neither a stuffed byte nor a restart
-_END = 0xD9
+    return np.array(image.convert("L" if image.mode in ("L", "1", "LA") else "RGB"), dtype=np.uint8)
 
 
 def has_end(jpeg: bytes) -> bool:
     """True if a JPEG has its end marker: no decoder notices a file system that fills a cut with zeros."""
-    at = 2
-    while marker := _MARKER.search(jpeg, at):
-        at = marker.end()
-        kind = jpeg[at - 1]
-        if kind == _END:
+    marker, at = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]"), 2  # in coded data: neither a stuffed byte nor a restart
+    while found := marker.search(jpeg, at):
+        at = found.end()
+        if found.group() == b"\xff\xd9":
             return True
         at += int.from_bytes(jpeg[at : at + 2], "big")  # skip the segment, thumbnails in it included
     return False
 
 
-def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+def read_image(path: Path, size: tuple[int, int]) -> U8:
     """Decode a whole image as it is stored, (H, W) when the file is grey, else (H, W, 3) RGB.
 
     OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses it.
@@ -107,7 +97,7 @@ def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
             stored = stored_size(image)
             if stored != size:
                 raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
-            if _is_turned(image):
+            if isinstance(image, TiffImageFile) and image.tag_v2.get(ExifTags.Base.Orientation, 1) in range(2, 9):
                 with Image.open(BytesIO(_not_turned(path.read_bytes()))) as upright:
                     return _pixels(upright)
             pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")

@@ -18,8 +18,6 @@ from alight.training.patches import LabelledPatch
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres a pixel, where no other value is given
 TILE = 4.8  # metres: larger pictures are cut into tiles of this side
-LARGEST_INDEX = 100_000_000  # bytes of index.csv
-MOST_TILES = 25  # of one picture
 KINDS = {
     Terrain.BARE: "bare gravel soil sand dirt",
     Terrain.SHORT_GRASS: "short_grass grass lawn",
@@ -48,7 +46,7 @@ def _index(folder: Path) -> dict[str, dict[str, str]]:
     if not path.exists():
         return {}
     try:
-        return {row["file"]: row for row in csv.DictReader(io.StringIO(read_text(path, LARGEST_INDEX), newline=""))}
+        return {row["file"]: row for row in csv.DictReader(io.StringIO(read_text(path, 100_000_000), newline=""))}
     except (OSError, DocumentError, csv.Error, KeyError) as e:
         raise InputError(f"{path}: not a table with the columns file, site, gsd_m; mend it or take it away") from e
 
@@ -70,8 +68,7 @@ def _tiles(rgb: U8, sampling: float) -> Iterator[U8]:
     if min(rgb.shape[:2]) < 2 * side:
         yield rgb
         return
-    many = int(np.sqrt(MOST_TILES))
-    rows, cols = (np.unique(np.linspace(0, n - side, min(many, n // side)).astype(int)) for n in rgb.shape[:2])
+    rows, cols = (np.unique(np.linspace(0, n - side, min(5, n // side)).astype(int)) for n in rgb.shape[:2])
     for r in rows:
         for c in cols:
             yield np.ascontiguousarray(rgb[r : r + side, c : c + side])
@@ -83,15 +80,19 @@ def read_picture(path: Path) -> U8:
     Raises:
         InputError: it cannot be read or is grey.
     """
+    rgb = _read(path)
+    if rgb.ndim != 3:
+        raise InputError(f"{path}: grey; terrain is learned from colour pictures, take it away")
+    return rgb
+
+
+def _read(path: Path) -> U8:
     try:
-        rgb = read_image(path, image_size(path))
+        return read_image(path, image_size(path))
     except UNREADABLE as e:
         raise InputError(
             f"{path}: not a readable picture ({' '.join(str(e).split())}); copy it again or take it away"
         ) from e
-    if rgb.ndim != 3:
-        raise InputError(f"{path}: grey; terrain is learned from colour pictures, take it away")
-    return rgb
 
 
 def _pictures(folder: Path) -> list[Path]:
@@ -150,10 +151,7 @@ def read_labelled(folder: Path) -> Iterator[tuple[str, U8, U8]]:
         raise InputError(f"{folder}: no picture in images/ has one of the same name in labels/")
     for path in both:
         rgb, where = read_picture(path), labels[path.stem]
-        try:
-            label = read_image(where, image_size(where))
-        except UNREADABLE as e:
-            raise InputError(f"{where}: not a readable picture; copy it again or take it away") from e
+        label = _read(where)
         if label.shape != rgb.shape[:2] or label.max() > max(Terrain):
             raise InputError(f"{where}: needs one grey value a pixel of {path.name}, the code of its class (0 to 8)")
         yield path.stem, rgb, label

@@ -1,9 +1,13 @@
-"""Sources of a flight: cameras, or a folder that is being filled."""
+"""Sources of a flight, and their events in the order of arrival: cameras, or a folder that is being filled."""
 
 from __future__ import annotations
 
+import queue
 import re
+import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +16,7 @@ from alight.settings import Settings
 from alight.sources.source import Source
 
 PREFIXES = ("camera:", "rtsp:", "gst:", "video:")
-IDLE = 10.0  # s without new rows or pictures, after which a folder counts as complete
 PATIENCE = 30.0  # s that a folder may take to get its calibration
-BETWEEN = re.compile(rf",\s*(?={'|'.join(PREFIXES)})")  # two cameras; a pipeline or an address may hold commas itself
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class LiveSource:
     source: Source
     events: Iterator[Event]
     real_time: bool
-    heard: Callable[[], Telemetry | None] = lambda: None  # newest telemetry of the autopilot that gives GPS/INS
+    telemetry: Callable[[], Telemetry | None] = lambda: None  # newest of the autopilot that gives GPS/INS
 
 
 def never() -> bool:
@@ -54,11 +56,75 @@ def open_sensors(
         from alight.sources.growing import GrowingLog, wait_for_calibration
 
         wait_for_calibration(Path(name), PATIENCE)
-        growing = GrowingLog(Path(name), settings, IDLE)
+        growing = GrowingLog(Path(name), settings)
         return LiveSource(growing, growing.events(stopped), True)
     if rig is None:
         raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
     from alight.sources.capture import Cameras
 
-    cameras = Cameras(BETWEEN.split(name), rig, settings)
+    names = re.split(rf",\s*(?={'|'.join(PREFIXES)})", name)  # a pipeline or an address may hold commas itself
+    cameras = Cameras(names, rig, settings)
     return LiveSource(cameras, cameras.events(stopped), True)
+
+
+def as_they_arrive(last: Iterator[Event], *others: Iterator[Event], most: int = 0) -> Iterator[Event]:
+    """Yield the events of several sources in the order of their arrival, until `last` ends; each has its own thread.
+
+    Args:
+        last: the source whose end ends the iteration.
+        others: sources that may end before.
+        most: events that are read ahead; 0: any number.
+
+    Raises:
+        Exception: the one that a source raised while it was read.
+    """
+    arrived: queue.Queue[Event | BaseException | None] = queue.Queue(most)
+    over = threading.Event()
+
+    def put(item: Event | BaseException | None) -> None:
+        while not over.is_set():
+            with suppress(queue.Full):
+                arrived.put(item, timeout=0.2)
+                return
+
+    def read(events: Iterator[Event]) -> None:
+        try:
+            for event in events:
+                put(event)
+                if over.is_set():
+                    return
+            if events is last:
+                put(None)
+        except BaseException as e:
+            put(e)
+
+    for events in (*others, last):
+        threading.Thread(target=read, args=(events,), daemon=True).start()
+    try:
+        while (item := arrived.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        over.set()
+
+
+def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = never) -> Iterator[Event]:
+    """Yield the events of a recording at the times of their stamps; an event whose time has passed comes at once.
+
+    Args:
+        speed: 2 is twice as fast as the flight.
+        stopped: called before each event; True ends the iteration.
+    """
+    begin, first = time.perf_counter(), None
+    for event in as_they_arrive(events, most=64):  # that many are read, and their pictures decoded, before they are due
+        if first is None:
+            begin, first = time.perf_counter(), event.t_ns
+        while not stopped():
+            wait = 1e-9 * (event.t_ns - first) / speed - (time.perf_counter() - begin)
+            if wait <= 0:
+                break
+            time.sleep(min(wait, 0.1))
+        if stopped():
+            return
+        yield event

@@ -13,11 +13,9 @@ from rasterio.warp import transform_bounds
 
 from alight.geometry import Grid, LocalFrame, world_up
 from alight.records import InputError, PriorHeights
-from alight.sources.raster import open_raster
-from alight.sources.raster_heights import doubt_of_heights
+from alight.sources.raster import doubt_of_heights, open_raster, to_its_end
 
 REACH = 2000.0  # metres about the origin that are read
-MOST_ACROSS = 2000  # cells: finer ones are averaged
 
 
 def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
@@ -33,7 +31,7 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
     with open_raster(path) as dem:
         if dem.crs is None:
             raise InputError(
-                f"--prior-dem {path}: does not say where it lies; mend it with: gdal_edit.py -a_srs EPSG:..."
+                f"--prior-dem {path}: has no coordinate system; mend it with: gdal_edit.py -a_srs EPSG:..."
             )
         try:
             west, south, east, north = transform_bounds(dem.crs, local.crs, *dem.bounds)
@@ -43,18 +41,18 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
         west, south, east, north = max(west, -REACH), max(south, -REACH), min(east, REACH), min(north, REACH)
         if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
             raise InputError(f"--prior-dem {path}: lies elsewhere than the photos; give a DEM of the same place")
-        cell = max(cell, (east - west) / MOST_ACROSS, (north - south) / MOST_ACROSS)
+        cell = max(cell, (east - west) / 2000, (north - south) / 2000)  # finer ones are averaged
         cols, rows = (max(int(np.ceil(length / cell)), 1) for length in (east - west, north - south))
-        try:
-            with WarpedVRT(
+        with (
+            to_its_end(f"--prior-dem {path}"),
+            WarpedVRT(
                 dem, crs=local.crs, transform=Affine(cell, 0, west, 0, -cell, north), width=cols, height=rows,
                 resampling=Resampling.bilinear, nodata=dem.nodata if dem.nodata is not None else np.nan,
-            ) as seen:  # fmt: skip
-                height = seen.read(1, masked=True).astype(np.float32).filled(np.nan)
-        except RasterioError as e:
-            raise InputError(f"--prior-dem {path}: cannot be read to its end ({e}); copy it again") from e
+            ) as warped,
+        ):  # fmt: skip
+            height = warped.read(1, masked=True).astype(np.float32).filled(np.nan)
         doubt_of_heights(path, height, dem)
     grid = Grid(west + 0.5 * cell, north - 0.5 * cell, cell, rows, cols)
     if not np.isfinite(height).any():
-        raise InputError(f"--prior-dem {path}: knows no height within {REACH:g} m of the photos; give another DEM")
+        raise InputError(f"--prior-dem {path}: holds no height within {REACH:g} m of the photos; give another DEM")
     return PriorHeights(path.name, grid, world_up(height, grid, local))

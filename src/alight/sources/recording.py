@@ -6,35 +6,27 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 
+from alight.arrays import F64
 from alight.documents import parse_json
-from alight.geometry import Pose
 from alight.records import Event, Frame, InputError, NavSample, Rig, Schedule
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead, unpack
 from alight.settings import Settings
-from alight.sources.calibrated_folder import NOISE
-from alight.sources.lens_bounds import why_no_lens
-from alight.sources.sensors import FARTHEST, HIGHEST
-from alight.sources.source import FAR, Findings, RecordedSource, Trajectory
-from alight.sources.streams import FASTEST, QUICKEST, SIGMAS, STRONGEST
+from alight.sources.calibrated_folder import IMU_NOISE
+from alight.sources.calibration import why_no_lens
+from alight.sources.source import LARGEST, SIGMAS, Source
 
 HEAD = "alight"
-LATEST = 2**62  # ns
-BOUNDS = {  # shapes, and the largest number of each measurement
-    "position_world": ((3,), FAR), "world_from_body": ((3, 3), 1.001), "velocity_world": ((3,), FASTEST),
-    "angular_velocity_body": ((3,), QUICKEST), "specific_force_body": ((3,), STRONGEST),
-    "sigma_position": ((3,), SIGMAS[1]), "sigma_attitude": ((3,), SIGMAS[1]), "sigma_velocity": ((3,), SIGMAS[1]),
-}  # fmt: skip
 
 
 def why_unusable(event: Event, rig: Rig) -> str:
     """Reason why an event of a recording cannot be used; empty: it can."""
-    if not 0 <= event.t_ns < LATEST:
+    if not 0 <= event.t_ns < 2**62:
         return "its time is out of range"
     if isinstance(event, Frame):
         sizes = [(c.camera.height, c.camera.width) for c in rig.cameras]
@@ -48,13 +40,18 @@ def why_unusable(event: Event, rig: Rig) -> str:
         value = getattr(event, f.name)
         if f.name == "t_ns" or (value is None and isinstance(event, NavSample)):
             continue
-        shape, most = BOUNDS[f.name]
-        if value is None or value.shape != shape or not (np.abs(value) <= most).all():
+        rotation, sigma = f.name == "world_from_body", f.name.startswith("sigma")
+        most = SIGMAS[1] if sigma else 1.001 if rotation else LARGEST[f.name]
+        if value is None or value.shape != ((3, 3) if rotation else (3,)) or not (np.abs(value) <= most).all():
             return f"{f.name} is out of range"
-        if f.name.startswith("sigma") and (value < SIGMAS[0]).any():
+        if sigma and (value < SIGMAS[0]).any():
             return f"{f.name} is out of range"
     R = event.world_from_body if isinstance(event, NavSample) else None
-    return "world_from_body is no rotation" if R is not None and np.abs(R @ R.T - np.eye(3)).max() > 1e-3 else ""
+    return "" if R is None or _is_rotation(R) else "world_from_body is no rotation"
+
+
+def _is_rotation(R: F64) -> bool:
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-3)
 
 
 def _read_head(text: str, path: Path) -> FlightHead:
@@ -66,10 +63,12 @@ def _read_head(text: str, path: Path) -> FlightHead:
     place, noise = head.local, head.imu_noise.stated().values()
     try:
         wrong = [why for c in head.rig.cameras if (why := why_no_lens(c.camera))]
-        wrong += [f"{c.name} is too far from the body" for c in head.rig.cameras if not _is_mounted(c.body_from_cam)]
-        if not (abs(place.latitude) < 90 and abs(place.longitude) <= 360 and abs(place.height) <= HIGHEST):
+        for camera, at in ((c, c.body_from_cam) for c in head.rig.cameras):
+            if not ((np.abs(at.translation) <= LARGEST["lever arm"]).all() and _is_rotation(at.rotation)):
+                wrong.append(f"{camera.name} is too far from the body")
+        if not (abs(place.latitude) < 90 and abs(place.longitude) <= 360 and abs(place.height) <= LARGEST["height"]):
             wrong.append("its origin is no place on Earth")
-        if not all(NOISE[0] <= v <= NOISE[1] for v in noise):
+        if not all(IMU_NOISE[0] <= v <= IMU_NOISE[1] for v in noise):
             wrong.append("the noise of the IMU is out of range")
     except TypeError as e:  # words where numbers belong
         wrong = [str(e)]
@@ -92,35 +91,25 @@ def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
     entries["about"] += [about] * (kind == "judged")
 
 
-def _is_mounted(pose: Pose) -> bool:
-    R = pose.rotation
-    return bool((np.abs(pose.translation) <= FARTHEST).all() and np.abs(R @ R.T - np.eye(3)).max() < 1e-3)
-
-
-class Recording(RecordedSource):
+class Recording(Source):
     """One recorded flight.
 
     Raises:
         InputError: the file is no recording of ours.
     """
 
-    kind: Literal["flight"] = "flight"
-    truth_trajectory: Trajectory | None = None
-
     def __init__(self, path: Path, settings: Settings) -> None:
-        self._findings, self._path, self._whole = Findings(), path, True
-        self._skip, self._every = settings.sources.skip, settings.sources.every
+        super().__init__()
+        self._path, self._skip, self._every = path, settings.sources.skip, settings.sources.every
         self._found: Counter[str] = Counter()  # messages of each topic
         head, entries, notes = self._scan()
         frames = self._found[CAMERAS]
         self.length = len(range(self._skip, frames, self._every))
         self.name, self.rig, self.local, self.georeferenced = head.name, head.rig, head.local, head.georeferenced
         self.imu_noise, self.flown_with = head.imu_noise, head.settings
-        self.schedule: Schedule | None = Schedule(**{k: tuple(v) for k, v in entries.items()})
-        self.notes: dict[str, Any] = {
-            "cameras": [c.name for c in self.rig.cameras], "focal_from": "the recording",
-            **({"in flight": notes} if notes else {}),
-        }  # fmt: skip
+        self.schedule = Schedule(**{k: tuple(v) for k, v in entries.items()})
+        self.notes |= {"cameras": [c.name for c in self.rig.cameras], "focal_from": "the recording"}
+        self.notes |= {"in flight": notes} if notes else {}
         if not frames:
             raise InputError(f"{path}: holds no exposure; there is nothing to replay")
         if not self.length:
@@ -128,12 +117,12 @@ class Recording(RecordedSource):
 
     def events(self) -> Iterator[Event]:
         """Yield the events in the order of their arrival."""
-        seen: Counter[str] = Counter()
+        seen, chosen = Counter[str](), range(self._skip, self._found[CAMERAS], self._every)
         for topic, data in self._messages():
             if topic not in (CAMERAS, NAV, IMU):
                 continue
             seen[topic] += 1
-            if topic == CAMERAS and not self._is_chosen(seen[topic] - 1):
+            if topic == CAMERAS and seen[topic] - 1 not in chosen:
                 continue
             try:
                 event = unpack(topic, data)
@@ -144,13 +133,9 @@ class Recording(RecordedSource):
                 continue
             yield event
 
-    def _is_chosen(self, exposure: int) -> bool:
-        """True if an exposure, counted from 0, is one that `sources.skip` and `sources.every` leave."""
-        return exposure >= self._skip and (exposure - self._skip) % self._every == 0
-
     def _lose(self, topic: str, number: int, why: str) -> None:
         """Note that a message, counted from 1, cannot be used."""
-        self._findings.lose(f"{topic[1:]} messages", f"number {number} of {self._found[topic]}", why)
+        self.findings.lose(f"{topic[1:]} messages", f"number {number} of {self._found[topic]}", why)
 
     def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], list[str]]:
         """Read the head, the schedule and the notes, and count the messages."""
@@ -171,7 +156,7 @@ class Recording(RecordedSource):
                     damaged.append((topic, self._found[topic], f"damaged ({e})"))
         for message in damaged:
             self._lose(*message)
-        self._findings.counts |= {f"{t[1:]} messages": self._found[t] for t in (CAMERAS, NAV, IMU) if self._found[t]}
+        self.findings.counts |= {f"{t[1:]} messages": self._found[t] for t in (CAMERAS, NAV, IMU) if self._found[t]}
         if head is None:
             raise InputError(f"{self._path}: no recording of Alight; give one that 'alight live' made")
         return head, entries, notes
@@ -193,4 +178,4 @@ class Recording(RecordedSource):
         except Exception as e:  # damaged bytes can make the library raise any exception
             if not topics:
                 raise InputError(f"{self._path}: no recording (MCAP); give one that 'alight live' made") from e
-            self._findings.say("the recording ends early, as after a loss of power: what came before it is used")
+            self.findings.warn("the recording ends early, as after a loss of power: what came before it is used")

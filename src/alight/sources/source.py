@@ -1,92 +1,22 @@
-"""Interface of every source, and its record of data that could not be read."""
+"""Base of every source, and the record of the data that it could not read."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from alight.arrays import I64
 from alight.geometry import LocalFrame, Pose
 from alight.records import Event, PhotoFacts, Rig, Schedule
 from alight.settings import ImuNoise, Settings
 
-FAR = 200_000.0  # m; an aircraft's local frame ends long before: beyond it the numbers are of another system
-Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
-
-
-class Described(Protocol):
-    """Description of a source in results: its name, its place on Earth, the counts of read and lost items."""
-
-    @property
-    def name(self) -> str:
-        """Name for a reader: the folder's name."""
-
-    @property
-    def kind(self) -> Literal["flight", "photos"]:
-        """Kind: a flight is continuous in time, photos are single exposures far apart."""
-
-    @property
-    def local(self) -> LocalFrame:
-        """The world's origin on Earth; meaningless unless `georeferenced`."""
-
-    @property
-    def georeferenced(self) -> bool:
-        """False where the recording has no place on Earth."""
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Numbers of read and lost items; complete once `events` has been exhausted."""
-
-    @property
-    def warnings(self) -> list[str]:
-        """Items that could not be read, with reasons, one sentence each; complete once `events` has been exhausted."""
-
-    @property
-    def notes(self) -> dict[str, Any]:
-        """Facts for the report: camera, focal length and its source, kind of GPS."""
-
-
-class Source(Described, Protocol):
-    """One recording: its cameras, the origin of its world, and its events in order of time."""
-
-    @property
-    def rig(self) -> Rig:
-        """The cameras, in the order of `Frame.images`."""
-
-    @property
-    def photos(self) -> Sequence[PhotoFacts]:
-        """Facts about each photo of a set of photos; complete once `events` has been exhausted."""
-
-    @property
-    def truth_trajectory(self) -> Trajectory | None:
-        """True body poses in the world; None: the recording has none."""
-
-    @property
-    def imu_noise(self) -> ImuNoise:
-        """Noise that the recording states for its IMU."""
-
-    @property
-    def schedule(self) -> Schedule | None:
-        """Exposures that each lane used, of a live run that was recorded; None: it is no such recording."""
-
-    @property
-    def flown_with(self) -> Settings | None:
-        """Settings of a live run that was recorded; None: it is no such recording."""
-
-    @property
-    def length(self) -> int:
-        """Exposures that `events` will try to yield."""
-
-    def digest(self) -> str:
-        """Digest of all input, as the key of saved work (photos); else empty."""
-
-    def events(self) -> Iterator[Event]:
-        """Yield frames, navigation and inertial samples in order of time, images decoded one at a time.
-
-        Every call starts from the beginning. A navigation sample comes before the frame of the same time.
-        """
+LARGEST = {  # beyond these lie other units, typing errors and damage
+    "height": 100_000.0, "position_world": 200_000.0, "lever arm": 1_000.0,  # m
+    "velocity_world": 3_000.0, "angular_velocity_body": 200.0, "specific_force_body": 5_000.0,  # m/s, rad/s, m/s^2
+}  # fmt: skip
+SIGMAS = (1e-6, 1e6)  # of whatever unit: a smaller one makes a matrix singular, a larger one has no information
+Trajectory = tuple[I64, list[Pose]]  # (N,) ns and as many world_from_body
 
 
 class Findings:
@@ -98,7 +28,7 @@ class Findings:
         self._totals: dict[str, int] = {}
         self._lost: dict[str, dict[str, str]] = {}
 
-    def say(self, sentence: str) -> None:
+    def warn(self, sentence: str) -> None:
         """Note one whole sentence, once."""
         self._sentences[sentence] = None
 
@@ -113,11 +43,10 @@ class Findings:
 
     def loss(self, group: str) -> str:
         """Number of items of a group that could not be used, and the first with its reason; empty: none."""
-        lost, total = self._lost.get(group, {}), self._totals.get(group)
-        if not lost:
+        if not (lost := self._lost.get(group)):
             return ""
         first, why = next(iter(lost.items()))
-        of = f" of {total}" if total is not None else ""
+        of = f" of {self._totals[group]}" if group in self._totals else ""
         return f"{group}: {len(lost)}{of} left out (first: {first}: {why})"
 
     @property
@@ -126,29 +55,65 @@ class Findings:
         return [*(self.loss(g) for g in self._lost), *self._sentences]
 
 
-class RecordedSource:
-    """Common part of all sources: counts and warnings from `_findings`, and defaults."""
+class Described(Protocol):
+    """What a result needs of its source; the fields are those of `Source`."""
 
-    _findings: Findings
-    length: int
-    schedule: Schedule | None = None
-    flown_with: Settings | None = None
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> Literal["flight", "photos"]: ...
+    @property
+    def local(self) -> LocalFrame: ...
+    @property
+    def georeferenced(self) -> bool: ...
+    @property
+    def counts(self) -> dict[str, int]: ...
+    @property
+    def warnings(self) -> list[str]: ...
+    @property
+    def notes(self) -> dict[str, Any]: ...
+
+
+class Source(ABC):
+    """One recording: its cameras, the origin of its world, and its events in order of time."""
+
+    name: str  # for a reader: the folder's name
+    kind: Literal["flight", "photos"] = "flight"  # a flight is continuous in time, photos are exposures far apart
+    local: LocalFrame  # the world's origin on Earth; meaningless unless `georeferenced`
+    georeferenced: bool  # False where the recording has no place on Earth
+    rig: Rig  # the cameras, in the order of `Frame.images`
+    length: int = 0  # exposures that `events` will try to yield
+    imu_noise: ImuNoise = ImuNoise()  # as the recording states it
+    truth_trajectory: Trajectory | None = None  # true body poses in the world
+    schedule: Schedule | None = None  # exposures that each lane used, of a live run that was recorded
+    flown_with: Settings | None = None  # settings of a live run that was recorded
+
+    def __init__(self) -> None:
+        self.findings = Findings()
+        self.notes: dict[str, Any] = {}  # for the report: camera, focal length and its source, kind of GPS
+
+    @abstractmethod
+    def events(self) -> Iterator[Event]:
+        """Yield frames, navigation and inertial samples in order of time, images decoded one at a time.
+
+        Every call starts from the beginning. A navigation sample comes before the frame of the same time.
+        """
 
     @property
     def photos(self) -> Sequence[PhotoFacts]:
-        """Empty: the source is no set of photos."""
+        """Facts about each photo of a set of photos; complete once `events` has been exhausted."""
         return ()
 
     def digest(self) -> str:
-        """Empty: no work is saved."""
+        """Digest of all input, as the key of saved work (photos); else empty."""
         return ""
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of read and lost items, and of exposures."""
-        return {**self._findings.counts, "exposures": self.length}
+        """Numbers of read and lost items, and of exposures; complete once `events` has been exhausted."""
+        return {**self.findings.counts, "exposures": self.length}
 
     @property
     def warnings(self) -> list[str]:
-        """Items that could not be read, with reasons, one sentence each."""
-        return self._findings.warnings
+        """Items that could not be read, with reasons, one sentence each; complete as `counts`."""
+        return self.findings.warnings

@@ -1,23 +1,32 @@
-"""The numeric streams of a flight log: `nav0`, `imu0` and the truth, from rows to samples."""
+"""CSV streams of a flight log, from rows to samples: a bad row is left out and named, never guessed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from alight.arrays import F64, I64
+from alight.arrays import F64, I64, Mask
 from alight.geometry import LocalFrame, Pose, matrix_from_quaternion
 from alight.records import ImuSample, NavSample
-from alight.sources.source import FAR, Findings, Trajectory
-from alight.sources.tables import read_numbers
+from alight.sources.source import LARGEST, SIGMAS, Findings, Trajectory
 
-# no aircraft moves or turns like that; a sigma this small makes a matrix singular, one this large has no information
-HIGHEST, FASTEST, QUICKEST, STRONGEST = 100_000.0, 3_000.0, 200.0, 5_000.0  # m, m/s, rad/s, m/s^2
-SIGMAS = (1e-6, 1e6)  # of whatever unit; 0 is "not known"
-NAV_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS = (23,), (7,), (17, 8)  # 8: truth without velocity and biases
+TRUTH = "state_groundtruth_estimate0"
+COLUMNS = {"nav0": (23,), "imu0": (7,), TRUTH: (17, 8)}  # numbers of columns; 8: truth without velocity and biases
+LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
+
+
+class StreamRow(NamedTuple):
+    """One row of a stream: its line, its time and the fields after the time."""
+
+    line: int
+    t_ns: int
+    fields: list[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,124 +35,205 @@ class Table:
 
     t_ns: I64  # (N,)
     values: F64  # (N, columns - 1), NaN = not measured
+    lines: list[int]  # in the file
+
+    def without(self, bad: Mapping[str, Mask], stream: str, findings: Findings) -> Table | None:
+        """The rows that are not bad; the others are noted with their line and reason. None when no row is left."""
+        why = {int(i): reason for reason, rows in bad.items() for i in np.flatnonzero(rows)}
+        for i in sorted(why):
+            findings.lose(f"{stream} rows", f"line {self.lines[i]}", why[i])
+        keep = np.setdiff1d(np.arange(len(self.lines)), list(why)).astype(np.intp)
+        return Table(self.t_ns[keep], self.values[keep], [self.lines[i] for i in keep]) if len(keep) else None
 
 
-def _read(root: Path, stream: str, columns: tuple[int, ...], findings: Findings) -> tuple[Table, list[int]] | None:
+def rows_of(
+    lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings
+) -> list[StreamRow]:
+    """The rows of numbered lines that have a time and so many columns; comments and empty lines are none."""
+    rows: list[StreamRow] = []
+    for number, line in lines:
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        stamp, *fields = [f.strip() for f in text.split(",")]
+        if len(fields) + 1 not in columns:
+            findings.lose(group, f"line {number}", f"{len(fields) + 1} columns instead of {columns[0]}")
+        elif not stamp.isascii() or not stamp.isdigit() or len(stamp) > 19 or int(stamp) >= 2**63:
+            findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds, 0 or more")
+        else:
+            rows.append(StreamRow(number, int(stamp), fields))
+    return rows
+
+
+def _read_rows(path: Path, columns: tuple[int, ...], group: str, findings: Findings) -> list[StreamRow]:
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = [(n, line) for n, line in enumerate(file, 1) if line.strip() and not line.strip().startswith("#")]
+    findings.expect(group, len(lines))
+    return rows_of(lines, columns, group, findings)
+
+
+def rising(times: list[int]) -> list[bool]:
+    """Mark the longest strictly rising subsequence of a list, so that one wrong time does not cost all later ones."""
+    tails: list[int] = []  # smallest last time of a rising part of each length
+    length = []
+    for t in times:
+        k = bisect_left(tails, t)
+        tails[k : k + 1] = [t]
+        length.append(k)
+    keep, want, bound = [False] * len(times), len(tails) - 1, 2**64
+    for i in range(len(times) - 1, -1, -1):
+        if length[i] == want and times[i] < bound:
+            keep[i], want, bound = True, want - 1, times[i]
+    return keep
+
+
+def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[StreamRow]:
+    """Rows sorted by time: of repeated times the first one, of times that go backwards only late rows."""
+    if all(a.t_ns < b.t_ns for a, b in pairwise(rows)):
+        return rows
+    first = {row.t_ns: row.line for row in reversed(rows)}
+    single = [row for row in rows if first[row.t_ns] == row.line]
+    used = {row.line for row, kept in zip(single, rising([r.t_ns for r in single]), strict=True) if kept}
+    begin, newest, late = min(r.t_ns for r in single if r.line in used), 0, set()
+    for row in single:
+        if row.line in used:
+            newest = row.t_ns
+        elif begin < row.t_ns and 0 < newest - row.t_ns <= LATE_NS:
+            late.add(row.line)
+    for row in rows:
+        if row.line not in used | late:
+            repeated = first[row.t_ns] != row.line
+            findings.lose(group, f"line {row.line}", "the time is repeated" if repeated else "time goes backwards")
+    return sorted((row for row in rows if row.line in used | late), key=lambda row: row.t_ns)
+
+
+def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:
+    """Read `timestamp, filename` rows, in order of time."""
+    rows = [r for r in _read_rows(path, (2,), group, findings) if names_file(r, group, findings)]
+    return [(row.t_ns, row.fields[0]) for row in _in_order(rows, group, findings)]
+
+
+def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
+    """True if a row names a file of the folder."""
+    name = row.fields[0]
+    fits = len(name.encode(errors="replace")) <= 255 and "\0" not in name  # bytes; file systems take no longer one
+    if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():
+        return True
+    findings.lose(group, f"line {row.line}", f"{name[:40]!r} names no file of the folder")
+    return False
+
+
+def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | None:
+    """The numbers of a row, NaN for an empty field; None if a field is no finite number."""
+    out = []
+    for field in row.fields:
+        try:
+            value = float(field) if field else np.nan
+        except ValueError:
+            findings.lose(group, f"line {row.line}", f"{field[:40]!r} is no number")
+            return None
+        if np.isinf(value):
+            findings.lose(group, f"line {row.line}", "a number is infinite")
+            return None
+        out.append(value)
+    return out
+
+
+def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_order: bool = True) -> Table:
+    """Rows of numbers, those with a field that is none left out; shorter rows are filled with NaN.
+
+    Args:
+        in_order: sort them by time, and leave out those that go backwards.
+    """
+    group, width = f"{stream} rows", COLUMNS[stream][0] - 1
+    read = {row.line: (row, v) for row in rows if (v := _numbers(row, group, findings)) is not None}
+    good = [row for row, _ in read.values()]
+    good = _in_order(good, group, findings) if in_order else good
+    values = np.full((len(good), width), np.nan)
+    for i, row in enumerate(good):
+        values[i, : len(row.fields)] = read[row.line][1]
+    return Table(np.array([row.t_ns for row in good], np.int64), values, [row.line for row in good])
+
+
+def read_table(root: Path, stream: str, findings: Findings) -> Table | None:
+    """All rows of a stream in order of time; None: there is no such stream."""
     path = root / stream / "data.csv"
     if path.exists() and not path.is_file():
-        findings.say(f"{stream}/data.csv is no plain file and is not read; give a file")
+        findings.warn(f"{stream}/data.csv is no plain file and is not read; give a file")
     if not path.is_file():
         return None
-    t, values, lines = read_numbers(path, columns, f"{stream} rows", findings)
-    return Table(t, values), lines
+    return table_of(_read_rows(path, COLUMNS[stream], f"{stream} rows", findings), stream, findings)
 
 
-def _without(table: Table, lines: list[int], bad: dict[int, str], stream: str, findings: Findings) -> Table | None:
-    """The rows that are not bad; the others are noted with their line. None when no row is left."""
-    for i, why in sorted(bad.items()):
-        findings.lose(f"{stream} rows", f"line {lines[i]}", why)
-    keep = np.setdiff1d(np.arange(len(lines)), list(bad)).astype(np.intp)
-    return Table(table.t_ns[keep], table.values[keep]) if len(keep) else None
-
-
-def read_nav(root: Path, findings: Findings) -> Table | None:
-    """Rows of `nav0`; None when there is none that can be used."""
-    found = _read(root, "nav0", NAV_COLUMNS, findings)
-    return None if found is None else usable_nav(*found, findings)
-
-
-def usable_nav(table: Table, lines: list[int], findings: Findings) -> Table | None:
+def usable_nav(table: Table | None, findings: Findings) -> Table | None:
     """The rows of `nav0` that can be used; None when there is none."""
+    if table is None:
+        return None
     v = table.values
+    sigma = v[:, 13:22]
     with np.errstate(over="ignore", invalid="ignore"):
-        checks = {
+        bad = {
             "latitude or longitude is no place on Earth": (np.abs(v[:, 0]) > 90) | (np.abs(v[:, 1]) > 360),
             "the quaternion is not of unit length": np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) > 0.05,
-            "the height is none of an aircraft": np.abs(v[:, 2]) > HIGHEST,
-            "the velocity is none of an aircraft": (np.abs(v[:, 7:10]) > FASTEST).any(axis=1),
-            "the angular rate is none of an aircraft": (np.abs(v[:, 10:13]) > QUICKEST).any(axis=1),
-            "a sigma is negative": (v[:, 13:22] < 0).any(axis=1),
-            f"a sigma is not between {SIGMAS[0]:g} and {SIGMAS[1]:g}": (
-                (v[:, 13:22] > 0) & ((v[:, 13:22] < SIGMAS[0]) | (v[:, 13:22] > SIGMAS[1]))
+            "the height is none of an aircraft": np.abs(v[:, 2]) > LARGEST["height"],
+            "the velocity is none of an aircraft": (np.abs(v[:, 7:10]) > LARGEST["velocity_world"]).any(axis=1),
+            "the angular rate is none of an aircraft": (
+                np.abs(v[:, 10:13]) > LARGEST["angular_velocity_body"]
             ).any(axis=1),
-        }
-    bad = {int(i): why for why, mask in checks.items() for i in np.flatnonzero(mask)}
-    return _without(table, lines, bad, "nav0", findings)
+            "a sigma is negative": (sigma < 0).any(axis=1),
+            f"a sigma is not between {SIGMAS[0]:g} and {SIGMAS[1]:g}": (
+                (sigma > 0) & ((sigma < SIGMAS[0]) | (sigma > SIGMAS[1]))  # 0 is "not known"
+            ).any(axis=1),
+        }  # fmt: skip
+    return table.without(bad, "nav0", findings)
 
 
-def without_height(nav: Table) -> int:
-    """Rows of `nav0` in which only the height is missing of a position."""
-    known = np.isfinite(nav.values[:, :3])
-    return int((known[:, 0] & known[:, 1] & ~known[:, 2]).sum())
-
-
-def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | None:
-    """Rows of `imu0` turned into the body's axes; None when there is none that can be used."""
-    found = _read(root, "imu0", IMU_COLUMNS, findings)
-    return None if found is None else usable_imu(*found, body_from_imu, findings)
-
-
-def usable_imu(table: Table, lines: list[int], body_from_imu: Pose, findings: Findings) -> Table | None:
+def usable_imu(table: Table | None, body_from_imu: Pose, findings: Findings) -> Table | None:
     """The rows of `imu0` that can be used, turned into the body's axes; None when there is none."""
-    holes = np.flatnonzero(~np.isfinite(table.values).all(axis=1))
+    if table is None:
+        return None
     with np.errstate(invalid="ignore"):
         rates, forces = (np.abs(table.values[:, a:b]).max(axis=1) for a, b in ((0, 3), (3, 6)))
+    large = (rates > LARGEST["angular_velocity_body"]) | (forces > LARGEST["specific_force_body"])
     bad = {
-        int(i): "no turn or acceleration of an aircraft"
-        for i in np.flatnonzero((rates > QUICKEST) | (forces > STRONGEST))
+        "no turn or acceleration of an aircraft": large,
+        "a field is empty": ~np.isfinite(table.values).all(axis=1),
     }
-    bad |= {int(i): "a field is empty" for i in holes}
-    used = _without(table, lines, bad, "imu0", findings)
-    if used is None:
+    if (used := table.without(bad, "imu0", findings)) is None:
         return None
     R = body_from_imu.rotation
-    return Table(used.t_ns, np.concatenate([used.values[:, :3] @ R.T, used.values[:, 3:] @ R.T], axis=1))
-
-
-def median_force(imu: Table) -> float:
-    """Median specific force of all rows of `imu0`, m/s^2: about gravity."""
-    return float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
+    values = np.concatenate([used.values[:, :3] @ R.T, used.values[:, 3:] @ R.T], axis=1)
+    return Table(used.t_ns, values, used.lines)
 
 
 def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
     """True body poses in the world; None when the log has none."""
-    stream = "state_groundtruth_estimate0"
-    if (found := _read(root, stream, TRUTH_COLUMNS, findings)) is None:
+    if (found := read_table(root, TRUTH, findings)) is None:
         return None
-    v = found[0].values[:, :7]
+    v = found.values[:, :7]
     with np.errstate(over="ignore", invalid="ignore"):
-        bent = ~(np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) < 0.05) | ~(np.abs(v[:, :3]) < FAR).all(axis=1)
-    bad = {int(i): "no position or no unit quaternion" for i in np.flatnonzero(bent)}
-    table = _without(*found, bad, stream, findings)
+        unit = np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) < 0.05
+        near = (np.abs(v[:, :3]) < LARGEST["position_world"]).all(axis=1)
+    table = found.without({"no position or no unit quaternion": ~(unit & near)}, TRUTH, findings)
     if table is None:
         return None
     return table.t_ns, [Pose.from_quaternion(row[3:7], row[:3]) for row in table.values]
 
 
-def _measured(values: F64) -> F64 | None:
-    return values.copy() if np.isfinite(values).all() else None
-
-
-def _sigma(values: F64) -> F64 | None:
-    return values.copy() if np.isfinite(values).all() and (values > 0).all() else None
+def _measured(values: F64, positive: bool = False) -> F64 | None:
+    """A copy of values that are all measured (sigmas: and above 0), else None."""
+    return values.copy() if np.isfinite(values).all() and not (positive and (values <= 0).any()) else None
 
 
 def nav_samples(table: Table, local: LocalFrame) -> Iterator[NavSample]:
     """Samples of `nav0` in the world about `local`."""
-    v = table.values
-    position = local.to_enu(v[:, 0], v[:, 1], v[:, 2])
-    for i, t in enumerate(table.t_ns):
-        q = _measured(v[i, 3:7])
+    position = local.to_enu(*table.values[:, :3].T)
+    for t, place, v in zip(table.t_ns, position, table.values, strict=True):
+        q = _measured(v[3:7])
         yield NavSample(
-            int(t),
-            _measured(position[i]),
-            None if q is None else matrix_from_quaternion(q),
-            _measured(v[i, 7:10]),
-            _measured(v[i, 10:13]),
-            _sigma(v[i, 13:16]),
-            _sigma(v[i, 16:19]),
-            _sigma(v[i, 19:22]),
-        )
+            int(t), _measured(place), None if q is None else matrix_from_quaternion(q),
+            *(_measured(v[a : a + 3]) for a in (7, 10)), *(_measured(v[a : a + 3], True) for a in (13, 16, 19)),
+        )  # fmt: skip
 
 
 def imu_samples(table: Table) -> Iterator[ImuSample]:

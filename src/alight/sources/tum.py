@@ -10,9 +10,8 @@ import numpy as np
 from alight.documents import DocumentError, read_bytes
 from alight.geometry import LocalFrame, Pose
 from alight.records import InputError
-from alight.sources.source import FAR, Trajectory
+from alight.sources.source import LARGEST, Trajectory
 
-LARGEST = 1_000_000_000  # bytes
 HINT = "each line needs: seconds x y z qx qy qz qw"
 
 
@@ -34,7 +33,7 @@ def read_tum(path: Path, local: LocalFrame) -> Trajectory:
             no local ones (UTM, ECEF).
     """
     try:
-        lines = read_bytes(path, LARGEST).decode("utf-8-sig", errors="replace").splitlines()
+        lines = read_bytes(path, 1_000_000_000).decode("utf-8-sig", errors="replace").splitlines()
     except OSError as e:
         raise InputError(f"{path}: cannot be read ({e.strerror}); --poses takes a file in TUM format") from e
     except DocumentError as e:
@@ -48,7 +47,7 @@ def read_tum(path: Path, local: LocalFrame) -> Trajectory:
             t, pose = _line(line)
         except (ValueError, ArithmeticError) as e:
             raise InputError(f"{path}, line {number}: no pose; {HINT}") from e
-        if np.abs(pose.translation).max() > FAR:
+        if np.abs(pose.translation).max() > LARGEST["position_world"]:
             origin = f"latitude {local.latitude:g}, longitude {local.longitude:g}"
             raise InputError(
                 f"{path}, line {number}: far from everything; write east, north, up in metres from {origin}"

@@ -9,7 +9,6 @@ from alight.arrays import F32, F64, I64, U8, Mask
 from alight.tracks.corner_kernels import corner_responses, strongest_corners
 
 BORDER = 4  # px; closer to the edge the SSD window leaves the image
-_RESPONSE_HALF = 2  # px, half side of the window of the response, without its centre
 
 
 def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
@@ -53,5 +52,5 @@ def detect_corners(image: U8, taken: F32, cell: float, texture: float, border: i
     boxes = np.clip(edges, b, [height - b, height - b, width - b, width - b])
     found = np.empty((len(boxes), 3))
     near = np.ascontiguousarray(taken[beside[line, column] > 0])
-    strongest_corners(image, boxes, near, max(2.0, 0.7 * cell), _RESPONSE_HALF, found)
+    strongest_corners(image, boxes, near, max(2.0, 0.7 * cell), 2, found)
     return np.asarray(found[found[:, 2] > texture, :2], dtype=np.float32)

@@ -9,9 +9,6 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Pose
 from alight.settings import TracksSettings
 
-_MIN_FEATURES = 12  # for an affine warp of the whole image
-_SMALL_SIDE = 160  # px, approximate shorter side of a downsampled image
-_SAMPLING = 4  # px between those used for the brightness of an image
 TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried last
 
 
@@ -24,7 +21,7 @@ def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
     Returns:
         the image and the (N, 2) pixels of the features in it; unchanged where features are too few.
     """
-    if len(pixels) < _MIN_FEATURES:
+    if len(pixels) < 12:
         return image, pixels
     ones = np.column_stack([pixels, np.ones(len(pixels))]).astype(np.float64)
     affine = np.linalg.lstsq(ones, predicted.astype(np.float64), rcond=None)[0].T
@@ -39,7 +36,7 @@ def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
     The SSD does not model exposure: a step of 20 % between two images cost 0.4 px, one of 50 % nine of ten features.
     Small differences are left: they come from ground that only one image shows.
     """
-    a, b = image[::_SAMPLING, ::_SAMPLING].astype(np.float32), other[::_SAMPLING, ::_SAMPLING].astype(np.float32)
+    a, b = (i[::4, ::4].astype(np.float32) for i in (image, other))
     most = settings.most_gain
     gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / most, most))
     shift = float(b.mean()) - gain * float(a.mean())
@@ -109,8 +106,8 @@ def _high_pass(image: U8) -> F32:
 
 
 def downsampling_factor(image: U8) -> int:
-    """Return the factor by which an image is downsampled."""
-    return max(1, round(int(min(image.shape)) / _SMALL_SIDE))
+    """Return the factor by which an image is downsampled, to about 160 px on its shorter side."""
+    return max(1, round(int(min(image.shape)) / 160))
 
 
 def downsampled(image: U8) -> U8:

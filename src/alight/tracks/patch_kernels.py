@@ -9,7 +9,6 @@ from alight.compiled import kernel, sum_kernel
 from alight.tracks.corner_kernels import ray_at
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
-_MIN_GAIN = np.float32(0.2)  # of contrast; a patch with less contrast is not matched
 _DIFFERENCE = 4.0  # px over which the map between two views is differenced
 _MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the view instead
 
@@ -123,7 +122,7 @@ def _gauss_newton_step(
         ey += gy[k] * value[k]
     gain = cross / np.float32(sums[3])
     variance = square - total * total / np.float32(m * m)
-    if gain <= _MIN_GAIN or variance <= 0:
+    if gain <= np.float32(0.2) or variance <= 0:  # too little contrast
         return -1.0
     off_x, off_y = ex / gain - np.float32(sums[4]), ey / gain - np.float32(sums[5])
     det = sums[0] * sums[2] - sums[1] * sums[1]
@@ -182,21 +181,6 @@ def align_patches(
             if step[0] * step[0] + step[1] * step[1] < stop * stop:
                 found[k, 0], found[k, 1], fit[k] = x, y, correlation
                 break
-
-
-@kernel
-def cut_patches(image: U8, corners: I64, slots: I64, patches: U8) -> None:
-    """Copy squares out of an image.
-
-    Args:
-        corners: (N, 2) first column and row of each square, inside the image.
-        slots: (N,) where each goes.
-        patches: (M, S, S) out.
-    """
-    side = patches.shape[1]
-    for k in range(len(slots)):
-        for r in range(side):
-            patches[slots[k], r] = image[corners[k, 1] + r, corners[k, 0] : corners[k, 0] + side]
 
 
 @kernel

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Pose
 from alight.settings import TracksSettings
-from alight.tracks.lens import Lens
-from alight.tracks.patch_kernels import align_patches, cut_patches, warp_patches
+from alight.tracks.patch_kernels import align_patches, warp_patches
+from alight.tracks.view_transfer import Lens, median_depth
 
-_EDGE = 2  # px from a window to the edge of the image
-_PATCH_MARGIN = 9  # px of a patch around the window: room for rotation and scale
-_BLUR = 0.7  # px; without it linear interpolation biases matches towards whole pixels (M1e)
-_MAX_LAST_STEP, _MAX_STEPS = 0.01, 12  # px; steps
-_NO_DEPTH = 1e6  # m, depth of the ground where no feature has one
-_POOL = 256  # patches that there is room for at first
+STEPS = 0.01, 12  # largest last step of an alignment, px; most steps
 
 
 def smooth_image(image: U8) -> U8:
-    """Return the smoothed image from which patches are cut and in which they are located."""
-    return np.asarray(cv2.GaussianBlur(image, (3, 3), _BLUR))
+    """Return the smoothed image from which patches are cut and in which they are located.
 
-
-def median_depth(depth: F64, otherwise: float) -> float:
-    """Return the (upper) median of the finite depths (N,), else `otherwise`; ten times as fast as `np.median`."""
-    known = depth[np.isfinite(depth)]
-    middle = len(known) // 2
-    return float(np.partition(known, middle)[middle]) if len(known) else otherwise
+    Without it linear interpolation biases matches towards whole pixels (M1e).
+    """
+    return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.7))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +36,7 @@ class GroundPlane:
     def under(cls, pose: Pose | None, depth: F64) -> GroundPlane:
         """Return the ground under a camera at `pose` (world_from_cam; None: across the view); NaN depth = unknown."""
         up = pose.rotation[2] if pose is not None else np.array([0.0, 0.0, -1.0])
-        return cls(up, median_depth(depth, _NO_DEPTH))
+        return cls(up, median_depth(depth, 1e6))
 
 
 def patch_warps(
@@ -80,14 +72,9 @@ class FeaturePatches:
 
     @classmethod
     def none(cls, window: int) -> FeaturePatches:
-        """Return no patches, for a window of that many px."""
-        side, empty = window + 2 * _PATCH_MARGIN, np.empty(0, np.int64)
-        return cls(empty, np.empty((_POOL, side, side), np.uint8), empty, np.empty((0, 2)), np.empty((0, 2)), empty)
-
-    @classmethod
-    def cut(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
-        """Cut patches out of a smoothed image; features too close to its edge get none."""
-        return cls.none(window).with_new(image, ids, pixels, 0)
+        """Return no patches, for a window of that many px; nine px around it are room for rotation and scale."""
+        side, empty = window + 2 * 9, np.empty(0, np.int64)
+        return cls(empty, np.empty((0, side, side), np.uint8), empty, np.empty((0, 2)), np.empty((0, 2)), empty)
 
     @classmethod
     def whole(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
@@ -95,7 +82,7 @@ class FeaturePatches:
 
         Features too close to its edge have none.
         """
-        margin, (height, width) = window // 2 + _EDGE, image.shape
+        margin, (height, width) = window // 2 + 2, image.shape
         inside = ((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin])).all(axis=1)
         ids, pixels = ids[inside], pixels[inside]
         zero = np.zeros(len(ids), np.int64)
@@ -103,44 +90,30 @@ class FeaturePatches:
 
     def select(self, which: Mask | I64) -> FeaturePatches:
         """Return the patches of some features; their pixels are shared."""
-        return FeaturePatches(
-            self.ids[which],
-            self.grey,
-            self.slots[which],
-            self.places[which],
-            self.pixels[which],
-            self.image_number[which],
-        )
+        return replace(
+            self, ids=self.ids[which], slots=self.slots[which], places=self.places[which], pixels=self.pixels[which],
+            image_number=self.image_number[which],
+        )  # fmt: skip
 
     def with_new(self, image: U8, ids: I64, pixels: F64, image_number: int) -> FeaturePatches:
-        """Return these patches and new ones, cut out of a smoothed image; only free slots are written to."""
+        """Return these patches and new ones, cut out of a smoothed image; features too close to its edge get none."""
         side = self.grey.shape[1]
         corner = np.rint(pixels).astype(np.int64) - side // 2
         inside = ((corner >= 0) & (corner + side <= image.shape[::-1])).all(axis=1)
+        if not inside.any():
+            return self
         ids, corner, pixels = ids[inside], corner[inside], pixels[inside]
-        grey, slots = self._room_for(len(ids))
-        cut_patches(image, corner, slots, grey)
         joined = np.concatenate([self.ids, ids])
         order = np.argsort(joined)
+        cut = sliding_window_view(image, (side, side))[corner[:, 1], corner[:, 0]]
         return FeaturePatches(
             joined[order],
-            grey,
-            np.concatenate([self.slots, slots])[order],
+            np.concatenate([self.grey[self.slots], cut]),
+            order,
             np.concatenate([self.places, pixels - corner])[order],
             np.concatenate([self.pixels, pixels])[order],
             np.concatenate([self.image_number, np.full(len(ids), image_number)])[order],
         )
-
-    def _room_for(self, count: int) -> tuple[U8, I64]:
-        """Return the patches and so many free slots in them; a longer copy where there are too few."""
-        free = np.ones(len(self.grey), bool)
-        free[self.slots] = False
-        slots = np.flatnonzero(free)
-        if len(slots) >= count:
-            return self.grey, slots[:count]
-        more = np.empty((count + len(self.grey), *self.grey.shape[1:]), np.uint8)
-        slots = np.concatenate([slots, np.arange(len(self.grey), len(self.grey) + count)])
-        return np.concatenate([self.grey, more]), slots[:count]
 
     def locate(
         self, image: U8, start: F64, warp: F64, settings: TracksSettings, reach: F64 | None = None
@@ -159,7 +132,7 @@ class FeaturePatches:
         """
         there, fit = np.array(start, dtype=np.float64), np.empty(len(start))
         window = settings.window_px | 1
-        align_patches(self.grey, self.slots, self.places, warp, image, window, _MAX_LAST_STEP, _MAX_STEPS, there, fit)
+        align_patches(self.grey, self.slots, self.places, warp, image, window, *STEPS, there, fit)
         shift = there - start
         far = (shift * shift).sum(axis=1) >= (settings.patch_moved_px if reach is None else reach) ** 2
         good = (fit > settings.patch_correlation) & ~far
@@ -177,7 +150,7 @@ def follow_patches(then: U8, now: U8, pixels: F64, start: F32, settings: TracksS
         (N, 2) pixels in the later image; (N,) which were found, and found back.
     """
     zero, upright, fit = np.zeros(len(pixels), np.int64), np.tile(np.eye(2), (len(pixels), 1, 1)), np.empty(len(pixels))
-    numbers = settings.window_px | 1, _MAX_LAST_STEP, _MAX_STEPS
+    numbers = settings.window_px | 1, *STEPS
     found, back, fit_back = start.astype(np.float64), pixels.copy(), np.empty(len(pixels))
     align_patches(then[None], zero, pixels, upright, now, *numbers, found, fit)
     align_patches(now[None], zero, found, upright, then, *numbers, back, fit_back)
@@ -191,14 +164,14 @@ def follow_patches(then: U8, now: U8, pixels: F64, start: F32, settings: TracksS
 class AnchorPatches:
     """Patches of the features of one camera, with the camera poses at which they were cut."""
 
-    def __init__(self, lens: Lens, span: float, settings: TracksSettings) -> None:
-        """Take the lens, and the px that a feature may move before it needs a new patch."""
-        self._lens, self._span, self._settings = lens, span, settings
+    def __init__(self, lens: Lens, settings: TracksSettings) -> None:
+        self._lens, self._settings = lens, settings
+        self._span = settings.patch_span * lens.camera.width  # px that a feature may move before it needs a new patch
         self._window = settings.window_px | 1
         self.clear()
 
     def clear(self) -> None:
-        """Forget all patches: their warps are not known any more."""
+        """Drop all patches: their warps are not known any more."""
         self._numbers, self._next = np.empty(0, np.int64), 0
         self._R, self._t = np.empty((0, 3, 3)), np.empty((0, 3))  # world_from_cam of each of these images
         self._patches = FeaturePatches.none(self._window)
@@ -216,13 +189,10 @@ class AnchorPatches:
         Returns:
             (N, 2) pixels, as given where there is no patch or it does not fit; (N,) which fit.
         """
-        held = self._patches
-        at = np.searchsorted(ids, held.ids)
-        present = np.flatnonzero(np.append(ids, -1)[at] == held.ids)
+        held, at = self._held_of(ids)
         out, found = np.array(pixels, dtype=np.float64), np.zeros(len(ids), bool)
-        if not len(present):
+        if not len(at):
             return out, found
-        held, at = held.select(present), at[present]
         then_from_world = self._R.transpose(0, 2, 1)
         off = then_from_world @ (pose.translation - self._t)[..., None]
         views, which = (then_from_world @ pose.rotation, off[..., 0]), np.searchsorted(self._numbers, held.image_number)
@@ -238,11 +208,15 @@ class AnchorPatches:
             ids: (N,) ascending.
             pixels: (N, 2) where they are now.
         """
-        held = self._patches
-        at = np.searchsorted(ids, held.ids)
-        present = np.flatnonzero(np.append(ids, -1)[at] == held.ids)
-        moved = pixels[at[present]] - held.pixels[present]
-        self._patches = held.select(present[(moved * moved).sum(axis=1) < self._span**2])
+        held, at = self._held_of(ids)
+        moved = pixels[at] - held.pixels
+        self._patches = held.select((moved * moved).sum(axis=1) < self._span**2)
+
+    def _held_of(self, ids: I64) -> tuple[FeaturePatches, I64]:
+        """Return the patches held of given features, and (N,) where these are in `ids`."""
+        at = np.searchsorted(ids, self._patches.ids)
+        present = np.append(ids, -1)[at] == self._patches.ids
+        return self._patches.select(present), at[present]
 
     def add_missing(self, image: U8, ids: I64, pixels: F64, pose: Pose) -> None:
         """Cut patches of the features that have none yet."""

@@ -17,31 +17,18 @@ from alight.geometry import Camera, Pose
 from alight.records import Frame, Prediction, Rig, Tracks
 from alight.settings import TracksSettings
 from alight.tracks.corners import BORDER, corner_response, detect_corners, oldest_per_cell
-from alight.tracks.epipolar import epipolar_distance, inverse_depth
-from alight.tracks.global_alignment import (
-    common_shift,
-    likely_turns,
-    match_brightness,
-    relocate,
-    warp_affine,
+from alight.tracks.global_alignment import common_shift, likely_turns, match_brightness, relocate, warp_affine
+from alight.tracks.patches import AnchorPatches, FeaturePatches, GroundPlane, follow_patches, patch_warps, smooth_image
+from alight.tracks.view_transfer import (
+    Lens,
+    PredictedPixels,
+    ViewTransfer,
+    epipolar_distance,
+    inside_search_region,
+    inverse_depth,
 )
-from alight.tracks.lens import Lens
-from alight.tracks.patches import (
-    AnchorPatches,
-    FeaturePatches,
-    GroundPlane,
-    follow_patches,
-    patch_warps,
-    smooth_image,
-)
-from alight.tracks.search_region import inside_search_region
-from alight.tracks.view_transfer import PredictedPixels, ViewTransfer
 
 Poses = tuple[Pose, ...]
-Stop = tuple[int, int, float]
-
-_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
-_STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # backward, and before patches
 
 
 def grey(image: U8) -> U8:
@@ -72,17 +59,27 @@ class _Found:
     anchored: Mask  # (N,) settled by their own patch already
 
 
+@dataclass(frozen=True, eq=False)
+class _LeftView:
+    """Features of the present image of the left camera, which are matched in the other ones."""
+
+    image: U8
+    patches: FeaturePatches  # ids are the rows of the features
+    pixels: F32  # (N, 2)
+    depth: F64  # (N,) m, NaN = unknown
+    pose: Pose | None  # world_from_cam, predicted
+
+
 class Tracker:
     """Follows features through the exposures of a rig; `feed` returns one `Tracks` an exposure."""
 
     def __init__(self, rig: Rig, settings: TracksSettings) -> None:
         self._settings = settings
-        self._cameras = [c.camera for c in rig.cameras]
-        self._lenses = [Lens(c) for c in self._cameras]
+        self._lenses = [Lens(c.camera) for c in rig.cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
-        self._views = ViewTransfer(self._cameras, self._lenses, self._cam_from_first, settings)
-        self._anchors = AnchorPatches(self._lenses[0], settings.patch_span * self._cameras[0].width, settings)
+        self._views = ViewTransfer(self._lenses, self._cam_from_first, settings)
+        self._anchors = AnchorPatches(self._lenses[0], settings)
         # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
         self._prediction_error = [np.inf] * len(rig.cameras)
         self._next_id = 0
@@ -103,7 +100,7 @@ class Tracker:
             the features observed; none when the left image is missing (tracking goes on at the next one).
         """
         if frame.images[0] is None:
-            return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
+            return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._lenses), 2)), np.empty(0))
         image = grey(np.asarray(frame.images[0]))
         soft = smooth_image(image)
         found, poses = self._track_in_time(image, soft, prediction), prediction.world_from_cams if prediction else None
@@ -112,7 +109,10 @@ class Tracker:
         ids, pixels, depth = self._add_corners(soft, ids, pixels, depth)
         if pose is not None:
             self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
-        observed, depth = self._match_across_rig(frame, image, soft, pixels, depth, pose)
+        patches = FeaturePatches.whole(
+            soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1
+        )
+        observed, depth = self._match_across_rig(frame, _LeftView(image, patches, pixels, depth, pose))
         self._last = _LastExposure(frame.t_ns, image, soft, poses, ids, pixels, depth)
         return self._tracks_of(frame.t_ns, ids, observed, corner_response(image, pixels, self._settings.window_px))
 
@@ -203,9 +203,11 @@ class Tracker:
         then, start = warp_affine(m.image, m.pixels, predicted.pixels)
         return self._match(then, image, start, predicted, 0, expected)
 
-    def _lucas_kanade(self, a: U8, b: U8, pixels: F32, predicted: F32, levels: int, stop: Stop) -> tuple[F32, Mask]:
-        window = (self._settings.window_px, self._settings.window_px)
-        options: dict[str, Any] = {"winSize": window, "maxLevel": levels - 1, "criteria": stop}
+    def _lucas_kanade(self, a: U8, b: U8, pixels: F32, predicted: F32, levels: int, stop: float) -> tuple[F32, Mask]:
+        options: dict[str, Any] = {
+            "winSize": (self._settings.window_px, self._settings.window_px), "maxLevel": levels - 1,
+            "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, stop),
+        }  # fmt: skip
         found, ok, _ = cv2.calcOpticalFlowPyrLK(
             a, b, pixels, predicted.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
@@ -229,10 +231,10 @@ class Tracker:
         s = self._settings
         a = match_brightness(a, b, s)
         levels = min(s.levels, 1 if self._is_close(cam) else 2) if expected else s.levels
-        found, good = self._lucas_kanade(a, b, pixels, predicted.pixels, levels, _STOP)
+        found, good = self._lucas_kanade(a, b, pixels, predicted.pixels, levels, 0.005)
         if cam == 0:  # a match in another camera is checked by its patch instead
             # the backward match starts where it must end: wrong matches drift away
-            back, ok = self._lucas_kanade(b, a, found, pixels, 1, _STOP_ROUGH)
+            back, ok = self._lucas_kanade(b, a, found, pixels, 1, 0.03)
             good &= ok & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
         good &= self._in_search_region(cam, found, predicted)
         self._note_prediction_error(cam, found, predicted, good)
@@ -241,7 +243,7 @@ class Tracker:
     def _in_search_region(self, cam: int, found: F32 | F64, predicted: PredictedPixels) -> Mask:
         """Return (N,) whether matches are inside the image and near enough to their prediction."""
         s, error = self._settings, found - predicted.pixels
-        good: Mask = _inside(found, self._cameras[cam]) & ((error * error).sum(axis=1) < s.search_px**2)
+        good: Mask = _inside(found, self._lenses[cam].camera) & ((error * error).sum(axis=1) < s.search_px**2)
         if predicted.covariance is not None:
             good &= inside_search_region(error, predicted.covariance, s.search_sigmas, s.search_sigma_px)
         return good
@@ -254,7 +256,7 @@ class Tracker:
 
     @property
     def _cell(self) -> float:
-        camera = self._cameras[0]
+        camera = self._lenses[0].camera
         return float(np.sqrt(camera.width * camera.height / self._settings.count))
 
     def _add_corners(self, soft: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
@@ -268,69 +270,56 @@ class Tracker:
             np.concatenate([depth, np.full(len(new), np.nan)]),
         )
 
-    def _match_across_rig(
-        self, frame: Frame, image: U8, soft: U8, pixels: F32, depth: F64, pose: Pose | None
-    ) -> tuple[F64, F64]:
+    def _match_across_rig(self, frame: Frame, left: _LeftView) -> tuple[F64, F64]:
         """Match features of the left camera in all other cameras; pixels (N, cameras, 2) and depths (N,)."""
-        window = self._settings.window_px | 1
-        patches = FeaturePatches.whole(soft, np.arange(len(pixels)), pixels.astype(np.float64), window)
-        observed = np.full((len(pixels), len(self._cameras), 2), np.nan)
-        observed[:, 0] = pixels
-        for i in range(1, len(self._cameras)):
+        observed = np.full((len(left.pixels), len(self._lenses), 2), np.nan)
+        observed[:, 0] = left.pixels
+        for i in range(1, len(self._lenses)):
             other = frame.images[i]
-            if other is not None and len(pixels):
-                found, z = self._match_stereo(i, image, grey(np.asarray(other)), pixels, depth, (patches, pose))
-                observed[:, i] = found
-                depth = np.where(np.isfinite(z), z, depth)
-        return observed, depth
+            if other is not None and len(left.pixels):
+                observed[:, i], z = self._match_stereo(i, left, grey(np.asarray(other)))
+                left = replace(left, depth=np.where(np.isfinite(z), z, left.depth))
+        return observed, left.depth
 
-    def _match_stereo(
-        self, i: int, left: U8, right: U8, pixels: F32, depth: F64, soft: tuple[FeaturePatches, Pose | None]
-    ) -> tuple[F64, F64]:
+    def _match_stereo(self, i: int, left: _LeftView, right: U8) -> tuple[F64, F64]:
         """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
-        pose, camera = self._cam_from_first[i], self._cameras[i]
+        pose, focal = self._cam_from_first[i], self._lenses[i].camera.fu
+        pixels, depth = left.pixels, left.depth
         predicted, soft_right = self._views.predicted(pixels, depth, pose, i), smooth_image(right)
         expected = bool(np.isfinite(depth).any())
         matched, good = predicted.pixels.astype(np.float64), np.zeros(len(pixels), bool)
         if expected and self._is_close(i):
-            good[soft[0].ids] = True
+            good[left.patches.ids] = True
             reach = np.where(np.isfinite(depth), self._settings.patch_moved_px, self._settings.sure_px)
-            matched = self._refine_by_patches(i, soft_right, *soft, matched, good, depth, reach)
+            matched = self._refine_by_patches(i, left, soft_right, matched, good, reach)
             good &= self._in_search_region(i, matched, predicted)
             self._note_prediction_error(i, matched, predicted, good)
         if good.mean() < 0.5:
-            rough, good = self._match(left, right, pixels, predicted, i, expected)
-            matched = self._refine_by_patches(i, soft_right, *soft, rough.astype(np.float64), good, depth)
+            rough, good = self._match(left.image, right, pixels, predicted, i, expected)
+            matched = self._refine_by_patches(i, left, soft_right, rough.astype(np.float64), good)
         found = np.where(good[:, None], matched, np.nan)
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):
             w, arm = inverse_depth(a, b, pose)
-            good &= epipolar_distance(a, b, pose) * camera.fu < self._settings.epipolar_px
-            good &= w > -2.0 / (camera.fu * arm)  # behind the camera by more than two pixels: a wrong match
+            good &= epipolar_distance(a, b, pose) * focal < self._settings.epipolar_px
+            good &= w > -2.0 / (focal * arm)  # behind the camera by more than two pixels: a wrong match
             # a disparity of less than a pixel does not determine the depth
-            z = np.where(good & (w * arm * camera.fu > 1.0), 1.0 / w, np.nan)
+            z = np.where(good & (w * arm * focal > 1.0), 1.0 / w, np.nan)
         found[~good] = np.nan
         return found, z
 
     def _refine_by_patches(
-        self,
-        i: int,
-        right: U8,
-        patches: FeaturePatches,
-        pose: Pose | None,
-        found: F64,
-        good: Mask,
-        depth: F64,
-        reach: F64 | None = None,
+        self, i: int, left: _LeftView, right: U8, found: F64, good: Mask, reach: F64 | None = None
     ) -> F64:
         """Refine matches in another camera by their patches; a match that fails is marked in `good`."""
-        patched = patches.select(good[patches.ids])
+        patched = left.patches.select(good[left.patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
-        ground, which = GroundPlane.under(pose @ to_first if pose is not None else None, depth), np.zeros_like(at)
+        ground = GroundPlane.under(left.pose @ to_first if left.pose is not None else None, left.depth)
         views = to_first.rotation[None], to_first.translation[None]
-        warps = patch_warps(found[at], self._lenses[i], views, which, ground, patched.pixels, self._lenses[0])
-        out = found.copy()
-        limit = None if reach is None else reach[at]
+        warps = patch_warps(
+            found[at], self._lenses[i], views, np.zeros_like(at), ground, patched.pixels, self._lenses[0]
+        )
+        out, limit = found.copy(), None if reach is None else reach[at]
         out[at], good[at] = patched.locate(right, found[at], warps, self._settings, limit)
         return out
 

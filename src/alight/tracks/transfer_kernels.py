@@ -7,8 +7,6 @@ import numpy as np
 from alight.arrays import F64
 from alight.compiled import kernel
 
-_LEAST_DEPTH = 1e-9  # m; smaller depths count as this in derivatives
-
 
 @kernel
 def _distort(x: float, y: float, model: int, k: F64, out: F64) -> None:
@@ -64,7 +62,7 @@ def pixel_covariances(points: F64, by_depth: F64, focal: float, root: F64, out: 
         out: (N, 2, 2).
     """
     for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], max(points[n, 2], _LEAST_DEPTH)
+        x, y, z = points[n, 0], points[n, 1], max(points[n, 2], 1e-9)
         w = focal / z
         u, v = w * (by_depth[n, 0] - x / z * by_depth[n, 2]), w * (by_depth[n, 1] - y / z * by_depth[n, 2])
         xx, xy, yy = u * u, u * v, v * v

@@ -1,4 +1,4 @@
-"""Features carried from view to view: predicted pixels with covariance, and depths (M1, M1c, M1f)."""
+"""Features carried from view to view: rays, predicted pixels with covariance, and depths (M1, M1c, M1f, M2, M3)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,88 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alight.arrays import F32, F64, I64, U8
-from alight.geometry import Camera, Pose
+from alight.arrays import F32, F64, I64, U8, Mask
+from alight.geometry import Camera, Pose, skew
 from alight.settings import TracksSettings
-from alight.tracks.epipolar import inverse_depth
+from alight.tracks.corner_kernels import interpolate_rays
 from alight.tracks.global_alignment import downsampled, downsampling_factor, image_correlation
-from alight.tracks.lens import Lens
-from alight.tracks.patches import median_depth
-from alight.tracks.search_region import pixel_covariance
-from alight.tracks.transfer_kernels import carry_points
+from alight.tracks.transfer_kernels import carry_points, line_distances, pixel_covariances, triangulate_matches
 
-_SAME_PLACE = 1e-5  # m between two views, below which no depth shifts a feature
+
+class Lens:
+    """Normalised coordinates of pixels, interpolated between whole pixels (error 1e-8 for common lenses)."""
+
+    def __init__(self, camera: Camera) -> None:
+        # (H + 2, W + 2, 2) rays of the pixels and of a pixel around the image: each frame needs hundreds, several times
+        u, v = np.meshgrid(np.arange(-1.0, camera.width + 1.0), np.arange(-1.0, camera.height + 1.0))
+        self.table = np.ascontiguousarray(camera.rays(np.stack([u, v], axis=-1))[..., :2])
+        self.camera = camera
+        self.pinhole = np.array([camera.fu, camera.fv, camera.cu, camera.cv])  # px
+
+    def normalise(self, pixels: F64) -> F64:
+        """Return the (N, 2) normalised coordinates x/z, y/z of pixels; NaN stays NaN, outside at the edge."""
+        out = np.empty((len(pixels), 2))
+        interpolate_rays(self.table, np.asarray(pixels, dtype=np.float64) + 1.0, out)
+        return out
+
+
+def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, F64]:
+    """Triangulate normalised matches: inverse depth in the first camera (M2).
+
+    Args:
+        first, other: (N, 2) normalised coordinates.
+
+    Returns:
+        (N,) inverse depth [1/m], negative where the rays diverge; (N,) length of its derivative's inverse, so that
+        the sigma of the inverse depth is the sigma of a normalised coordinate over it.
+    """
+    depth, arm = np.empty(len(first)), np.empty(len(first))
+    triangulate_matches(first, other, other_from_first.rotation, other_from_first.translation, depth, arm)
+    return depth, arm
+
+
+def epipolar_distance(first: F64, other: F64, other_from_first: Pose) -> F64:
+    """Return the (N,) distance of `other` from the epipolar line of `first`, both normalised (M3)."""
+    out = np.empty(len(first))
+    line_distances(first, other, skew(other_from_first.translation) @ other_from_first.rotation, out)
+    return out
+
+
+def pixel_covariance(points: F64, by_depth: F64, focal: float, relative_covariance: F64 | None) -> F64:
+    """Return the (N, 2, 2) covariance in px^2 of pixels predicted in a view.
+
+    Args:
+        points: (N, 3) m in the camera of that view, as predicted.
+        by_depth: (N, 3) m, motion of each point by one sigma of its depth.
+        focal: px.
+        relative_covariance: (6, 6) of the rotation and shift of all points in that camera; None: exact.
+    """
+    root = np.zeros((6, 0))
+    if relative_covariance is not None:
+        value, vector = np.linalg.eigh(relative_covariance)
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+    out = np.empty((len(points), 2, 2))
+    pixel_covariances(points, by_depth, focal, root, out)
+    return out
+
+
+def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, least: float) -> Mask:
+    """Return which of (N, 2) offsets from a predicted pixel lie inside some sigmas of it.
+
+    Args:
+        covariance: (N, 2, 2) of the prediction, px^2.
+        least: px, sigma added in every direction: of the match, and of errors that the covariance leaves out.
+    """
+    a, b, c = covariance[:, 0, 0] + least**2, covariance[:, 0, 1], covariance[:, 1, 1] + least**2
+    x, y = offset[:, 0].astype(np.float64), offset[:, 1].astype(np.float64)
+    return np.asarray(c * x * x - 2.0 * b * x * y + a * y * y <= sigmas**2 * (a * c - b * b))
+
+
+def median_depth(depth: F64, otherwise: float) -> float:
+    """Return the (upper) median of the finite depths (N,), else `otherwise`; ten times as fast as `np.median`."""
+    known = depth[np.isfinite(depth)]
+    middle = len(known) // 2
+    return float(np.partition(known, middle)[middle]) if len(known) else otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,20 +109,14 @@ class ViewTransfer:
     """Carries features of the left camera to another time or another camera of the rig.
 
     Args:
-        cameras, lenses: of the rig.
+        lenses: of the rig.
         cam_from_first: each camera from the left one.
         settings: sigmas of depths.
     """
 
-    def __init__(
-        self,
-        cameras: Sequence[Camera],
-        lenses: Sequence[Lens],
-        cam_from_first: Sequence[Pose],
-        settings: TracksSettings,
-    ) -> None:
-        self._cameras, self._lenses, self._settings = cameras, lenses, settings
-        baselines = [float(np.linalg.norm(p.translation)) * cameras[0].fu for p in cam_from_first[1:]]
+    def __init__(self, lenses: Sequence[Lens], cam_from_first: Sequence[Pose], settings: TracksSettings) -> None:
+        self._lenses, self._settings = lenses, settings
+        baselines = [float(np.linalg.norm(p.translation)) * lenses[0].camera.fu for p in cam_from_first[1:]]
         self._rig_baseline_px = max([b for b in baselines if b > 0], default=np.inf)  # m px: over the depth, disparity
 
     def predicted(
@@ -72,7 +137,7 @@ class ViewTransfer:
         moved, out = np.empty((n, 3)), np.empty((n, 2))
         flat = self._lenses[0].normalise(pixels.astype(np.float64))
         R, t, lens = other_from_first.rotation, other_from_first.translation, self._lenses[other]
-        carry_points(flat, z, R, t, lens.pinhole, lens.model, lens.coefficients, moved, out)
+        carry_points(flat, z, R, t, lens.pinhole, lens.camera.code, lens.camera.coefficients, moved, out)
         there = np.where(has_depth, moved[:, 2], np.nan)
         predicted = np.where(np.isfinite(out), out, pixels).astype(np.float32)
         if not has_depth.any():
@@ -80,39 +145,31 @@ class ViewTransfer:
         parallax = np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), s.depth_parallax_px)
         relative_sigma = np.where(has_depth, s.depth_sigma_px / parallax, s.unknown_depth_share)
         by_depth = (moved - t) * relative_sigma[:, None]
-        return PredictedPixels(
-            predicted, there, pixel_covariance(moved, by_depth, self._cameras[other].fu, relative_covariance)
-        )
+        covariance = pixel_covariance(moved, by_depth, lens.camera.fu, relative_covariance)
+        return PredictedPixels(predicted, there, covariance)
 
     def common_depth(self, images: tuple[U8, U8], pixels: F32, depth: F64, now_from_then: Pose) -> F64:
         """Return one depth for all features when none is known: that of the best correlation of the images (M1c).
 
         A single camera needs it between photos, where features move by more than a search covers.
         """
-        baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
+        baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._lenses[0].camera
+        if baseline < 1e-5:  # m: no depth shifts a feature
+            return depth
         least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
         shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
-        if baseline < _SAME_PLACE:
-            return depth
         small, now = (downsampled(image) for image in images)
-        scores = [
-            image_correlation(
-                small,
-                now,
-                pixels,
-                self.predicted(pixels, tried, now_from_then, 0).pixels,
-                downsampling_factor(images[1]),
-                self._settings.least_overlap,
-            )
-            for tried in (np.full(len(pixels), baseline / s) for s in shifts)
-        ]
+        factor, scores = downsampling_factor(images[1]), list[float]()
+        for shift in shifts:
+            tried = self.predicted(pixels, np.full(len(pixels), baseline / shift), now_from_then, 0).pixels
+            scores.append(image_correlation(small, now, pixels, tried, factor, self._settings.least_overlap))
         return np.full(len(pixels), baseline / shifts[int(np.argmax(scores))])
 
     def updated_depths(self, before: F32, pixels: F32, depth: F64, now_from_then: Pose) -> F64:
         """Return depths in the present view: by parallax where it suffices, else the old depths moved on."""
-        camera = self._cameras[0]
+        focal = self._lenses[0].camera.fu
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (before, pixels))
         w, arm = inverse_depth(then, now, now_from_then)
-        z = np.where(w * arm * camera.fu > self._settings.depth_parallax_px, 1.0 / np.maximum(w, 1e-9), depth)
+        z = np.where(w * arm * focal > self._settings.depth_parallax_px, 1.0 / np.maximum(w, 1e-9), depth)
         points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
         return np.asarray(now_from_then.apply(points)[:, 2])

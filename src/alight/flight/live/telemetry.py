@@ -11,9 +11,8 @@ from collections.abc import Iterator, Mapping
 from alight.flight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.geometry import LocalFrame
 from alight.records import Event, InputError, NavSample
-from alight.sources.arrival import as_they_arrive
 from alight.sources.calibrated_folder import CalibratedFolder
-from alight.sources.live import LiveSource
+from alight.sources.live import LiveSource, as_they_arrive
 
 log = logging.getLogger(__name__)
 

@@ -27,9 +27,8 @@ from alight.records import Event, Frame, Home, InputError, NoticeKind, RunResult
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runs import flown_home, with_home
 from alight.settings import Settings
-from alight.sources.arrival import as_they_arrive
 from alight.sources.calibrated_folder import CalibratedFolder
-from alight.sources.live import LiveSource, open_sensors
+from alight.sources.live import LiveSource, as_they_arrive, open_sensors
 
 PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are accepted

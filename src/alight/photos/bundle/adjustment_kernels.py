@@ -1,4 +1,6 @@
-"""Loops of the adjustment over the observations: kernels. Equation numbers: docs/method/bundle.md.
+"""Loops of the adjustment over the observations, and points triangulated from their rays: kernels.
+
+Equation numbers: docs/method/bundle.md.
 
 N observations of m points in n photos by c cameras, sorted by point, those of a point by photo; no photo twice. A photo
 has e unknowns, position and rotation, and six more for turns during the readout; its camera up to f free lens numbers.
@@ -19,9 +21,8 @@ import numpy as np
 
 from alight.arrays import F64, I64
 from alight.compiled import kernel, pixelwise
-from alight.motion.point_kernels import MIN_DEPTH, to_camera
-from alight.photos.bundle.lens_kernels import distort
-from alight.photos.bundle.rolling_kernels import HEIGHT, READOUT, expose, quadratic, row_time
+from alight.motion.point_kernels import MIN_DEPTH, nearest_point, to_camera
+from alight.photos.bundle.camera_kernels import distort, expose, quadratic, row_time, undistort
 
 READOUT_NUMBER = 9  # among the numbers of a lens: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
 FAR = 1e4  # px, the residual of a point behind the camera
@@ -38,8 +39,8 @@ def predict_pixels(
     for n in range(len(photo)):
         i = photo[n]
         of = lens[camera[i]]
-        t = row_time(pixels[n, 1], of[HEIGHT])
-        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
+        t = row_time(pixels[n, 1], of)
+        expose(R[i], C[i], turns[i], velocity[i], of, t, turn, row_R, row_C)
         to_camera(row_R, row_C, x[point[n]], q)
         depth[n] = q[2]
         out[n] = np.nan
@@ -151,8 +152,8 @@ def linearise(
     for n in range(len(photo)):
         i, k = photo[n], point[n]
         c = camera[i]
-        of, t = lens[c], row_time(pixels[n, 1], lens[c, HEIGHT])
-        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
+        of, t = lens[c], row_time(pixels[n, 1], lens[c])
+        expose(R[i], C[i], turns[i], velocity[i], of, t, turn, row_R, row_C)
         to_camera(row_R, row_C, x[k], q)
         near = 1.0 / max(q[2], MIN_DEPTH)
         distort(q[0] * near, q[1] * near, model[c], of[4:9], flat, by_xy, by_k)
@@ -171,3 +172,62 @@ def linearise(
         _add_photo(J, r, own[i], right[i])
         _add_point(B, r, information[k], gradient[k])
         _couple(B, J, each, place[c], coupling[n], lens_coupling[k])
+
+
+@kernel
+def rays_of_pixels(
+    photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
+    ray: F64, origin: F64,
+) -> None:  # fmt: skip
+    """Write the (N, 3) unit rays of pixels in the world, and their (N, 3) origins, metres (eq. 10)."""
+    turn, row_R, at = np.empty((3, 3)), np.empty((3, 3)), np.empty(2)
+    flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
+    for n in range(len(photo)):
+        i = photo[n]
+        of = lens[camera[i]]
+        t = row_time(pixels[n, 1], of)
+        expose(R[i], C[i], turns[i], velocity[i], of, t, turn, row_R, origin[n])
+        u, v = (pixels[n, 0] - of[2]) / of[0], (pixels[n, 1] - of[3]) / of[1]
+        undistort(u, v, model[camera[i]], of[4:9], at, flat, by_xy, by_k)
+        long = math.sqrt(at[0] * at[0] + at[1] * at[1] + 1.0)
+        for j in range(3):
+            ray[n, j] = (row_R[j, 0] * at[0] + row_R[j, 1] * at[1] + row_R[j, 2]) / long
+
+
+@pixelwise
+def _reweigh(ray: F64, origin: F64, x: F64, focal: float, scale: float) -> float:
+    """The Cauchy weight of a ray that misses a point by an angle, over its squared distance."""
+    a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
+    along = ray[0] * a + ray[1] * b + ray[2] * c
+    square = max(a * a + b * b + c * c, 1e-6 * 1e-6)
+    across = (a - ray[0] * along) ** 2 + (b - ray[1] * along) ** 2 + (c - ray[2] * along) ** 2
+    weight: float = 1.0 / ((1.0 + across / square * (focal / scale) ** 2) * square)
+    return weight
+
+
+@kernel
+def meet_rays(
+    starts: I64, ray: F64, origin: F64, focal: F64, rounds: int, scale: float, regular: float, weight: F64, out: F64
+) -> None:
+    """Write the points nearest to their rays (midpoint method), with Cauchy weights.
+
+    Args:
+        starts: (m + 1,) first ray of each point, then N.
+        ray, origin: (N, 3) unit directions and origins, sorted by point.
+        focal: (N,) px.
+        rounds: of weighting.
+        scale: px, of the Cauchy loss.
+        regular: on the diagonal of a point's information, relative to the largest weight.
+        weight: (N,) those of the first round; then scratch.
+        out: (m, 3)
+    """
+    room, y = np.empty((3, 3, 3)), np.empty(3)
+    largest = 1.0
+    for _ in range(rounds):
+        least, top = regular * largest, 0.0
+        for k in range(len(starts) - 1):
+            nearest_point(ray, origin, weight, starts[k], starts[k + 1], least, room, y, out[k])
+            for n in range(starts[k], starts[k + 1]):
+                weight[n] = _reweigh(ray[n], origin[n], out[k], focal[n], scale)
+                top = max(top, weight[n])
+        largest = top

@@ -10,19 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from alight.arrays import F64, I64
-from alight.photos.bundle.matching import BundleObservations, PhotoFeatures
+from alight.arrays import F64, I64, Mask
+from alight.photos.bundle.features import PhotoFeatures
+from alight.photos.bundle.matching import BundleObservations
 from alight.spread import SIGMA_OF_MAD
 
-DARK, BRIGHT = 8.0, 245.0  # colours beyond are not used: noise, or overexposed
 TIE = 0.02  # weight, of a photo's observations, of the prior that its factor is 1
-ROUNDS = 3
-FAR = 3.0  # robust sigmas: a colour that is off by more (a car, a glint) does not count
-MOST = 4.0  # largest factor
 
 
 def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservations) -> F64:
@@ -41,19 +37,19 @@ def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservat
         if of is not None and len(of.pixels):
             away, which = cKDTree(of.pixels).query(obs.pixels[rows])
             colour[rows] = np.where(away[:, None] < 1e-6, of.colours[which], np.nan)
-    known = np.all((colour > DARK) & (colour < BRIGHT), axis=1)
+    known = np.all((colour > 8.0) & (colour < 245.0), axis=1)  # without noise and overexposure
     obs, value = _of(obs, known, np.log(np.where(known[:, None], colour, 1.0)))
     out = np.zeros((len(features), 3))
-    for _ in range(ROUNDS if len(value) else 0):
+    for _ in range(3 if len(value) else 0):
         out = _solved(obs, value, len(features))
         off = value + out[obs.photo]
         off -= _means(obs, off)[obs.point]
         sigma = np.maximum(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), 1e-6)
-        obs, value = _of(obs, np.all(np.abs(off) < FAR * sigma, axis=1), value)
-    return np.asarray(np.exp(out).clip(1 / MOST, MOST))
+        obs, value = _of(obs, np.all(np.abs(off) < 3.0 * sigma, axis=1), value)  # without cars and glints
+    return np.asarray(np.exp(out).clip(1 / 4.0, 4.0))
 
 
-def _of(obs: BundleObservations, rows: NDArray[np.bool_], value: F64) -> tuple[BundleObservations, F64]:
+def _of(obs: BundleObservations, rows: Mask, value: F64) -> tuple[BundleObservations, F64]:
     """Keep rows, of points that are still seen twice, with their values."""
     rows = rows & (np.bincount(obs.point[rows], minlength=obs.points)[obs.point] >= 2)
     return obs.keep(rows)[0], value[rows]

@@ -19,12 +19,7 @@ class PhotoLenses:
     cameras: tuple[Camera, ...]
     of: I64  # (n,) number of the camera of each photo
     readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
-    told: tuple[float | None, ...] = ()  # s, the readouts from the makers, which are held; none: none is known
-
-    @classmethod
-    def one(cls, camera: Camera, photos: int) -> PhotoLenses:
-        """All photos by one camera."""
-        return cls((camera,), np.zeros(photos, np.int64))
+    by_maker: tuple[float | None, ...] = ()  # s, the readouts from the makers, which are held; none: none is known
 
     def of_photo(self, photo: int) -> Camera:
         """The camera of one photo."""
@@ -39,27 +34,22 @@ class PhotoLenses:
     def moved(self, lens: F64) -> PhotoLenses:
         """The cameras moved by lens offsets (k,) (eq. 3)."""
         moved = tuple(lens_camera(c, lens[part]) for c, part in zip(self.cameras, self.parts, strict=True))
-        return replace(self, cameras=moved, readouts=tuple(float(lens[part.stop - 1]) for part in self.parts))
+        return replace(self, cameras=moved, readouts=tuple(float(lens[k]) for k in self.readout_numbers))
 
     @property
     def readout_numbers(self) -> list[int]:
         """Indices of the readouts among all lens numbers."""
         return [part.stop - 1 for part in self.parts]
 
-    def told_of(self, camera: int) -> float | None:
+    def maker_readout(self, camera: int) -> float | None:
         """Readout of a camera from its maker, s; None: not known."""
-        return self.told[camera] if self.told else None
+        return self.by_maker[camera] if self.by_maker else None
 
-    @property
-    def any_told(self) -> bool:
-        """True if a maker states the readout of any camera."""
-        return any(readout is not None for readout in self.told)
-
-    def with_told(self, lens: F64) -> F64:
+    def with_maker_readouts(self, lens: F64) -> F64:
         """Lens numbers (k,) with the readouts from the makers."""
         lens = lens.copy()
         for k, number in enumerate(self.readout_numbers):
-            lens[number] = lens[number] if self.told_of(k) is None else self.told_of(k)
+            lens[number] = lens[number] if self.maker_readout(k) is None else self.maker_readout(k)
         return lens
 
     def readout(self, photo: I64) -> F64:

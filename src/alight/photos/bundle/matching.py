@@ -1,50 +1,27 @@
-"""Photos to tracks: SIFT features, pairs of neighbours, matches verified by two-view geometry, tracks.
+"""Photos to tracks: pairs of neighbours, matches verified by two-view geometry, tracks.
 
-Descriptors are OpenCV's, two-view geometry is pycolmap's. Random seeds are fixed.
+Two-view geometry is pycolmap's. Random seeds are fixed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from alight.arrays import F32, F64, I64, U8, Mask
+from alight.arrays import F32, F64, I64, Mask
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
+from alight.photos.bundle.features import PhotoFeatures, colmap, colmap_camera
 from alight.photos.bundle.lenses import PhotoLenses
-from alight.photos.bundle.sift import BLURRED, detect, keypoints
-from alight.records import Frame, MissingExtraError, Pixels
+from alight.records import Frame
 from alight.settings import BundleSettings
 
-_DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: error of the nominal distortion in the corners
-_BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
-_ENOUGH = 1500  # features of a photo from which its doubled picture is not used
-_CONTRAST = 0.02  # least contrast of a feature, grey levels over 255: it gives as many features as pycolmap
-_AROUND = 9  # px, side of the square of the features' picture over which a feature's colour is averaged
-
-
-@dataclass(frozen=True, eq=False)
-class PhotoFeatures:
-    """The features of one photo."""
-
-    pixels: F64  # (K, 2) in the photo's own pixels
-    descriptors: U8  # (K, 128) as found
-    colours: F32  # (K, 3) of the picture about each
-
-    @property
-    def unit(self) -> F32:
-        """The descriptors, (K, 128), of unit length."""
-        table = self.descriptors.astype(np.float32)
-        return np.asarray(table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,119 +54,12 @@ class BundleObservations:
         """Number of points."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
-    def keep(self, rows: NDArray[np.bool_], least: int = 2) -> tuple[BundleObservations, I64]:
+    def keep(self, rows: Mask, least: int = 2) -> tuple[BundleObservations, I64]:
         """Return the rows that are kept, without points of fewer than `least`; old numbers of those left."""
         count = np.bincount(self.point[rows], minlength=self.points)
         rows = rows & (count[self.point] >= least)
         old, point = np.unique(self.point[rows], return_inverse=True)
         return BundleObservations(self.photo[rows], point.astype(np.int64), self.pixels[rows], self.by_patch[rows]), old
-
-
-def colmap() -> ModuleType:
-    """Return pycolmap, silenced.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    try:
-        import pycolmap
-    except ImportError as e:
-        raise MissingExtraError("pycolmap", "photos") from e
-    pycolmap.logging.logtostderr = False
-    pycolmap.logging.alsologtostderr = False
-    pycolmap.logging.minloglevel = 3
-    pycolmap.logging.stderrthreshold = 3
-    module: ModuleType = pycolmap
-    return module
-
-
-def colmap_camera(camera: Camera) -> object:
-    """Return a camera of pycolmap, where pixel (0, 0) is the corner and not the centre of the first pixel."""
-    k = [camera.fu, camera.fv, camera.cu + 0.5, camera.cv + 0.5]
-    d = list(camera.distortion)
-    model, params = {
-        "none": ("PINHOLE", k),
-        "radial-tangential": ("FULL_OPENCV", k + d + [0.0] * (8 - len(d))),
-        "equidistant": ("OPENCV_FISHEYE", k + d),
-    }[camera.model]
-    out = colmap().Camera(model=model, width=camera.width, height=camera.height, params=params)
-    out.has_prior_focal_length = True
-    return out
-
-
-def shrunk(image: Pixels, longest: float) -> U8:
-    """The picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
-    picture = np.asarray(image)
-    factor = longest / max(picture.shape[:2])
-    if factor < 1.0:
-        size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-    return np.ascontiguousarray(picture, dtype=np.uint8)
-
-
-def grey_levels(picture: U8) -> U8:
-    """Grey levels (H, W) of a picture that is grey or RGB."""
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)) if picture.ndim == 3 else picture
-
-
-def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
-    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
-
-    Where the picture has too few, because it is small or dull, those of the doubled picture are taken as well: it costs
-    four times as much.
-    """
-    picture = np.asarray(image)
-    read = shrunk(picture, settings.image_px)
-    grey = grey_levels(read)
-    place, table = described(grey, detect(grey, _CONTRAST), settings.features)
-    if len(place) < min(_ENOUGH, settings.features):
-        twice = np.asarray(cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR), np.uint8)
-        found = detect(twice, _CONTRAST, 2 * BLURRED, octaves=1)
-        finer, its_table = described(twice, found, settings.features - len(place))
-        place, table = np.concatenate([place, (finer + 0.5) / 2 - 0.5]), np.concatenate([table, its_table])
-    scale = np.array(picture.shape[1::-1]) / grey.shape[1::-1]
-    return PhotoFeatures((place + 0.5) * scale - 0.5, table, colours_at(read, place))
-
-
-def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
-    """The largest of the features `found`, at most `count`: their places (K, 2), px, and descriptors (K, 128)."""
-    largest = np.argsort(-found[:, 2], kind="stable")[:count]
-    kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
-    place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
-    return place, rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors)
-
-
-def rooted(descriptors: F32) -> U8:
-    """The square roots of descriptors (K, 128) over their sums: distances by Hellinger (Arandjelovic 2012)."""
-    share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
-    return np.asarray(np.rint(np.minimum(512.0 * np.sqrt(share), 255.0)), dtype=np.uint8)
-
-
-def colours_at(picture: U8, pixels: F64) -> F32:
-    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); a grey one has three equal colours."""
-    even = cv2.blur(picture, (_AROUND, _AROUND))
-    even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
-    col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
-    return np.asarray(even[row, col], dtype=np.float32)
-
-
-def taken_by(frame: Frame) -> int:
-    """The first camera of the rig that has a picture of an exposure; 0 where none has."""
-    return next((k for k, image in enumerate(frame.images) if image is not None), 0)
-
-
-def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures | None]:
-    """Find the features of every photo, in order; None where there is no picture."""
-    colmap()
-    images = [frame.images[taken_by(frame)] if frame.images else None for frame in frames]
-    tasks = (
-        Task(f"features-{frame.t_ns}", extract, (Sent(f"photo-{frame.t_ns}-{taken_by(frame)}", image), settings))
-        for frame, image in zip(frames, images, strict=True)
-        if image is not None
-    )
-    found = jobs.run(tasks, at_once=True)
-    for image in images:
-        yield None if image is None else next(found)
 
 
 def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
@@ -219,11 +89,12 @@ def match_descriptors(a: F32, b: F32) -> I64:
     """Match unit descriptors (K, 128) and (L, 128): best both ways and clearly better than the second; (M, 2)."""
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
+    block = 1024  # rows matched at once: bounds the table of descriptor products
     best = np.empty(len(a), dtype=np.int64)
     first, second = np.empty(len(a), dtype=np.float32), np.empty(len(a), dtype=np.float32)
     back = np.full(len(b), -2.0, dtype=np.float32)
-    for start in range(0, len(a), _BLOCK):
-        score = a[start : start + _BLOCK] @ b.T
+    for start in range(0, len(a), block):
+        score = a[start : start + block] @ b.T
         rows = slice(start, start + len(score))
         at = np.arange(len(score))
         np.maximum(back, score.max(axis=0), out=back)

@@ -9,35 +9,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
-from alight.arrays import F64, I64
+from alight.arrays import F64, I64, Mask
 from alight.geometry import so3_exp, so3_log
 from alight.photos.bundle.matching import Pair
+from alight.photos.bundle.priors import COMMON_HEADING, HALF_TURN, gps_heading_sigma, levelled
+from alight.photos.bundle.solver import Priors
 
-# rad between gimbal and images: chains of relative rotations drift by a third of it, wrong tags are far above
-_MAX_DISAGREEMENT = 0.35
+_MAX_DISAGREEMENT = 0.35  # rad between gimbal and images: chains of rotations drift by a third of it
 _AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
-COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings: some compasses are off by 0.9
 _MOST_COMMON_HEADING = 1.2  # rad; tags off by more are half a turn off, or of no use
 _DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground it correlates with the rotation
-_NADIR = np.diag(
-    [1.0, -1.0, -1.0]
-)  # world_from_cam of a camera that looks straight down: assumed where no photo has an attitude
-_NADIR_SIGMA = 0.5  # rad
+_NADIR_SIGMA = 0.5  # rad, of a camera that is taken to look straight down, where no photo has an attitude
 _MAX_BASELINE_ERROR = 5.0  # sigmas; a baseline with a larger one is wrong
-_JUMP_SHARE = 0.6  # share of wrong baselines of a photo that jumped
-_SWEEPS = 30  # over all photos, of the rotation averaging
-_MEDIAN_STEPS, _MIN_ANGLE = 3, 1e-3  # of Weiszfeld; rad, below which all rotations have the same weight
-_ALIGNMENT_ROUNDS = 20
-HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 
 
 @dataclass(frozen=True, eq=False)
-class Oriented:
+class _Oriented:
     """First poses of the photos of one connected component."""
 
     photos: I64  # (k,) photo numbers
@@ -49,6 +40,83 @@ class Oriented:
     cost: float  # Cauchy, of GPS baselines and attitudes
     baselines: int  # number of baselines
     heading: float  # rad, common error of the headings of all tags, clockwise from above
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPoses:
+    """First poses of all photos, and the tags that the images contradict."""
+
+    centres: F64  # (n, 3) metres
+    rotations: F64  # (n, 3, 3) world_from_cam
+    groups: tuple[I64, ...]  # photos that are connected by matches
+    photos: I64  # photos with a pose
+    turned: I64  # photos whose attitude tag is half a turn off
+    contradicted: I64  # photos whose attitude tag is wrong
+    overruled: I64  # photos whose heading has the common error of all headings
+    jumped: I64  # photos whose GPS position is wrong
+    warnings: list[str]
+    climbs: bool  # a level flight fits better than the altitude tags, which are ignored
+
+
+def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
+    """Orient every connected component; None when no two photos with GPS are connected.
+
+    Altitude tags are ignored where a level flight fits better, by a tenth of the cost of a baseline, and half of the
+    tags are more than two sigmas off one height.
+    """
+    n = len(priors.centres)
+    gimbal = priors.world_from_body @ priors.body_from_cam
+    rotations, centres = np.tile(np.eye(3), (n, 1, 1)), _fill_missing(priors.centres, pairs)
+    located = np.asarray(np.isfinite(priors.centres).all(axis=1))
+    groups = [g for g in components(n, pairs) if located[g].sum() >= 2]
+    if not groups:
+        return None
+    found = [_orient(g, pairs, priors.centres, priors.sigma_centres, gimbal) for g in groups]
+    level, climbs = levelled(priors), False
+    off = np.abs(priors.centres - level.centres)[:, 2] / priors.sigma_centres[:, 2]
+    if float(np.nanmedian(off)) > 2.0:
+        flat = [_orient(g, pairs, level.centres, priors.sigma_centres, gimbal) for g in groups]
+        gain = sum(f.cost for f in found) - sum(f.cost for f in flat)
+        climbs = gain > 0.1 * sum(f.baselines for f in found)
+        if climbs:
+            found, centres = flat, _fill_missing(level.centres, pairs)
+    for f in found:
+        rotations[f.photos] = f.world_from_cam
+    warnings = [
+        f"{len(f.photos)} photos in one line without attitude: the camera is taken to look straight down"
+        for f in found
+        if f.guessed
+    ]
+    misled = [f for f in found if abs(f.heading) > max(0.2, 3.0 * gps_heading_sigma(f.photos, priors))]  # rad, sigmas
+    warnings += [
+        f"the headings in the attitude tags of {len(f.photos)} photos are off by {np.degrees(f.heading):+.0f} degrees "
+        "alike: GPS and the pictures decide"
+        for f in misled
+    ]
+    overruled = np.concatenate([*(f.photos for f in misled), np.empty(0, np.int64)])
+    photos, turned, wrong, jumped = (
+        np.sort(np.concatenate([getattr(f, name) for f in found]))
+        for name in ("photos", "turned", "contradicted", "jumped")
+    )
+    return FirstPoses(centres, rotations, tuple(groups), photos, turned, wrong, overruled, jumped, warnings, climbs)
+
+
+def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
+    """Give photos without GPS the mean position of the photos they match, weighted by matches."""
+    out = centres.copy()
+    for _ in range(len(centres)):
+        missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
+        matched: dict[int, list[tuple[int, int]]] = {int(i): [] for i in missing}
+        for p in pairs:
+            for a, b in ((p.i, p.j), (p.j, p.i)):
+                if a in matched and np.isfinite(out[b]).all():
+                    matched[a].append((b, len(p.matches)))
+        located = {a: s for a, s in matched.items() if s}
+        for a, s in located.items():
+            out[a] = np.average(out[[b for b, _ in s]], axis=0, weights=[m for _, m in s])
+        if not located:
+            break
+    return np.nan_to_num(out)
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
@@ -65,9 +133,9 @@ def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
 def _median_rotation(rotations: F64, start: F64) -> F64:
     """Return the geometric median of (k, 3, 3) rotations by Weiszfeld steps: robust to a minority of wrong ones."""
     R = start
-    for _ in range(_MEDIAN_STEPS):
+    for _ in range(3):
         logs = so3_log(rotations @ R.T)
-        weight = 1.0 / np.maximum(np.linalg.norm(logs, axis=1), _MIN_ANGLE)
+        weight = 1.0 / np.maximum(np.linalg.norm(logs, axis=1), 1e-3)
         R = so3_exp((weight[:, None] * logs).sum(axis=0) / weight.sum()) @ R
     return R
 
@@ -90,7 +158,7 @@ def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
     R = np.tile(np.eye(3), (len(photos), 1, 1))
     for s in order[1:]:
         R[s] = next(R[o] @ Q for o, Q in neighbours[s] if o == parent[s])
-    for _ in range(_SWEEPS):
+    for _ in range(30):
         for s in order[1:]:
             R[s] = _median_rotation(np.array([R[o] @ Q for o, Q in neighbours[s]]), R[s])
     return R
@@ -104,7 +172,7 @@ def _alignment(world: F64, frame: F64, weight: F64) -> F64:
 def _robust_alignment(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
     """Return `world_from_frame` as `_alignment`, with Cauchy weights, `sigma` (q,) in rad."""
     R = start
-    for _ in range(_ALIGNMENT_ROUNDS):
+    for _ in range(20):
         r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
         R = _alignment(world, frame, 1.0 / (sigma**2 * (1.0 + r2)))
     return R
@@ -148,14 +216,14 @@ def _jumped(base: _Baselines, R: F64) -> I64:
         numbers = np.unique(base.ends[left])
         share = [is_wrong[left & (base.ends == k).any(axis=1)].mean() for k in numbers]
         worst = int(np.argmax(share))
-        if share[worst] <= _JUMP_SHARE:
+        if share[worst] <= 0.6:
             break
         out.append(int(numbers[worst]))
         left &= ~(base.ends == out[-1]).any(axis=1)
     return np.array(sorted(out), dtype=np.int64)
 
 
-def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> Oriented:
+def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> _Oriented:
     """Turn the averaged rotations of one component into the world.
 
     `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
@@ -172,17 +240,21 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
             _world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))
         ]
     else:
-        starts = [_world_from_frame(base, np.tile(_NADIR, (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA)]
+        starts = [
+            _world_from_frame(
+                base, np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA
+            )
+        ]
     cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
     world_from_cam = R @ frame_from_cam
     heading = _common_heading(world_from_cam[tagged], tags[tagged])
-    tags = _about_up(heading) @ tags
+    tags = so3_exp([0.0, 0.0, heading]) @ tags
     agrees = tagged & _agree(world_from_cam, tags)
     turned = tagged & ~agrees & _agree(world_from_cam, tags @ HALF_TURN)
     world_from_cam[agrees] = tags[agrees]
     world_from_cam[turned] = tags[turned] @ HALF_TURN
     wrong = photos[tagged & ~agrees & ~turned]
-    return Oriented(
+    return _Oriented(
         photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base),
         cost, len(base.noise), heading,
     )  # fmt: skip
@@ -204,7 +276,7 @@ def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tu
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
     """Return the Cauchy cost of a rotation over baselines and all axes: the same for every start."""
     heading = _common_heading(R @ frame_from_cam, tags)
-    axes = ((_about_up(heading) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
+    axes = ((so3_exp([0.0, 0.0, heading]) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
     common = (heading / COMMON_HEADING) ** 2
     return float(np.log1p(base.misfit(R)).sum() + np.log1p(axes).sum() + common)
 
@@ -220,11 +292,7 @@ def _common_heading(world_from_cam: F64, tags: F64) -> float:
     return middle if abs(middle) < _MOST_COMMON_HEADING else 0.0
 
 
-def _about_up(angle: float) -> F64:
-    return so3_exp(np.array([0.0, 0.0, angle]))
-
-
-def _agree(a: F64, b: F64) -> NDArray[np.bool_]:
+def _agree(a: F64, b: F64) -> Mask:
     """Return True where rotations (k, 3, 3) agree to `_MAX_DISAGREEMENT`; NaN never does."""
     cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
     return np.asarray(cosine > np.cos(_MAX_DISAGREEMENT))

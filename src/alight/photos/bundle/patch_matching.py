@@ -15,8 +15,8 @@ import numpy as np
 from alight.arrays import F16, F32, F64, I64, Mask
 from alight.jobs import InTurn, Task
 from alight.photos.bundle import patch_matching_kernels as kernels
-from alight.photos.bundle.lenses import PhotoLenses
-from alight.photos.bundle.matching import BundleObservations, grey_levels, shrunk, taken_by
+from alight.photos.bundle.features import grey_levels, shrunk, taken_by
+from alight.photos.bundle.matching import BundleObservations
 from alight.photos.bundle.solver import BundleState, Priors, project_points
 from alight.records import Frame, Pixels
 
@@ -25,8 +25,6 @@ log = logging.getLogger(__name__)
 LEAST_LIKENESS = 0.8  # coefficient of correlation of a patch that counts as found
 MOST_PX = 3200  # longest side of the pictures that patches are matched in
 _SIDE = 2 * kernels.HALF + 3  # pixels of a patch with its margin
-_REACH = 5.0  # pixels, over which the ground about a point counts as level
-_MOST_WARP = 3.0  # largest distance of two neighbouring pixels of the patch in the other photo, its pixels
 
 
 def refine_observations(
@@ -42,8 +40,7 @@ def refine_observations(
     """
     if not len(obs.photo):
         return obs
-    lenses = priors.lenses.moved(state.lens)
-    warp = _warps(state, obs, lenses, priors.velocity)
+    warp = _warps(state, obs, priors)
     first = np.zeros(len(obs.photo), dtype=bool)
     first[obs.starts] = True
     patches = np.full((obs.points, _SIDE, _SIDE), np.nan, np.float16)
@@ -105,32 +102,28 @@ def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
     return moved / scale
 
 
-def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> F64:
+def _warps(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
     """(N, 2, 2) shift of the ground in each picture, pixels, for a shift by one pixel in the point's first picture.
 
-    Pixels are those of the pictures that patches are matched in. The ground about a point counts as level.
+    Pixels are those of the pictures that patches are matched in. The ground counts as level over five pixels about a
+    point. NaN where the patch is stretched more than three times: it cannot be found there.
     """
-    first = obs.starts[obs.point]
+    lenses, first = priors.lenses.moved(state.lens), obs.starts[obs.point]
     away = np.linalg.norm(state.points[obs.point] - state.centres[obs.photo], axis=1)
-    reach = _REACH * np.median(away / lenses.focal(obs.photo)[:, 0])
+    reach = 5.0 * np.median(away / lenses.focal(obs.photo)[:, 0])
     sides = np.empty((2, 2, len(obs.photo), 2))  # axis, side
     for axis in (0, 1):
         for side, sign in enumerate((-0.5, 0.5)):
             beside = state.points.copy()
             beside[:, axis] += sign * reach
-            sides[axis, side] = project_points(replace(state, points=beside), obs, lenses, velocity)[0]
+            sides[axis, side] = project_points(replace(state, points=beside), obs, priors).pixels
     by_ground = np.moveaxis(sides[:, 1] - sides[:, 0], 0, 2)  # (N, 2 pixels, 2 axes)
     with np.errstate(divide="ignore", invalid="ignore"):
-        warp = by_ground @ _inverses(by_ground[first])
+        A = by_ground[first]
+        det = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+        adjoint = np.array([[A[:, 1, 1], -A[:, 0, 1]], [-A[:, 1, 0], A[:, 0, 0]]])
+        warp = by_ground @ np.moveaxis(adjoint / det, 2, 0)
     reduced = np.array([min(1.0, MOST_PX / max(c.width, c.height)) for c in lenses.cameras])[lenses.of[obs.photo]]
     warp *= (reduced / reduced[first])[:, None, None]
-    size = np.abs(warp).max(axis=(1, 2))
-    warp[~(size < _MOST_WARP)] = np.nan  # no patch can be found there
+    warp[~(np.abs(warp).max(axis=(1, 2)) < 3.0)] = np.nan
     return np.asarray(warp)
-
-
-def _inverses(A: F64) -> F64:
-    """Inverses of matrices (N, 2, 2); not finite where there is none."""
-    det = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
-    adjoint = np.array([[A[:, 1, 1], -A[:, 0, 1]], [-A[:, 1, 0], A[:, 0, 0]]])
-    return np.asarray(np.moveaxis(adjoint / det, 2, 0))

@@ -11,12 +11,7 @@ from alight.arrays import F32, F64
 from alight.compiled import kernel, pixelwise
 
 HALF = 7  # pixels from the middle of a patch to its sides
-SPREAD = 4.2  # pixels, 1-sigma of the weights about the middle
-MOST = 1.5  # pixels that an observation may move
-_STEP = 0.003  # pixels; smaller steps end the search
-_ROUNDS = 10
 _LEAST_VARIANCE = 1.0  # squared grey levels of a patch
-_LEAST_ANGLE = 1e-4  # determinant over the product of the diagonal, of the normal equations
 
 
 @pixelwise
@@ -62,7 +57,7 @@ def _inverse(N: F64, out: F64) -> bool:
     out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
     out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
     det = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
-    if not det > _LEAST_ANGLE * a * d * f:
+    if not det > 1e-4 * a * d * f:
         return False
     for i in range(3):
         for j in range(i, 3):
@@ -130,7 +125,7 @@ def _slide(
 ) -> float:  # fmt: skip
     """Write the shift (2,) at which a patch is found (eqs. 13, 14); return its correlation there, 0: not found."""
     moved[:] = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(10):
         mean, square = _overlap(picture, at[0] + moved[0], at[1] + moved[1], warp, weight, terms, wx, wy, right)
         there = square / whole - (mean / whole) ** 2
         if not there > _LEAST_VARIANCE:  # also refuses NaN
@@ -143,9 +138,9 @@ def _slide(
         step_x, step_y = warp[0, 0] * dx + warp[0, 1] * dy, warp[1, 0] * dx + warp[1, 1] * dy
         moved[0] -= step_x
         moved[1] -= step_y
-        if moved[0] * moved[0] + moved[1] * moved[1] > MOST * MOST:
+        if moved[0] * moved[0] + moved[1] * moved[1] > 1.5 * 1.5:  # px that an observation may move
             break
-        if step_x * step_x + step_y * step_y < _STEP * _STEP:
+        if step_x * step_x + step_y * step_y < 0.003 * 0.003:
             likeness: float = right[0] / whole / math.sqrt(there * variance)
             return likeness
     return 0.0
@@ -167,7 +162,7 @@ def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, li
     weight = np.empty(side * side)
     for r in range(side):
         for c in range(side):
-            weight[r * side + c] = math.exp(-0.5 * ((r - HALF) ** 2 + (c - HALF) ** 2) / SPREAD**2)
+            weight[r * side + c] = math.exp(-0.5 * ((r - HALF) ** 2 + (c - HALF) ** 2) / 4.2**2)
     whole = weight.sum()
     terms, N, C = np.empty((3, side * side)), np.empty((3, 3)), np.empty((3, 3))
     right, h, wx, wy = np.empty(3), np.empty(3), np.empty(4), np.empty(4)

@@ -1,4 +1,9 @@
-"""Priors of a bundle adjustment from GPS, gimbal and calibration, and their correction by the images."""
+"""Priors of a bundle adjustment from GPS, gimbal and calibration, and their correction by the images.
+
+With a rolling shutter the rows of a photo are exposed one after the other. Over the readout a camera moves by its
+velocity times the readout and turns by a small angle. The readout is one number of each camera, the turn six of each
+photo (eqs. 10 and 11 in docs/method/bundle.md).
+"""
 
 from __future__ import annotations
 
@@ -7,24 +12,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from alight.arrays import F64, I64
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera
 from alight.photos.bundle.lenses import PhotoLenses
-from alight.photos.bundle.orientation import COMMON_HEADING, HALF_TURN
-from alight.photos.bundle.rolling import velocities
 from alight.photos.bundle.solver import Priors
 from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
 
-# 1-sigma of scale aspect cu cv and distortion; for the focal length see docs/method/bundle.md
-_SIGMA_LENS = {
+_SIGMA_LENS = {  # 1-sigma of scale aspect cu cv and distortion; for the focal length see docs/method/bundle.md
     "radial-tangential": (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
 _SIGMA_FOCAL = 0.02  # relative, where it is free
+_SIGMA_RATE = 0.2  # rad/s, 1-sigma of the turning of a camera without a gimbal
+_SIGMA_READOUT = 0.05  # s; cheap cameras take 20 to 160 ms: 0.2 to 2 m of flight
+COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings: some compasses are off by 0.9
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 _COMPASS = 0.05  # rad; headings with a smaller sigma are not from a compass
-SIGMA_RATE = 0.2  # rad/s, 1-sigma of the turning of a camera without a gimbal
-_SIGMA_READOUT = 0.05  # s; cheap cameras take 20 to 160 ms
 _LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
 
 
@@ -48,17 +52,16 @@ def make_priors(
             rotation[i] = sample.world_from_body
             if sample.sigma_attitude is not None and np.isfinite(sample.sigma_attitude).all():
                 roll, pitch, yaw = sample.sigma_attitude
-                sigma_rotation[i] = max(roll, pitch, 1e-3), max(roll, pitch, 1e-3), max(yaw, 1e-3)
+                sigma_rotation[i] = np.maximum([max(roll, pitch), max(roll, pitch), yaw], 1e-3)
         if sample.position_world is not None:
             arm = body_from_cam.translation
-            centres[i] = sample.position_world + (
-                rotation[i] @ arm if arm.any() and np.isfinite(rotation[i]).all() else 0.0
-            )
+            known = arm.any() and np.isfinite(rotation[i]).all()
+            centres[i] = sample.position_world + (rotation[i] @ arm if known else 0.0)
             if sample.sigma_position is not None and np.isfinite(sample.sigma_position).all():
                 sigma[i] = np.maximum(sample.sigma_position, 0.01)
     of = np.zeros(n, np.int64) if cameras is None else cameras
     found = [_lens(c.camera, settings) for c in rig.cameras]
-    lenses = PhotoLenses(tuple(c for c, _ in found), of, told=tuple(c.readout for c in rig.cameras))
+    lenses = PhotoLenses(tuple(c for c, _ in found), of, by_maker=tuple(c.readout for c in rig.cameras))
     sigma_lens = np.concatenate([s for _, s in found])
     return Priors(
         centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, lenses, sigma_lens,
@@ -141,14 +144,14 @@ def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
     sigma, held = priors.sigma_lens.copy(), not priors.sigma_lens.any()
     for k, number in enumerate(priors.lenses.readout_numbers):
         known = velocity[priors.lenses.of == k].any(axis=1)
-        free = not held and known.sum() >= _LENS_PHOTOS and priors.lenses.told_of(k) is None
+        free = not held and known.sum() >= _LENS_PHOTOS and priors.lenses.maker_readout(k) is None
         sigma[number] = _SIGMA_READOUT if free else 0.0
     return replace(priors, sigma_lens=sigma, velocity=velocity)
 
 
 def turning_priors(priors: Priors, readouts: tuple[float, ...]) -> Priors:
     """Let the photos turn while they are read out, and hold the readouts (s, of each camera)."""
-    return replace(at_once(priors), sigma_turn=SIGMA_RATE * max(abs(r) for r in readouts))
+    return replace(at_once(priors), sigma_turn=_SIGMA_RATE * max(abs(r) for r in readouts))
 
 
 def at_once(priors: Priors) -> Priors:
@@ -156,3 +159,38 @@ def at_once(priors: Priors) -> Priors:
     sigma = priors.sigma_lens.copy()
     sigma[priors.lenses.readout_numbers] = 0.0
     return replace(priors, sigma_lens=sigma, sigma_turn=0.0)
+
+
+def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
+    """Velocity (n, 3) m/s at every photo, from places and times of the photos before and after it; 0 where not known.
+
+    Of two ways in different directions, at the end of a strip, the faster one counts: turns take time. Longer pauses
+    than a minute, ways of less than a metre and more than 60 m/s, as by a wrong tag, give none.
+
+    Args:
+        centres: (n, 3) metres.
+        seconds: (n,) time of each photo; NaN: not known.
+        camera: (n,) number of the camera of each: photos of one camera are compared.
+    """
+    out = np.zeros_like(centres)
+    for one in np.unique(camera):
+        who = np.flatnonzero((camera == one) & np.isfinite(seconds))
+        who = who[np.argsort(seconds[who], kind="stable")]
+        way, time = np.diff(centres[who], axis=0), np.diff(seconds[who])
+        long = np.linalg.norm(way, axis=1)
+        good = (time > 0) & (time <= 60.0) & (long > 1.0) & (long <= 60.0 * time)
+        for k, i in enumerate(who):
+            out[i] = _between(k - 1, k, way, time, good)
+    return out
+
+
+def _between(before: int, after: int, way: F64, time: F64, good: Mask) -> F64:
+    """Velocity (3,) m/s at the photo between two ways, from those that are good; 0 if none is."""
+    used = [k for k in (before, after) if 0 <= k < len(good) and good[k]]
+    speed = [way[k] / time[k] for k in used]
+    if len(used) == 2:
+        a, b = (v / np.linalg.norm(v) for v in speed)
+        if float(a @ b) > 0.8:  # the same way
+            return np.asarray((way[used[0]] + way[used[1]]) / (time[used[0]] + time[used[1]]))
+        return np.asarray(speed[int(np.argmax([np.linalg.norm(v) for v in speed]))])
+    return np.asarray(speed[0]) if speed else np.zeros(3)

@@ -1,4 +1,8 @@
-"""Rounds of a bundle adjustment, loose to tight: triangulate, remove outliers, adjust; test for rolling shutter."""
+"""Rounds of a bundle adjustment, loose to tight: triangulate, remove outliers, adjust; test for rolling shutter.
+
+Photos with a wrong first pose are set aside during the first rounds, then placed by resection from the points.
+Otherwise a GPS jump of one photo would bend the whole survey, because its matches tie it to the others.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import F64, I64
+from alight.geometry import Camera
+from alight.photos.bundle.features import colmap, colmap_camera
 from alight.photos.bundle.matching import BundleObservations
 from alight.photos.bundle.priors import at_once, rolling_priors, turning_priors
-from alight.photos.bundle.resection import misplaced, without_photos
 from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
@@ -27,9 +32,8 @@ log = logging.getLogger(__name__)
 
 ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
 _LENS_ROUND = 2  # from here on the lens is free: earlier it would absorb the errors of the first poses
-_ROLLS = 1.0  # px from the first row to the last, median of the photos: below it rows count as exposed at once
-_MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
 _GAIN = 25.0  # least gain of cost, a photo, for its six numbers of turning
+_LEAST_INLIERS = 12  # points of a resection
 
 
 def coarse_rounds(
@@ -37,7 +41,7 @@ def coarse_rounds(
     few: BundleObservations,
     priors: Priors,
     aside: I64,
-    tell: Callable[[float], None],
+    progress: Callable[[float], None],
     seconds: F64 | None,
 ) -> tuple[BundleState, Priors, I64]:
     """Do the coarse rounds without the photos that jumped; photos found to be misplaced are set aside, too."""
@@ -45,20 +49,20 @@ def coarse_rounds(
     few = without_photos(few, aside)[0]
     for k, (loss, cut) in enumerate(ROUNDS[:_LENS_ROUND]):
         state, _ = one_round(state, few, held, loss, cut)
-        tell(0.15 * (k + 1))
+        progress(0.15 * (k + 1))
     loss, cut = ROUNDS[_LENS_ROUND]
     more = misplaced(few, retriangulate(state, few, priors, cut, loss)[1], len(priors.centres))
     if len(more):
         aside, few = np.union1d(aside, more), without_photos(few, more)[0]
         state, _ = one_round(state, few, held, *ROUNDS[_LENS_ROUND - 1])
-    if seconds is None or not (priors.sigma_lens.any() or priors.lenses.any_told):
+    if seconds is None or not (priors.sigma_lens.any() or any(r is not None for r in priors.lenses.by_maker)):
         state = _lens_rounds(state, few, priors)
     else:
-        told = seconds.copy()
-        told[aside] = np.nan  # their place is not known yet
-        state = replace(state, lens=priors.lenses.with_told(state.lens))
-        state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, told))
-    tell(0.6)
+        seconds = seconds.copy()
+        seconds[aside] = np.nan  # their place is not known yet
+        state = replace(state, lens=priors.lenses.with_maker_readouts(state.lens))
+        state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, seconds))
+    progress(0.6)
     return state, priors, aside
 
 
@@ -77,16 +81,15 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
     """
     state = _lens_rounds(first, obs, priors)
     lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
-    points = triangulate_bundle(state, lenses, priors.velocity, obs)
+    points = triangulate_bundle(state, obs, priors)
     depth = np.linalg.norm(points[obs.point] - state.centres[obs.photo], axis=1)
     way = np.linalg.norm(priors.velocity, axis=1) * np.abs(lenses.readout(np.arange(len(state.centres))))
     moved = way[photos] * lenses.focal(photos)[:, 0] / np.median(depth) if len(depth) else np.zeros(1)
-    at = priors.lenses.readout_numbers
-    lens = state.lens.copy()
-    if float(np.median(moved)) < _ROLLS:
+    at, lens, rolls = priors.lenses.readout_numbers, state.lens.copy(), float(np.median(moved))
+    if rolls < 1.0:
         lens[at] = 0.0
         return replace(state, lens=lens), at_once(priors)
-    log.info("readout %s s: rows move by %.1f px", lenses.readouts, float(np.median(moved)))
+    log.info("readout %s s: rows move by %.1f px", lenses.readouts, rolls)
     lens[:] = first.lens
     lens[at] = state.lens[at]
     turning = turning_priors(priors, lenses.readouts)
@@ -118,14 +121,63 @@ def retriangulate(
     state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
 ) -> tuple[BundleState, BundleObservations]:
     """Triangulate all tracks; remove observations with a residual above `cut` px and points with small angles."""
-    lenses = priors.lenses.moved(state.lens)
     for _ in range(2):
-        points = triangulate_bundle(state, lenses, priors.velocity, obs, scale_px=scale)
+        points = triangulate_bundle(state, obs, priors, scale)
         state = replace(state, points=points)
-        pixels, depth = project_points(state, obs, lenses, priors.velocity)
+        pixels, depth = project_points(state, obs, priors)
         residual = np.nan_to_num(np.linalg.norm(pixels - obs.pixels, axis=1), nan=np.inf)
-        wide = intersection_angle(points, state.centres, obs) > _MIN_ANGLE
+        wide = intersection_angle(points, state.centres, obs) > np.radians(1.0)
         good = (depth > 0) & wide[obs.point]
         obs, old = obs.keep(good & (residual < cut) if np.isfinite(cut) else good)
         state = replace(state, points=points[old])
     return state, obs
+
+
+def without_photos(obs: BundleObservations, photos: I64) -> tuple[BundleObservations, I64]:
+    """Return the observations of all other photos, and the old numbers of their points."""
+    return obs.keep(~np.isin(obs.photo, photos))
+
+
+def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> I64:
+    """Return the photos that lost a far larger share of their observations than the median."""
+    seen = np.bincount(before.photo, minlength=count)
+    share = np.bincount(after.photo, minlength=count) / np.maximum(seen, 1)
+    return np.flatnonzero((seen > 0) & (share < 0.5 * np.median(share[seen > 0])))
+
+
+def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Priors) -> tuple[BundleState, Priors, I64]:
+    """Place photos by the points that the others see; their GPS and attitude priors are dropped.
+
+    Returns the new state and priors, and the photos that could be placed. `obs` are those of all photos.
+    """
+    others, old = without_photos(obs, photos)
+    lenses = priors.lenses.moved(state.lens)
+    points = np.full((obs.points, 3), np.nan)
+    points[old] = triangulate_bundle(state, others, priors)
+    centres, rotations, placed = state.centres.copy(), state.rotations.copy(), []
+    for i in photos:
+        rows = (obs.photo == i) & np.isfinite(points[obs.point]).all(axis=1)
+        pose = _absolute_pose(lenses.of_photo(int(i)), obs.pixels[rows], points[obs.point[rows]])
+        if pose is not None:
+            rotations[i], centres[i] = pose
+            placed.append(i)
+    position, attitude = priors.centres.copy(), priors.world_from_body.copy()
+    position[placed], attitude[placed] = np.nan, np.nan
+    priors = replace(priors, centres=position, world_from_body=attitude)
+    return replace(state, centres=centres, rotations=rotations), priors, np.array(placed, dtype=np.int64)
+
+
+def _absolute_pose(camera: Camera, pixels: F64, points: F64) -> tuple[F64, F64] | None:
+    """Return rotation world_from_cam and centre by RANSAC over (k, 2) pixels of (k, 3) points; None: too few."""
+    if len(points) < _LEAST_INLIERS:
+        return None
+    pc = colmap()
+    options = pc.AbsolutePoseEstimationOptions()
+    options.ransac.max_error = 8.0  # px
+    options.ransac.random_seed = 1
+    found = pc.estimate_and_refine_absolute_pose(pixels + 0.5, points, colmap_camera(camera), options)
+    if found is None or found["num_inliers"] < _LEAST_INLIERS:
+        return None
+    cam_from_world = found["cam_from_world"]
+    R = np.asarray(cam_from_world.rotation.matrix()).T
+    return R, -R @ np.asarray(cam_from_world.translation)

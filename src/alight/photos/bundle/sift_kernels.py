@@ -9,13 +9,7 @@ from alight.arrays import F32, F64
 from alight.compiled import inline, kernel
 
 EDGE = 5  # pixels about the picture that are left out
-STEPS = 5  # of Newton, at most
-FOLD = 10.0  # largest ratio of the two curvatures: beyond it a feature slides along an edge
 BINS = 36  # of an orientation histogram
-WIDTH = 1.5  # sigma of its window over the scale of the feature
-REACH = 4.5  # its radius over the scale
-SECOND = 0.8  # of the highest peak, from which another one is a feature too
-COLUMNS = 5  # of a found feature: column, row, layer between layers, layer, orientation
 
 
 @inline
@@ -60,13 +54,13 @@ def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
 def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F64) -> bool:
     """Fill column, row, layer (between samples) and the layer's number of an extremum; False where it is none."""
     layers, rows, cols = dogs.shape
-    for _ in range(STEPS):
+    for _ in range(5):
         if not _newton(dogs, k, r, c, way):
             return False
         if max(abs(way[0]), abs(way[1]), abs(way[2])) < 0.5:
             place[0], place[1], place[2], place[3] = c + way[0], r + way[1], k + way[2], k
             place[4], place[5] = c, r
-            strong: bool = abs(way[3]) >= least and way[4] < (FOLD + 1.0) ** 2 / FOLD
+            strong: bool = abs(way[3]) >= least and way[4] < (10.0 + 1.0) ** 2 / 10.0  # beyond, it slides along an edge
             return strong
         if max(abs(way[0]), abs(way[1]), abs(way[2])) > 1e6:
             return False
@@ -81,7 +75,7 @@ def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F6
 def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F64) -> None:
     """Fill a smoothed histogram (`BINS`,) of the gradients' directions about a pixel; `raw` has two more a side."""
     rows, cols = picture.shape
-    reach, fall = int(np.rint(REACH * scale)), -0.5 / (WIDTH * scale) ** 2
+    reach, fall = int(np.rint(4.5 * scale)), -0.5 / (1.5 * scale) ** 2
     raw[:] = 0.0
     for y in range(max(row - reach, 1), min(row + reach, rows - 2) + 1):
         for x in range(max(col - reach, 1), min(col + reach, cols - 2) + 1):
@@ -100,7 +94,7 @@ def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
     most = even.max()
     for k in range(BINS):
         left, mid, right = even[k - 1], even[k], even[(k + 1) % BINS]
-        if mid > left and mid > right and mid >= SECOND * most and count < len(found):
+        if mid > left and mid > right and mid >= 0.8 * most and count < len(found):
             at = k + 0.5 * (left - right) / (left - 2.0 * mid + right)
             found[count, :4] = place[:4]
             found[count, 4] = -at * 360.0 / BINS % 360.0
@@ -110,13 +104,14 @@ def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
 
 @kernel
 def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) -> int:
-    """Fill `found` (M, `COLUMNS`) with the features of an octave and return their number; those beyond M are left out.
+    """Fill `found` with the features of an octave and return their number; those beyond M are left out.
 
     Args:
         dogs: (L + 2, R, C) differences of the blurred pictures.
         blurred: (L + 3, R, C).
         first: sigma of the first of them, pixels; each L further ones have twice that.
         least: contrast of a feature, in units of the picture.
+        found: (M, 5) out: column, row, layer between layers, layer, orientation in degrees.
     """
     layers, rows, cols = dogs.shape
     way, place, raw, even = np.empty(5), np.empty(6), np.empty(BINS + 4), np.empty(BINS)

@@ -7,6 +7,7 @@ its line of flight. Equation numbers: docs/method/bundle.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -17,16 +18,12 @@ from alight.geometry import so3_exp, so3_log
 from alight.motion.ekf.state_kernels import mirror_lower
 from alight.motion.points import WEAK_PRIOR
 from alight.motion.robust import cauchy, huber
-from alight.photos.bundle.adjustment_kernels import FAR, linearise, predict_pixels
+from alight.photos.bundle.adjustment_kernels import FAR, linearise, meet_rays, predict_pixels, rays_of_pixels
 from alight.photos.bundle.elimination_kernels import eliminate, move_points
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.matching import BundleObservations
-from alight.photos.bundle.ray_kernels import meet_rays, rays_of_pixels, widest_angles
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
-_DENSE = 1200  # unknowns, up to which the normal equations are solved as a dense matrix
-_LEAST_INFORMATION = 1e-12  # least information of a direction, over that of its components
-_POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +53,50 @@ class BundleState:
     mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
     turns: F64  # (n, 2, 3) rotation vectors in the camera during the readout: linear, and quadratic in time
 
-    def for_kernels(self, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64 | I64, ...]:
+    def for_kernels(self, obs: BundleObservations, priors: Priors) -> tuple[F64 | I64, ...]:
         """Observations, poses and lenses as input of the kernels, in their order (`adjustment_kernels`)."""
+        lenses = priors.lenses.moved(self.lens)
         lens, model = lenses.table()
-        poses = (self.rotations, self.centres, self.turns, velocity)
+        poses = (self.rotations, self.centres, self.turns, priors.velocity)
         return obs.photo, obs.pixels, *map(np.ascontiguousarray, poses), lenses.of, lens, model
 
 
-def project_points(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64, F64]:
-    """Return (N, 2) predicted pixels, NaN behind the camera, and (N,) depths in m (eqs. 1, 10)."""
+class Projection(NamedTuple):
+    """Predicted observations."""
+
+    pixels: F64  # (N, 2), NaN behind the camera
+    depth: F64  # (N,) metres
+
+
+class NormalEquations(NamedTuple):
+    """Blocks of the normal equations of N observations of m points in n photos (eq. 7)."""
+
+    U: F64  # (p, p) of photos, free lens numbers and mounting, the lower triangle
+    b: F64  # (p,) right side of these
+    coupling: F64  # (N, 3, e) of points and photos
+    lens_coupling: F64  # (m, 3, k) of points and lens numbers
+    information: F64  # (m, 3, 3) of points
+    gradient: F64  # (m, 3) right side of these
+
+
+class Reduced(NamedTuple):
+    """Normal equations after the points are eliminated (eq. 8)."""
+
+    S: F64  # (p, p)
+    rhs: F64  # (p,)
+    covariances: F64  # (m, 3, 3) of the points for exact poses
+
+
+def project_points(state: BundleState, obs: BundleObservations, priors: Priors) -> Projection:
+    """Predict the observations (eqs. 1, 10)."""
     pixels, depth = np.empty((len(obs.photo), 2)), np.empty(len(obs.photo))
-    predict_pixels(*state.for_kernels(obs, lenses, velocity), obs.point, state.points, pixels, depth)
-    return pixels, depth
+    predict_pixels(*state.for_kernels(obs, priors), obs.point, state.points, pixels, depth)
+    return Projection(pixels, depth)
 
 
 def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
     """Return (N, 2) pixels, predicted less observed; a point behind the camera has a large residual."""
-    r = project_points(state, obs, priors.lenses.moved(state.lens), priors.velocity)[0] - obs.pixels
+    r = project_points(state, obs, priors).pixels - obs.pixels
     return np.nan_to_num(np.clip(r, -FAR, FAR), nan=FAR)
 
 
@@ -118,48 +142,47 @@ class Adjustment:
 
     def __init__(self, obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float) -> None:
         self.obs, self.priors, self.pixel_sigma, self.loss = obs, priors, pixel_sigma, loss
-        self.photos = len(priors.centres)
         self.free = np.flatnonzero(priors.sigma_lens > 0)
-        self.mounted = priors.sigma_mounting > 0
         self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns of a photo: position, rotation, and its turns
-        self.size = self.each * self.photos + len(self.free) + 3 * self.mounted
+        self.poses = self.each * len(priors.centres)  # unknowns of all photos; those of the lenses follow
+        self.size = self.poses + len(self.free) + 3 * (priors.sigma_mounting > 0)
         self._starts = np.append(obs.starts, len(obs.point))
-        self._numbers, self._places = priors.lenses.free_numbers(priors.sigma_lens > 0)
-        self._scales = np.array([[part.start, part.start + 1] for part in priors.lenses.parts])
-        self._longest = int(np.diff(self._starts).max(initial=1))
 
     def cost(self, state: BundleState) -> float:
         """Return the whole robust cost."""
         return total_cost(state, self.obs, self.priors, self.pixel_sigma, self.loss)
 
-    def linearise(self, state: BundleState) -> None:
+    def linearise(self, state: BundleState) -> NormalEquations:
         """Build the blocks of the normal equations (eq. 7)."""
-        obs, pr, m, k = self.obs, self.priors, self.obs.points, len(self.free)
-        at = self._unknowns()
+        obs, lenses, m, k = self.obs, self.priors.lenses, self.obs.points, len(self.free)
+        numbers, places = lenses.free_numbers(self.priors.sigma_lens > 0)
+        scales = 1.0 + state.lens[np.array([[part.start, part.start + 1] for part in lenses.parts])]
+        lens = places[lenses.of]
+        # (n, e + f) indices of each photo's unknowns, and of its lens's free numbers; 0 where a lens has fewer
+        at = np.concatenate([self._of_photos(self.each), np.where(lens >= 0, self.poses + lens, 0)], axis=1)
         own, right = np.zeros((*at.shape, at.shape[1])), np.zeros(at.shape)
-        self.coupling, self.lens_coupling = np.empty((len(obs.photo), 3, self.each)), np.zeros((m, 3, k))
-        self.information, self.gradient = np.zeros((m, 3, 3)), np.zeros((m, 3))
+        coupling, lens_coupling = np.empty((len(obs.photo), 3, self.each)), np.zeros((m, 3, k))
+        information, gradient = np.zeros((m, 3, 3)), np.zeros((m, 3))
         linearise(
-            *state.for_kernels(obs, pr.lenses.moved(state.lens), pr.velocity), obs.point, state.points,
-            1.0 + state.lens[self._scales], self._numbers, self._places, self.each, self.pixel_sigma, self.loss,
-            own, right, self.coupling, self.lens_coupling, self.information, self.gradient,
+            *state.for_kernels(obs, self.priors), obs.point, state.points, scales, numbers, places, self.each,
+            self.pixel_sigma, self.loss, own, right, coupling, lens_coupling, information, gradient,
         )  # fmt: skip
-        self.U, self.b = self._prior_blocks(state)  # of U the lower triangle
-        np.add.at(self.U, (at[:, :, None], at[:, None, :]), own)
-        np.add.at(self.b, at, right)
+        U, b = self.prior_blocks(state)
+        np.add.at(U, (at[:, :, None], at[:, None, :]), own)
+        np.add.at(b, at, right)
+        return NormalEquations(U, b, coupling, lens_coupling, information, gradient)
 
-    def _unknowns(self) -> I64:
-        """(n, e + f) indices of each photo's unknowns, and of its lens's free numbers; 0 where a lens has fewer."""
-        photos = self.each * np.arange(self.photos)[:, None] + np.arange(self.each)
-        lens = self._places[self.priors.lenses.of]
-        return np.concatenate([photos, np.where(lens >= 0, self.each * self.photos + lens, 0)], axis=1)
+    def _of_photos(self, stop: int, start: int = 0) -> I64:
+        """(n, stop - start) indices of some of the unknowns of each photo."""
+        return np.arange(0, self.poses, self.each)[:, None] + np.arange(start, stop)
 
-    def _prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
-        pr, n = self.priors, self.photos
+    def prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
+        """Matrix (p, p), the lower triangle, and right side (p,) of the priors (eqs. 4 to 6)."""
+        pr = self.priors
         U, b = np.zeros((self.size, self.size)), np.zeros(self.size)
         g = np.nan_to_num((state.centres - pr.centres) / pr.sigma_centres)
         w = huber((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
-        at = self.each * np.arange(n)[:, None] + np.arange(3)
+        at = self._of_photos(3)
         U[at, at] += w
         b[at] -= w * np.nan_to_num(state.centres - pr.centres)
         who, r, by_mounting = _attitude(state, pr)
@@ -169,13 +192,13 @@ class Adjustment:
         U[rows, rows] += w
         b[rows] -= w * r
         if pr.sigma_turn > 0:
-            turns = self.each * np.arange(n)[:, None] + np.arange(6, 12)
+            turns = self._of_photos(12, 6)
             U[turns, turns] += pr.sigma_turn**-2
-            b[turns] -= state.turns.reshape(n, 6) / pr.sigma_turn**2
-        k = np.arange(len(self.free)) + self.each * n
+            b[turns] -= state.turns.reshape(-1, 6) / pr.sigma_turn**2
+        k = np.arange(len(self.free)) + self.poses
         U[k, k] += 1.0 / pr.sigma_lens[self.free] ** 2
         b[k] -= state.lens[self.free] / pr.sigma_lens[self.free] ** 2
-        if self.mounted:
+        if pr.sigma_mounting > 0:
             m = slice(self.size - 3, self.size)
             cross = w[:, :, None] * by_mounting
             U[rows, m] += cross
@@ -184,48 +207,44 @@ class Adjustment:
             b[m] -= np.einsum("nki,nk->i", cross, r) + state.mounting / pr.sigma_mounting**2
         return U, b
 
-    def reduce(self, damping: float) -> tuple[F64, F64]:
-        """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,)."""
-        S, rhs = self.U.copy(), self.b.copy()
+    def reduce(self, equations: NormalEquations, damping: float) -> Reduced:
+        """Eliminate the points (eq. 8)."""
+        S, rhs, *blocks = (equations.U.copy(), equations.b.copy(), *equations[2:])
         S[np.diag_indices_from(S)] *= 1.0 + damping
-        scratch, self.covariances = np.empty((self._longest, 3, self.each)), np.empty_like(self.information)
+        longest = int(np.diff(self._starts).max(initial=1))
+        scratch, covariances = np.empty((longest, 3, self.each)), np.empty_like(equations.information)
         eliminate(
-            self._starts, self.obs.photo, self.coupling, self.lens_coupling, self.information, self.gradient,
-            damping, _POINT_PRIOR, self.each * self.photos, scratch, S, rhs, self.covariances,
+            self._starts, self.obs.photo, *blocks, damping, 1e-12, self.poses, scratch, S, rhs, covariances
         )  # fmt: skip
         mirror_lower(S)
-        return S, rhs
+        return Reduced(S, rhs, covariances)
 
-    def step(self, state: BundleState, damping: float) -> BundleState:
+    def step(self, state: BundleState, equations: NormalEquations, damping: float) -> BundleState:
         """Return the state after one damped step."""
-        S, rhs = self.reduce(damping)
+        S, rhs, covariances = self.reduce(equations, damping)
         S[np.diag_indices_from(S)] += 1e-12
-        x = solved_steps(S, rhs)
-        n6, k = self.each * self.photos, len(self.free)
-        pose, lens, mount = x[:n6].reshape(-1, self.each), x[n6 : n6 + k], x[n6 + k :]
-        points = np.empty_like(state.points)
+        pose, lens, mount = np.split(solved_steps(S, rhs), [self.poses, self.poses + len(self.free)])
+        pose, points, offsets = pose.reshape(-1, self.each), np.empty_like(state.points), state.lens.copy()
         move_points(
-            self._starts, self.obs.photo, self.coupling, self.lens_coupling, self.gradient, self.covariances,
+            self._starts, self.obs.photo, equations.coupling, equations.lens_coupling, equations.gradient, covariances,
             pose, lens, points,
         )  # fmt: skip
-        offsets = state.lens.copy()
         offsets[self.free] += lens
         return BundleState(
             state.centres + pose[:, :3],
             so3_exp(pose[:, 3:6]) @ state.rotations,
             state.points + points,
             offsets,
-            state.mounting + mount if self.mounted else state.mounting,
+            state.mounting + mount if len(mount) else state.mounting,
             state.turns + pose[:, 6:].reshape(-1, 2, 3) if self.each > 6 else state.turns,
         )
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
         """Iterate (Levenberg-Marquardt) until the cost falls by less than a share; a step that raises it is damped."""
-        damping, cost = 1e-5, self.cost(state)
-        self.linearise(state)
+        damping, cost, equations = 1e-5, self.cost(state), self.linearise(state)
         for _ in range(iterations):
             try:
-                trial = self.step(state, damping)
+                trial = self.step(state, equations, damping)
                 new = self.cost(trial)
             except (np.linalg.LinAlgError, ValueError):
                 new = np.inf
@@ -238,7 +257,7 @@ class Adjustment:
             state, cost, damping = trial, new, max(damping / 10.0, 1e-12)
             if done:
                 break
-            self.linearise(state)
+            equations = self.linearise(state)
         return state
 
     def covariance(self, state: BundleState) -> F64:
@@ -246,11 +265,9 @@ class Adjustment:
 
         Mounting, points, turns and readouts are marginalised.
         """
-        self.linearise(state)
-        C = covariance_of(self.reduce(0.0)[0])
-        poses = (self.each * np.arange(self.photos)[:, None] + np.arange(6)).ravel()
-        lens = self.each * self.photos + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
-        of = np.concatenate([poses, lens])
+        C = covariance_of(self.reduce(self.linearise(state), 0.0).S)
+        lens = self.poses + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
+        of = np.concatenate([self._of_photos(6).ravel(), lens])
         return np.asarray(C[np.ix_(of, of)])
 
 
@@ -262,21 +279,21 @@ def covariance_of(S: F64) -> F64:
     C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
     if np.isfinite(C).all() and (np.diag(C) > 0).all():
         return np.asarray(C)
-    size = np.sqrt(np.maximum(np.diag(S), _LEAST_INFORMATION))
+    size = np.sqrt(np.maximum(np.diag(S), 1e-12))
     values, vectors = np.linalg.eigh((S + S.T) / (2.0 * np.outer(size, size)))
-    known = np.maximum(values, _LEAST_INFORMATION * len(S))
-    return np.asarray((vectors / known) @ vectors.T / np.outer(size, size))
+    return np.asarray((vectors / np.maximum(values, 1e-12 * len(S))) @ vectors.T / np.outer(size, size))
 
 
 def solved_steps(S: F64, rhs: F64) -> F64:
     """Solve the reduced normal equations (p, p); of many photos as a sparse matrix, because each overlaps few others.
 
-    Of 1000 photos in strips 3 % of the factor are filled, and it takes a fiftieth of the time.
+    Of 1000 photos in strips 3 % of the factor are filled, and it takes a fiftieth of the time. Up to 1200 unknowns a
+    dense matrix is as fast.
 
     Raises:
         LinAlgError: the matrix is singular.
     """
-    if len(S) <= _DENSE:
+    if len(S) <= 1200:
         return np.asarray(np.linalg.solve(S, rhs))  # SciPy's Cholesky waits 0.5 s for threads on a busy machine
     try:
         symmetric = {"SymmetricMode": True}
@@ -286,25 +303,19 @@ def solved_steps(S: F64, rhs: F64) -> F64:
     return np.asarray(factor.solve(rhs))
 
 
-def triangulate_bundle(
-    state: BundleState,
-    lenses: PhotoLenses,
-    velocity: F64,
-    obs: BundleObservations,
-    rounds: int = 4,
-    scale_px: float = 3.0,
-) -> F64:
-    """Return (m, 3) points nearest to their rays (midpoint method), with Cauchy weights."""
+def triangulate_bundle(state: BundleState, obs: BundleObservations, priors: Priors, scale_px: float = 3.0) -> F64:
+    """Return (m, 3) points nearest to their rays (midpoint method), with Cauchy weights in four rounds."""
     ray, origin = np.empty((len(obs.photo), 3)), np.empty((len(obs.photo), 3))
-    rays_of_pixels(*state.for_kernels(obs, lenses, velocity), ray, origin)
+    rays_of_pixels(*state.for_kernels(obs, priors), ray, origin)
     starts, weight = np.append(obs.starts, len(obs.point)), np.ones(len(ray))
-    points, focal = np.empty((obs.points, 3)), lenses.focal(obs.photo)[:, 0]
-    meet_rays(starts, ray, origin, focal, rounds, scale_px, WEAK_PRIOR, weight, points)
+    points, focal = np.empty((obs.points, 3)), priors.lenses.moved(state.lens).focal(obs.photo)[:, 0]
+    meet_rays(starts, ray, origin, focal, 4, scale_px, WEAK_PRIOR, weight, points)
     return points
 
 
 def intersection_angle(points: F64, centres: F64, obs: BundleObservations) -> F64:
     """Return (m,) the angle in rad between the first ray of each point and the one farthest from it."""
-    out = np.empty(len(points))
-    widest_angles(np.append(obs.starts, len(obs.point)), obs.photo, np.ascontiguousarray(centres), points, out)
-    return out
+    way = points[obs.point] - centres[obs.photo]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
+    sine = np.linalg.norm(np.cross(way[obs.starts[obs.point]], way), axis=1)
+    return np.asarray(np.arcsin(np.minimum(np.maximum.reduceat(sine, obs.starts), 1.0)))

@@ -6,33 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.arrays import F64, I64
-from alight.photos.bundle.matching import BundleObservations, PhotoFeatures
+from alight.arrays import F64, I64, Mask
+from alight.photos.bundle.features import PhotoFeatures
+from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.orientation import FirstPoses
 from alight.photos.bundle.solver import BundleState, Priors, residuals
-from alight.records import Frame, Motion, PhotoOutcome
+from alight.records import Frame, PhotoOutcome
 from alight.settings import BundleSettings
 
-LEAST_SEEN = 20  # observations that a registered photo keeps
-WORST_ATTITUDE = 3.0  # rad, 1 sigma of a registered photo's attitude: beyond it, it may look anywhere
+LEAST_OBSERVED = 20  # observations that a registered photo keeps
 _GPS_FAR = 6.0  # sigmas of GPS residual worth a warning
-
-
-@dataclass(frozen=True, eq=False)
-class FirstPoses:
-    """First poses of all photos, and the tags that the images contradict."""
-
-    centres: F64  # (n, 3) metres
-    rotations: F64  # (n, 3, 3) world_from_cam
-    groups: tuple[I64, ...]  # photos that are connected by matches
-    photos: I64  # photos with a pose
-    turned: I64  # photos whose attitude tag is half a turn off
-    contradicted: I64  # photos whose attitude tag is wrong
-    overruled: I64  # photos whose heading has the common error of all headings
-    jumped: I64  # photos whose GPS position is wrong
-    warnings: list[str]
-    climbs: bool  # a level flight fits better than the altitude tags, which are ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +29,7 @@ class Solved:
     joint: F64  # (6 n + k, 6 n + k) of the poses of all photos and the k lens numbers that are free
     first: FirstPoses
     placed: I64  # photos whose GPS was ignored and which were placed by resection
-    free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are left out
+    free: Mask  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are left out
     priors: Priors  # as the images corrected them
 
     @property
@@ -56,6 +40,31 @@ class Solved:
         return np.asarray(self.joint[at[:, :, None], at[:, None, :]])
 
 
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """The photos of an adjustment, their tags, and what came of them."""
+
+    frames: Sequence[Frame]
+    features: Sequence[PhotoFeatures | None]
+    tagged: Priors  # by the tags as they are
+    priors: Priors  # the same, or at one height where the altitude tags are ignored
+    solved: Solved
+
+    def names(self, which: Sequence[int] | I64) -> str:
+        """The first names of some photos."""
+        shown = [self.frames[i].name or str(self.frames[i].t_ns) for i in which[:3]]
+        return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
+
+    def why_out(self, photo: int) -> str:
+        """Reason why a photo was not registered; empty: it was."""
+        features = self.features[photo]
+        if photo in self.solved.registered:
+            return ""
+        if features is None:
+            return "no image"
+        return "no texture" if len(features.pixels) < LEAST_OBSERVED else "too few matches with other photos"
+
+
 def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> str:
     """Return the reason why no photo was registered."""
     if np.isfinite(priors.centres).all(axis=1).sum() < 2:
@@ -63,45 +72,43 @@ def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> s
     most = max((len(f.pixels) for f in features if f is not None), default=0)
     why = (
         "the photos have no texture"
-        if most < LEAST_SEEN
+        if most < LEAST_OBSERVED
         else "the photos do not overlap, or show nothing that stands still"
     )
     return f"no photo could be registered: {why}"
 
 
-def bundle_warnings(
-    frames: Sequence[Frame],
-    features: Sequence[PhotoFeatures | None],
-    motions: Sequence[Motion | None],
-    priors: Priors,
-    solved: Solved,
-) -> list[str]:
+def bundle_warnings(survey: Survey) -> list[str]:
     """Return the warnings: photos left out with the reason, and photos whose tags contradict the images."""
-    out = []
-    for frame, f, motion in zip(frames, features, motions, strict=True):
-        if motion is None:
-            out.append(f"{frame.name or frame.t_ns}: photo left out, {_why_out(f)}")
-    turned = np.intersect1d(solved.first.turned, solved.registered)
-    if len(turned):
-        out.append(f"{_names(frames, turned)}: attitude tag is half a turn off and was turned back")
-    wrong = np.intersect1d(solved.first.contradicted, solved.registered)
-    if len(wrong):
-        out.append(f"{_names(frames, wrong)}: attitude tag contradicts the pictures and was ignored")
-    jumped = np.intersect1d(solved.placed, solved.registered)
-    jumped = jumped[np.isfinite(priors.centres[jumped]).all(axis=1)]
-    if len(jumped):
-        out.append(f"{_names(frames, jumped)}: GPS position contradicts the pictures and was ignored")
-    off = np.abs(solved.state.centres - priors.centres) / priors.sigma_centres
-    far = [i for i in np.setdiff1d(solved.registered, jumped) if np.nan_to_num(off[i]).max() > _GPS_FAR]
-    if far:
+    solved, tagged, priors = survey.solved, survey.tagged, survey.priors
+    out = list(solved.first.warnings)
+    if solved.first.climbs:
+        low, high = (float(v(tagged.centres[solved.registered, 2])) for v in (np.nanmin, np.nanmax))
+        rise = float(np.ptp(solved.state.centres[solved.registered, 2]))
         out.append(
-            f"{_names(frames, far)}: GPS position is off by more than {_GPS_FAR:g} of its sigmas and was weighted down"
+            f"altitude tags spread over {high - low:.0f} m, the pictures were taken within {rise:.0f} m of one height: "
+            "the altitude tags were ignored, and the flight is taken to be level; heights in the world are uncertain "
+            "by as much"
         )
+    for k in range(len(survey.frames)):
+        if why := survey.why_out(k):
+            out.append(f"{survey.names([k])}: photo left out, {why}")
+    jumped = solved.placed[np.isfinite(priors.centres[solved.placed]).all(axis=1)]
+    off = np.nan_to_num(np.abs(solved.state.centres - priors.centres) / priors.sigma_centres).max(axis=1)
+    for which, what in (
+        (solved.first.turned, "attitude tag is half a turn off and was turned back"),
+        (solved.first.contradicted, "attitude tag contradicts the pictures and was ignored"),
+        (jumped, "GPS position contradicts the pictures and was ignored"),
+        (np.setdiff1d(np.flatnonzero(off > _GPS_FAR), jumped),
+         f"GPS position is off by more than {_GPS_FAR:g} of its sigmas and was weighted down"),
+    ):  # fmt: skip
+        if len(registered := np.intersect1d(which, solved.registered)):
+            out.append(f"{survey.names(registered)}: {what}")
     return out
 
 
-def fixed_attitudes(joint: F64, photos: int) -> NDArray[np.bool_]:
-    """True for photos (n,) whose attitude the pictures fix: false matches of noise leave any attitude possible.
+def fixed_attitudes(joint: F64, photos: int) -> Mask:
+    """True for photos (n,) whose attitude the pictures fix to 3 rad: false matches of noise leave any one possible.
 
     Args:
         joint: (6 n + k, 6 n + k) covariance of positions and attitudes; of unknowns that nothing fixes,
@@ -112,53 +119,36 @@ def fixed_attitudes(joint: F64, photos: int) -> NDArray[np.bool_]:
     turns = joint[at[:, :, None], at[:, None, :]]
     known = np.isfinite(turns).all(axis=(1, 2))
     least, _, most = np.linalg.eigvalsh(np.where(known[:, None, None], turns, 0.0)).T
-    return np.asarray(known & (least >= 0.0) & (most <= WORST_ATTITUDE**2))
+    return np.asarray(known & (least >= 0.0) & (most <= 3.0**2))
 
 
-def outcomes_of(
-    frames: Sequence[Frame],
-    features: Sequence[PhotoFeatures | None],
-    motions: Sequence[Motion | None],
-    priors: Priors,
-    solved: Solved,
-) -> tuple[PhotoOutcome, ...]:
+def outcomes_of(survey: Survey) -> tuple[PhotoOutcome, ...]:
     """Return the outcome of the tags of each photo."""
-    out, overruled = [], set(solved.first.overruled.tolist())
-    for k, (frame, f, motion) in enumerate(zip(frames, features, motions, strict=True)):
-        if motion is None:
-            out.append(PhotoOutcome(frame.t_ns, left_out=_why_out(f)))
+    out, first = [], survey.solved.first
+    for k, frame in enumerate(survey.frames):
+        if why := survey.why_out(k):
+            out.append(PhotoOutcome(frame.t_ns, left_out=why))
             continue
-        tagged, located = (bool(np.isfinite(v[k]).all()) for v in (priors.world_from_body, priors.centres))
+        tagged, located = (
+            bool(np.isfinite(v[k]).all()) for v in (survey.tagged.world_from_body, survey.tagged.centres)
+        )
         attitude = "believed" if tagged else ""
-        attitude = "believed but for its heading" if k in overruled else attitude
-        attitude = "turned back" if k in solved.first.turned else attitude
-        attitude = "contradicts the pictures, ignored" if k in solved.first.contradicted else attitude
-        position = "believed" if located else ""
-        if located and k in solved.placed:
-            position = "contradicts the pictures, ignored"
-        elif located and solved.first.climbs:
-            position = "believed but for its altitude"
-        out.append(PhotoOutcome(frame.t_ns, attitude, position))
+        attitude = "believed but for its heading" if k in first.overruled else attitude
+        attitude = "turned back" if k in first.turned else attitude
+        attitude = "contradicts the pictures, ignored" if k in first.contradicted else attitude
+        position = "believed but for its altitude" if first.climbs else "believed"
+        position = "contradicts the pictures, ignored" if k in survey.solved.placed else position
+        out.append(PhotoOutcome(frame.t_ns, attitude, position if located else ""))
     return tuple(out)
 
 
-def _why_out(features: PhotoFeatures | None) -> str:
-    if features is None:
-        return "no image"
-    return "no texture" if len(features.pixels) < LEAST_SEEN else "too few matches with other photos"
-
-
-def _names(frames: Sequence[Frame], which: Sequence[int] | I64) -> str:
-    shown = [frames[i].name or str(frames[i].t_ns) for i in which[:3]]
-    return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
-
-
 def notes_of(
-    state: BundleState, obs: BundleObservations, priors: Priors, solved: Solved, settings: BundleSettings
+    survey: Survey, state: BundleState, obs: BundleObservations, settings: BundleSettings
 ) -> dict[str, object]:
     """Return the numbers of the report; lengths in metres, angles in rad, `_px` in pixels."""
-    cameras = priors.lenses.moved(state.lens).cameras
-    camera = cameras[0]
+    solved, priors = survey.solved, survey.priors
+    lenses = priors.lenses.moved(state.lens)
+    camera = lenses.cameras[0]
     r = residuals(state, obs, priors)
     gps = (state.centres - priors.centres)[solved.registered]
     gps = gps[np.isfinite(gps).all(axis=1)]
@@ -171,24 +161,24 @@ def notes_of(
         "reprojection_median_px": float(np.median(np.linalg.norm(r, axis=1))),
         "focal": settings.focal,
         "focal_px": [float(camera.fu), float(camera.fv)],
-        "focal_px_of_each": [float(c.fv) for c in cameras],
+        "focal_px_of_each": [float(c.fv) for c in lenses.cameras],
         "lens": settings.lens,
         "lens_free": _free_names(solved.free, priors),
         "principal_point_px": [float(camera.cu), float(camera.cv)],
         "distortion": [float(d) for d in camera.distortion],
-        "readout_ms": [1000 * r for r in priors.lenses.moved(state.lens).readouts],
+        "readout_ms": [1000 * r for r in lenses.readouts],
         "turn_while_read_mrad": float(1000 * np.median(np.linalg.norm(state.turns[solved.registered, 0], axis=1))),
-        "mounting": [float(m) for m in state.mounting],
-        "gps_rms": [float(g) for g in np.sqrt((gps**2).mean(axis=0))],
-        "sigma_position": [float(s) for s in np.median(sigma[:, :3], axis=0)],
-        "sigma_rotation": [float(s) for s in np.median(sigma[:, 3:], axis=0)],
+        "mounting": state.mounting.tolist(),
+        "gps_rms": np.sqrt((gps**2).mean(axis=0)).tolist(),
+        "sigma_position": np.median(sigma[:, :3], axis=0).tolist(),
+        "sigma_rotation": np.median(sigma[:, 3:], axis=0).tolist(),
         "attitude_turned": len(solved.first.turned),
         "gps_ignored": len(solved.placed),
         "attitude_ignored": len(solved.first.contradicted),
     }
 
 
-def _free_names(free: NDArray[np.bool_], priors: Priors) -> list[str]:
+def _free_names(free: Mask, priors: Priors) -> list[str]:
     out = []
     for c, part in enumerate(priors.lenses.parts):
         of = f"camera {c + 1}: " if len(priors.lenses.cameras) > 1 else ""

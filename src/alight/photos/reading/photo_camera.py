@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
+from functools import cache
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 from PIL import ExifTags
 
+from alight.arrays import F64, Mask
 from alight.geometry import Camera
-from alight.photos.reading.lens_fits import radial_lens
-from alight.photos.reading.photo_pix4d import fisheye_camera, perspective_camera
-from alight.photos.reading.photo_scale import (
-    Notes,
-    calibrated_width,
-    camera_of,
-    comma_numbers,
-    photo_scale,
-    pixels_a_millimetre,
-)
-from alight.photos.reading.photo_tags import PhotoTags
-from alight.photos.reading.sensor_sizes import film_focal_px, sensor_pixels_a_millimetre, sensor_shape, sensor_width
+from alight.photos.reading.photo_tags import PhotoTags, finite
 from alight.records import InputError
-from alight.sources.lens_bounds import why_no_lens
+from alight.sources.calibration import why_no_lens
 
 Base = ExifTags.Base
+Notes = dict[str, Any]
+Found = tuple[Camera, Notes] | None
 
-LONGEST_READOUT = 0.5  # s
-SQUARE = 0.003  # largest relative difference of fx and fy that a real sensor has
-TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a maker's error, not a lens
 GUESSED = "a guess: no focal length in the tags"
-GUESS = 0.85  # focal length over the longer side, where no tag gives it; most cameras have 0.65 to 1.05
-_SKYDIO_FOCAL = "FocalLengthX", "FocalLengthY"
-_SKYDIO_CENTRE = "OpticalCenterX", "OpticalCenterY"
+MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
+MARGIN = 1.02  # of a fitted lens, over the radius of the image's corner
 
 
 def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
@@ -39,9 +32,12 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     Raises:
         InputError: the photo carries no focal length in any form.
     """
-    for known in KNOWN:
+    best_first = (
+        _from_dewarp, _from_skydio, _from_pix4d, _from_fisheye, _from_calibrated, _from_sensor, _from_film, _from_model,
+    )  # fmt: skip
+    for read in best_first:
         try:
-            found = known(tags)
+            found = read(tags)
         except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
             continue
         if found is not None and why_no_lens(found[0]) is None:
@@ -54,7 +50,7 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
 
 def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     """A camera of usual field of view, where the photo carries no focal length in any form."""
-    camera = camera_of(tags, GUESS * max(tags.size))
+    camera = _camera(tags, 0.85 * max(tags.size))  # most cameras have 0.65 to 1.05
     return camera, {
         "focal_from": GUESSED,
         "focal_px": round(camera.fu, 2),
@@ -67,8 +63,8 @@ def photo_readout(tags: PhotoTags) -> float | None:
     line = tags.xmp_number("camera:LineReadoutTime")  # nanoseconds a row of the sensor
     if line is None:
         return None
-    seconds = 1e-9 * line * tags.size[1] * calibrated_width(tags) / tags.size[0]
-    return seconds if 0 <= seconds <= LONGEST_READOUT else None
+    seconds = 1e-9 * line * tags.size[1] * _calibrated_width(tags) / tags.size[0]
+    return seconds if 0 <= seconds <= 0.5 else None
 
 
 def dewarp_text(tags: PhotoTags) -> str:
@@ -76,123 +72,278 @@ def dewarp_text(tags: PhotoTags) -> str:
     return tags.xmp.get("dji:DewarpData", "") or tags.xmp.get("dji:DewarpDataK6", "")
 
 
-def _dewarp_numbers(tags: PhotoTags) -> list[float] | None:
-    """Numbers of `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre.
+def _camera(
+    tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = (), model: str = ""
+) -> Camera:
+    """Make a camera from a focal length and an offset of the principal point from the image's centre, pixels.
+
+    Makers put the image's centre at (w/2, h/2), counted from the corner; our (0, 0) is the centre of the first pixel.
+    """
+    w, h = tags.size
+    model = model or ("radial-tangential" if any(lens) else "none")
+    return Camera(w, h, f, f, w / 2 + offset[0] - 0.5, h / 2 + offset[1] - 0.5, model, () if model == "none" else lens)
+
+
+# -- scale
+
+
+def _calibrated_width(tags: PhotoTags) -> float:
+    """Width in pixels of the image that the factory calibration is for: photos may have been resized since."""
+    width = tags.number(Base.ExifImageWidth) or tags.size[0]
+    centre = tags.xmp_number("dji:CalibratedOpticalCenterX") or tags.xmp_number("skydio:CalibratedOpticalCenterX")
+    if centre and abs(2 * centre / width - 1) > 0.1:  # a tool that resized and rewrote the EXIF size
+        return 2 * centre
+    return width
+
+
+def _scale(tags: PhotoTags) -> float:
+    """Pixels of the photo a pixel of the factory calibration: it was resized since, or zoomed digitally."""
+    return tags.size[0] / _calibrated_width(tags) * tags.digital_zoom
+
+
+def _pixels_a_millimetre(tags: PhotoTags) -> float | None:
+    """Pixels of the photo a millimetre of the sensor, a digital zoom included; None without the tags."""
+    resolution = tags.number(Base.FocalPlaneXResolution)
+    unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
+    return None if not resolution or unit is None else resolution / unit * _scale(tags)
+
+
+def _comma_numbers(text: str) -> list[float]:
+    """Numbers with commas between them; none where one is malformed."""
+    values = [finite(v) for v in text.split(",")]
+    numbers = [v for v in values if v is not None]
+    return numbers if len(numbers) == len(values) else []
+
+
+# -- factory calibrations
+
+
+def _from_dewarp(tags: PhotoTags) -> Found:
+    """DJI's `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre.
 
     `DewarpDataK6` of the Matrice 4 adds `k4,k5,k6`, the denominator of the radial term.
     """
-    numbers = comma_numbers(dewarp_text(tags).rpartition(";")[2])
-    if len(numbers) == 12 and min(numbers[:2]) > 0:
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers[:9]
-        radius = math.hypot(*tags.size) / 2 * calibrated_width(tags) / tags.size[0] / fx
+    numbers = _comma_numbers(dewarp_text(tags).rpartition(";")[2])
+    if len(numbers) not in (9, 12) or min(numbers[:2]) <= 0:
+        return None
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers[:9]
+    if len(numbers) == 12:
+        radius = math.hypot(*tags.size) / 2 * _calibrated_width(tags) / tags.size[0] / fx
         k1, k2, k3 = radial_lens([k1, k2, k3], numbers[9:], radius)
-        return [fx, fy, cx, cy, k1, k2, p1, p2, k3]
-    return numbers if len(numbers) == 9 and min(numbers[:2]) > 0 else None
+    name = "DewarpData" if tags.xmp.get("dji:DewarpData") else "DewarpDataK6"
+    focal, note = _one_focal(tags, fx, fy)
+    notes: Notes = {"focal_from": f"factory calibration ({name})"} | note
+    if p1 == p2 and abs(p1) > 1e-4:  # two that agree in every digit: a maker's error, not a lens
+        notes["lens_note"] = f"p1 and p2 are both {p1:g}, which no lens is: left out"
+        p1 = p2 = 0.0
+    lens: tuple[float, ...] = (k1, k2, p1, p2, k3)
+    if tags.xmp.get("dji:DewarpFlag") == "1":
+        notes["lens_note"], lens = "the drone has already removed the distortion (DewarpFlag 1)", ()
+    if (scale := _scale(tags)) != 1:
+        notes["scale"] = round(scale, 6)
+    return _camera(tags, focal * scale, (cx * scale, cy * scale), lens), notes
 
 
-def _nominal(tags: PhotoTags) -> float | None:
-    """Nominal focal length of the lens, in pixels of the factory calibration; None without a tag for it."""
-    if nominal := tags.xmp_number("dji:CalibratedFocalLength"):
-        return nominal
-    film = _film_focal(tags)
-    return None if film is None else film * calibrated_width(tags) / tags.size[0]
-
-
-def _one_focal(fx: float, fy: float, nominal: float | None) -> tuple[float, str]:
-    """One focal length from the two of a calibration, which are equal for square pixels, and a note; empty: none.
+def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
+    """One focal length from the two of a calibration, which are equal for square pixels, and a note if they are not.
 
     If they differ by more than those of a sensor can, the one nearer to the lens's design is chosen: a calibration that
     is wrong in one direction is not wrong towards the design. Height scales with the choice. On an FC6360 (fx 1973.1,
     fy 1955.7, design 1913.3), against an independent self-calibration and up to a rotation: fy 0.96 px RMS over the
     image, their mean 2.8, fx 5.5; with the tangential terms as written, 4.8.
     """
-    if abs(fx / fy - 1) <= SQUARE:
-        return (fx + fy) / 2, ""
-    said = f"fx {fx:.1f} and fy {fy:.1f} disagree by {abs(fx / fy - 1):.1%} although pixels are square"
-    if nominal is None:
-        return (fx + fy) / 2, f"{said}; their mean is used"
+    if abs(fx / fy - 1) <= 0.003:
+        return (fx + fy) / 2, {}
+    nominal = tags.xmp_number("dji:CalibratedFocalLength")
+    if not nominal and (film := _film_focal(tags)) is not None:
+        nominal = film * _calibrated_width(tags) / tags.size[0]
+    disagree = f"fx {fx:.1f} and fy {fy:.1f} disagree by {abs(fx / fy - 1):.1%} although pixels are square"
+    if not nominal:
+        return (fx + fy) / 2, {"focal_note": f"{disagree}; their mean is used"}
     chosen = min(fx, fy, key=lambda f: abs(f - nominal))
-    return chosen, f"{said}; {chosen:.1f}, nearer to the lens's design ({nominal:.1f}), is used"
+    return chosen, {
+        "focal_note": f"{disagree}; {chosen:.1f}, nearer to the lens's design ({nominal:.1f}), is used",
+    }
 
 
-def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    numbers = _dewarp_numbers(tags)
-    if numbers is None:
-        return None
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
-    scale = photo_scale(tags)
-    name = "DewarpData" if tags.xmp.get("dji:DewarpData") else "DewarpDataK6"
-    notes: Notes = {"focal_from": f"factory calibration ({name})"}
-    focal, note = _one_focal(fx, fy, _nominal(tags))
-    if note:
-        notes["focal_note"] = note
-    if p1 == p2 and abs(p1) > TANGENTIAL:
-        notes["lens_note"] = f"p1 and p2 are both {p1:g}, which no lens is: left out"
-        p1 = p2 = 0.0
-    lens: tuple[float, ...] = (k1, k2, p1, p2, k3)
-    if tags.xmp.get("dji:DewarpFlag") == "1":
-        notes["lens_note"], lens = "the drone has already removed the distortion (DewarpFlag 1)", ()
-    if scale != 1:
-        notes["scale"] = round(scale, 6)
-    return camera_of(tags, focal * scale, (cx * scale, cy * scale), lens), notes
-
-
-def _from_skydio(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+def _from_skydio(tags: PhotoTags) -> Found:
     """Camera by Skydio's tags: pixels, the centre counted from the centre of the first pixel, and k1, k2, k3."""
-    fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in (*_SKYDIO_FOCAL, *_SKYDIO_CENTRE))
+    keys = "FocalLengthX", "FocalLengthY", "OpticalCenterX", "OpticalCenterY"
+    fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in keys)
     if fx is None or fy is None or min(fx, fy) <= 0:
         return None
-    scale, offset = photo_scale(tags), (0.0, 0.0)
+    scale, offset = _scale(tags), (0.0, 0.0)
     if cx is not None and cy is not None:
-        width = calibrated_width(tags)
+        width = _calibrated_width(tags)
         offset = cx + 0.5 - width / 2, cy + 0.5 - width * tags.size[1] / tags.size[0] / 2
-    focal, note = _one_focal(fx, fy, _nominal(tags))
-    k = comma_numbers(tags.xmp.get("skydio:DewarpData", ""))
+    focal, note = _one_focal(tags, fx, fy)
+    k = _comma_numbers(tags.xmp.get("skydio:DewarpData", ""))
     lens = (k[0], k[1], 0.0, 0.0, k[2]) if len(k) == 3 else ()
-    notes: Notes = {"focal_from": "factory calibration (Skydio)"} | ({"focal_note": note} if note else {})
-    return camera_of(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens), notes
+    notes: Notes = {"focal_from": "factory calibration (Skydio)"} | note
+    return _camera(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens), notes
 
 
-def _from_calibrated(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+def _from_pix4d(tags: PhotoTags) -> Found:
+    """Pix4D's perspective model: focal length, principal point, and k1, k2, k3, p1, p2.
+
+    Parrot, senseFly, Sentera and MicaSense write these `Camera` tags. The focal length is in pixels or millimetres;
+    without a unit, the size of the number decides.
+    """
+    focal, pixels = tags.xmp_number("camera:PerspectiveFocalLength"), _pixels_a_millimetre(tags)
+    unit = tags.xmp.get("camera:PerspectiveFocalLengthUnits", "").lower()
+    if not focal or tags.xmp.get("camera:ModelType", "").lower() not in ("", "perspective"):
+        return None
+    if unit.startswith("p") or (not unit and pixels is None and focal > 100.0):
+        focal *= _scale(tags)
+    elif pixels is None:
+        return None
+    else:
+        focal *= pixels
+    lens = _comma_numbers(tags.xmp.get("camera:PerspectiveDistortion", ""))
+    distortion = (lens[0], lens[1], lens[3], lens[4], lens[2]) if len(lens) == 5 else ()
+    return _camera(tags, focal, _pix4d_offset(tags), distortion), {"focal_from": "factory calibration (Camera tags)"}
+
+
+def _pix4d_offset(tags: PhotoTags) -> tuple[float, float]:
+    """The principal point from the image's centre, pixels; it is written in millimetres from the corner."""
+    centre, pixels = _comma_numbers(tags.xmp.get("camera:PrincipalPoint", "")), _pixels_a_millimetre(tags)
+    if len(centre) != 2 or pixels is None:
+        return 0.0, 0.0
+    return centre[0] * pixels - 0.5 * tags.size[0], centre[1] * pixels - 0.5 * tags.size[1]
+
+
+def _from_fisheye(tags: PhotoTags) -> Found:
+    """Pix4D's fisheye model (as of the bands of a Parrot Sequoia), fitted by the equidistant model."""
+    affine, polynomial = (
+        _comma_numbers(tags.xmp.get(f"camera:Fisheye{k}", "")) for k in ("AffineMatrix", "Polynomial")
+    )
+    if tags.xmp.get("camera:ModelType", "").lower() != "fisheye" or len(affine) != 4 or len(polynomial) < 3:
+        return None
+    across, skew_x, skew_y, down = affine
+    scale = (across + down) / 2
+    if min(across, down) <= 0 or max(abs(skew_x), abs(skew_y), abs(across - down)) > 0.01 * scale:
+        return None
+    offset = _pix4d_offset(tags)
+    radius = math.hypot(tags.size[0] / 2 + abs(offset[0]), tags.size[1] / 2 + abs(offset[1]))
+    terms = fisheye_terms(scale * _scale(tags), polynomial, radius)
+    if terms is None or terms[0] <= 0:
+        return None
+    distortion = tuple(float(k) for k in terms[1:] / terms[0])
+    camera = _camera(tags, float(terms[0]), offset, distortion, "equidistant")
+    return camera, {"focal_from": "factory calibration (Camera tags, fisheye)"}
+
+
+def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 | None:
+    """The focal length in pixels, and it times k1, ..., k4, of the equidistant model nearest to Pix4D's fisheye model.
+
+    Args:
+        scale: pixels, `C` of the affine matrix, in `r = C sum(p[i] t**i)` with `t = 2 angle / pi`. The focal length is
+            `2 C / pi` where the even terms vanish.
+        polynomial: p0 (0), p1 (1), p2, ...
+        radius: pixels from the centre to the image's farthest corner.
+    """
+    t = np.linspace(0.0, 1.0, 401)[1:]
+    r = scale * (t[:, None] ** np.arange(len(polynomial)) @ np.array(polynomial))
+    inside = _within(r, radius * MARGIN)
+    return _odd_terms(0.5 * np.pi * t[inside], r[inside], 5) if inside.sum() >= 20 else None
+
+
+def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[float, float, float]:
+    """k1, k2, k3 nearest to a rational model, `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
+
+    Args:
+        radius: of the image's farthest corner, in focal lengths.
+    """
+    r = np.linspace(0.0, np.tan(np.radians(75.0)), 401)[1:]
+    even = r[:, None] ** np.array([2, 4, 6])
+    distorted = r * (1 + even @ np.array(above)) / (1 + even @ np.array(below))
+    inside = _within(distorted, radius * MARGIN)
+    k1, k2, k3 = _odd_terms(r[inside], distorted[inside] - r[inside], 4, start=3)[:3]
+    return float(k1), float(k2), float(k3)
+
+
+def _within(rising: F64, limit: float) -> Mask:
+    """Samples up to a limit, as long as they rise."""
+    fine = np.diff(rising, prepend=0.0) > 0
+    return np.asarray(np.logical_and.accumulate(fine & (rising <= limit)))
+
+
+def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
+    """Coefficients of x**start, x**(start + 2), ... by least squares."""
+    powers = np.arange(start, 2 * last, 2)
+    size = x.max()
+    found = np.linalg.lstsq((x[:, None] / size) ** powers, y, rcond=None)[0]
+    return np.asarray(found / size**powers, dtype=np.float64)
+
+
+# -- nominal focal lengths
+
+
+def _from_calibrated(tags: PhotoTags) -> Found:
     focal = tags.xmp_number("dji:CalibratedFocalLength")
-    if not focal or focal <= 0:
-        return None
-    return camera_of(tags, focal * photo_scale(tags)), {"focal_from": "CalibratedFocalLength"}
+    return _nominal(tags, focal, _scale(tags), "CalibratedFocalLength")
 
 
-def _from_sensor(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    focal, pixels = tags.number(Base.FocalLength), pixels_a_millimetre(tags)
-    if not focal or pixels is None:
-        return None
-    return camera_of(tags, focal * pixels), {"focal_from": "FocalLength and FocalPlaneXResolution"}
+def _from_sensor(tags: PhotoTags) -> Found:
+    pixels = _pixels_a_millimetre(tags)
+    return _nominal(tags, tags.number(Base.FocalLength), pixels, "FocalLength and FocalPlaneXResolution")
 
 
-def _from_film(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    pixels = _film_focal(tags)
-    if pixels is None:
-        return None
-    return camera_of(tags, pixels), {"focal_from": "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)"}
+def _from_film(tags: PhotoTags) -> Found:
+    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)")
+
+
+def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
+    """A camera by a focal length in units of so many pixels."""
+    return None if not focal or unit is None else (_camera(tags, focal * unit), {"focal_from": name})
 
 
 def _film_focal(tags: PhotoTags) -> float | None:
     film = tags.number(Base.FocalLengthIn35mmFilm)
     if not film or film <= 0:
         return None
-    shape = sensor_shape(tags.text(Base.Make), tags.text(Base.Model), tags.size)
-    return film_focal_px(film, sensor_width(tags.size, shape), shape)
+    shape, own = _sensor(tags)[1], max(tags.size) / min(tags.size)
+    if shape is None:  # DJI cuts its wide pictures out of a 4:3 sensor
+        shape = 4 / 3 if tags.text(Base.Make).lower() == "dji" and own > 1.6 else own
+    return film_focal_px(film, _sensor_width(tags.size, shape), shape)
 
 
-def _from_model(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    focal, make, model = tags.number(Base.FocalLength), tags.text(Base.Make), tags.text(Base.Model)
-    pixels = sensor_pixels_a_millimetre(make, model, tags.size)
-    if not focal or pixels is None:
+def film_focal_px(film: float, width: float, shape: float) -> float:
+    """Focal length in pixels from the 35 mm equivalent: makers compare the diagonals of film and whole sensor.
+
+    Args:
+        film: mm.
+        width: of the sensor, pixels.
+        shape: its width over its height.
+    """
+    return math.hypot(width, width / shape) * film / math.hypot(36, 24)
+
+
+def _from_model(tags: PhotoTags) -> Found:
+    focal, (width, shape) = tags.number(Base.FocalLength), _sensor(tags)
+    if not focal or width is None or shape is None:
         return None
-    camera = camera_of(tags, focal * pixels * tags.digital_zoom)
-    return camera, {"focal_from": f"FocalLength and the sensor's size of a {model}"}
+    name = f"FocalLength and the sensor's size of a {tags.text(Base.Model)}"
+    return _nominal(tags, focal * (_sensor_width(tags.size, shape) / width), tags.digital_zoom, name)
 
 
-# best first
-KNOWN = (
-    _from_dewarp, _from_skydio, perspective_camera, fisheye_camera, _from_calibrated, _from_sensor, _from_film,
-    _from_model,
-)  # fmt: skip
+def _sensor(tags: PhotoTags) -> tuple[float, float] | tuple[None, None]:
+    """Width of the sensor in mm, and width over height, by the makers' data sheets; None: it is not in the table."""
+    make, model = tags.text(Base.Make).lower(), tags.text(Base.Model).lower()
+    for maker, start, width, shape in _sensors():
+        if maker in make and model.startswith(start):
+            return width, 4 / 3 if shape == "4:3" else 3 / 2
+    return None, None
+
+
+@cache
+def _sensors() -> list[tuple[str, str, float, str]]:
+    """Part of the maker's name, start of the model's name, width in mm, shape; of one maker the first fit counts."""
+    return [
+        (m, s, w, shape) for m, s, w, shape in json.loads(Path(__file__).with_name("sensor_sizes.json").read_text())
+    ]
+
+
+def _sensor_width(size: tuple[int, int], shape: float) -> float:
+    """Width of the sensor in pixels of a photo, which is cut out of its middle: it keeps the width or the height."""
+    return max(max(size), min(size) * shape)

@@ -22,7 +22,7 @@ class PictureMemory:
     """
 
     def __init__(self, most_bytes: float) -> None:
-        self._most, self._held = most_bytes, 0
+        self._most, self.held_bytes = most_bytes, 0
         self._pictures: OrderedDict[Path, U8] = OrderedDict()
         self._lock = Lock()  # features are found by several threads
 
@@ -40,16 +40,16 @@ class PictureMemory:
         with self._lock:
             if path not in self._pictures:
                 self._pictures[path] = pixels
-                self._held += pixels.nbytes
-            while self._held > self._most and len(self._pictures) > 1:
-                self._held -= self._pictures.popitem(last=False)[1].nbytes
+                self.held_bytes += pixels.nbytes
+            while self.held_bytes > self._most and len(self._pictures) > 1:
+                self.held_bytes -= self._pictures.popitem(last=False)[1].nbytes
         return pixels
 
     def let_go(self, path: Path) -> None:
         """Forget the pixels of a file."""
         with self._lock:
             if path in self._pictures:
-                self._held -= self._pictures.pop(path).nbytes
+                self.held_bytes -= self._pictures.pop(path).nbytes
 
 
 class PhotoPixels:

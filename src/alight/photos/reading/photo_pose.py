@@ -17,18 +17,18 @@ from alight.records import NavSample
 BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
 
-RTK_FIXED, RTK_FLOAT, SINGLE = 50, range(32, 50), 16  # DJI's kinds of fix
-SIGMA_FLOOR = {"RTK fixed": 0.01, "RTK float": 0.5}  # m, lower limit of a receiver's own sigma
-SKYDIO_ACCURACY = "skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"
-ACCURACY_FLOOR = np.array([0.02, 0.02, 0.03])  # m, lower limit of other makers' accuracies
+GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
+LEAST_SIGMA = {  # m, limit of a receiver's own
+    k: np.array(v) for k, v in {"RTK fixed": [0.01] * 3, "RTK float": [0.5] * 3, "others": [0.02, 0.02, 0.03]}.items()
+}
+ATTITUDE_SIGMA = {"gimbal": np.array([0.02, 0.02, 0.1]), "flight": np.array([0.05, 0.05, 0.1])}  # rad, roll pitch yaw
 GIMBALS = (
     "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
     "yuneec:Gimbal{}", "Camera{}",  # the last one of Yuneec's CGO3+
 )  # fmt: skip
-FARTHEST_BACK = math.radians(-45.0)  # pitch of a camera beyond straight down
-GIMBAL_SIGMA = np.array([0.02, 0.02, 0.1])  # rad, roll pitch (about horizontal axes), yaw (about the vertical)
-FLIGHT_SIGMA = np.array([0.05, 0.05, 0.1])
-GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
+ACCURACIES = (  # across, up
+    ("camera:GPSXYAccuracy", "camera:GPSZAccuracy"), ("skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"),
+)  # fmt: skip
 
 
 def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
@@ -46,39 +46,36 @@ def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
     for pattern in GIMBALS:
         if (gimbal := _angles(tags, pattern)) is not None:
             return enu_from_flu(*gimbal), "gimbal"
-    pix4d = _angles(tags, "camera:{}")
-    if pix4d is not None and pix4d[1] < FARTHEST_BACK:
+    if (pix4d := _angles(tags, "camera:{}")) is not None and pix4d[1] < math.radians(-45.0):
         return enu_from_flu(*pix4d), "camera, from the horizon"
     if pix4d is not None:
         yaw, pitch, roll = pix4d
         sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly counts roll the other way round
         return enu_from_flu(yaw, pitch, sign * roll) @ CRAFT_FROM_NADIR, "camera"
-    flight = _angles(tags, "dji:Flight{}Degree")
-    if flight is not None:
+    if (flight := _angles(tags, "dji:Flight{}Degree")) is not None:
         return enu_from_flu(*flight) @ CRAFT_FROM_NADIR, "flight"
     return None, ""
 
 
 def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
-    values = [tags.xmp_number(pattern.format(name)) for name in ("Yaw", "Pitch", "Roll")]
-    if any(v is None for v in values):
+    values = [v for name in ("Yaw", "Pitch", "Roll") if (v := tags.xmp_number(pattern.format(name))) is not None]
+    if len(values) < 3:
         return None
-    yaw, pitch, roll = (math.radians(v or 0.0) for v in values)
+    yaw, pitch, roll = (math.radians(v or 0.0) for v in values)  # no negative zero
     return yaw, pitch, roll
 
 
 def position_sigma(tags: PhotoTags) -> F64:
     """1-sigma (3,) of east, north, up in metres: the receiver's, else that of a consumer receiver."""
-    said = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
-    floor = SIGMA_FLOOR.get(rtk_fix(tags))
-    if floor is not None and all(s is not None and s > 0 for s in said):
-        return np.maximum(np.array(said, dtype=np.float64), floor)
+    own = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
+    if (fix := rtk_fix(tags)) in LEAST_SIGMA and all(s is not None and s > 0 for s in own):
+        return np.asarray(np.maximum(np.array(own, dtype=np.float64), LEAST_SIGMA[fix]))
     sigma = GPS_SIGMA.copy()
-    for across, up in (("camera:GPSXYAccuracy", "camera:GPSZAccuracy"), SKYDIO_ACCURACY):
-        for name, axes in ((across, slice(0, 2)), (up, slice(2, 3))):
+    for names in ACCURACIES:
+        for name, axes in zip(names, (slice(0, 2), slice(2, 3)), strict=True):
             value = tags.xmp_number(name)
             if value is not None and value > 0:  # 0: not known
-                sigma[axes] = np.maximum(value, ACCURACY_FLOOR[axes])
+                sigma[axes] = np.maximum(value, LEAST_SIGMA["others"][axes])
     return sigma
 
 
@@ -87,9 +84,9 @@ def rtk_fix(tags: PhotoTags) -> str:
     flag = tags.xmp_number("dji:RtkFlag")
     if flag is None:
         return ""
-    if flag in RTK_FLOAT:
+    if flag in range(32, 50):
         return "RTK float"
-    return {RTK_FIXED: "RTK fixed", SINGLE: "single point"}.get(int(flag), "")
+    return {50: "RTK fixed", 16: "single point"}.get(int(flag), "")
 
 
 def with_supposed_altitudes(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], str]:
@@ -127,7 +124,7 @@ def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
     """One photo's position and attitude; each is None where the tags do not give it."""
     place = tags.position
     world_from_body, source = photo_attitude(tags)
-    sigma = FLIGHT_SIGMA if source == "flight" else GIMBAL_SIGMA
+    sigma = ATTITUDE_SIGMA["flight" if source == "flight" else "gimbal"]
     return NavSample(
         t_ns,
         None if place is None else local.to_enu(*place),

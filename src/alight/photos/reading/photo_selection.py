@@ -1,15 +1,61 @@
-"""Selection of the photos of a folder that are used: thermal pictures and further bands are left out."""
+"""Search for the photos of a folder, as of a card or a survey; thermal pictures and further bands are left out."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 from alight.photos.reading.photo_tags import PhotoTags
 
-THERMAL_SIZES = ((640, 512), (640, 480), (336, 256), (160, 120))  # of microbolometers, longer side first
-BANDS = ("green", "red")  # the first ones among as many photos of each: most like a grey picture, the sharpest lenses
-LEAST_OTHERS = 3  # other photos from which a thermal picture is recognised by its size alone
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+
+
+class FoundPhotos(NamedTuple):
+    """Pictures of a folder, sorted, and its sub-folders that may not be read."""
+
+    files: list[Path]
+    closed: list[Path]
+
+
+def find_photos(folder: Path) -> FoundPhotos:
+    """Pictures of a folder and of its sub-folders (as `DCIM/100MEDIA` of a card).
+
+    Hidden files are left out, as are thumbnails and the output of programs, Alight's included. A file that links reach
+    as well is taken once.
+
+    Raises:
+        OSError: the folder itself cannot be read.
+    """
+    closed, files = list[Path](), dict[str, Path]()
+    for path in _pictures(folder, 3, closed):
+        real = os.path.realpath(path)
+        if real not in files or real == str(path):
+            files[real] = path
+    return FoundPhotos(sorted(files.values()), sorted(closed))
+
+
+def _pictures(folder: Path, depth: int, closed: list[Path]) -> Iterator[Path]:
+    """Yield the pictures of a folder and of so many levels below it; folders without permission go to `closed`."""
+    for path in sorted(folder.iterdir()):
+        if not path.is_dir():
+            if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
+                yield path
+        elif depth > 0:
+            try:
+                inside = list(_pictures(path, depth - 1, closed)) if _may_hold_photos(path) else []
+            except PermissionError:
+                closed.append(path)
+            else:
+                yield from inside
+
+
+def _may_hold_photos(folder: Path) -> bool:
+    name = folder.name.lower()
+    output = name == "mav0" or name.startswith((".", "odm_", "thumb")) or "thumbnails" in name
+    return not output and not (folder / "run.json").exists()
 
 
 def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
@@ -18,13 +64,13 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
     They are recognised by the tags or the file's name. The size alone decides only beside enough others, since photos
     that were made smaller may have it too.
     """
-    told = [p for p in photos if _told_thermal(p)]
-    rest = [p for p in photos if not _told_thermal(p)]
-    sized = [p for p in rest if (max(p.size), min(p.size)) in THERMAL_SIZES]
-    others = len(rest) - len(sized)
-    if others >= max(LEAST_OTHERS, len(sized) / 2):
-        return told + sized
-    return told if rest else []
+    tagged = [p for p in photos if _is_tagged_thermal(p)]
+    rest = [p for p in photos if not _is_tagged_thermal(p)]
+    microbolometers = (640, 512), (640, 480), (336, 256), (160, 120)
+    sized = [p for p in rest if (max(p.size), min(p.size)) in microbolometers]
+    if len(rest) - len(sized) >= max(3, len(sized) / 2):
+        return tagged + sized
+    return tagged if rest else []
 
 
 def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
@@ -39,9 +85,10 @@ def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
         return None
     if colour >= max(counts.values()) / 2:
         return ""
-    return max(counts, key=lambda band: (counts[band], *(band.lower() == b for b in BANDS)))
+    # the first ones among as many photos of each: most like a grey picture, the sharpest lenses
+    return max(counts, key=lambda band: (counts[band], *(band.lower() == b for b in ("green", "red"))))
 
 
-def _told_thermal(photo: PhotoTags) -> bool:
+def _is_tagged_thermal(photo: PhotoTags) -> bool:
     source, band = photo.xmp.get("dji:ImageSource", "").lower(), photo.xmp.get("camera:BandName", "").lower()
     return "infrared" in source or band == "lwir" or photo.path.stem.endswith("_T")

@@ -16,8 +16,6 @@ from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
 from alight.sources.images import open_image, stored_size
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
-MOST_ZOOM = 100.0  # of a digital zoom
-EXIF_3 = "0300"  # ExifVersion
 COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
 
 
@@ -83,7 +81,7 @@ class PhotoTags:
     def digital_zoom(self) -> float:
         """Factor of the digital zoom; 1 where the tags do not give it, or give an impossible one."""
         zoom = self.number(Base.DigitalZoomRatio)
-        return zoom if zoom is not None and 1 < zoom <= MOST_ZOOM else 1.0
+        return zoom if zoom is not None and 1 < zoom <= 100 else 1.0
 
     @property
     def altitude_kind(self) -> str:
@@ -93,9 +91,9 @@ class PhotoTags:
         0 and 1 were about the sea level, and in practice about either. DJI names a fused or an RTK altitude. Parrot
         documents its own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
         """
-        if self._told_altitude() is None:
+        if (altitude := self._written_altitude()) is None:
             return "not said"
-        code = self._altitude_code if self._told_altitude() == self._exif_altitude else None
+        code = self._altitude_code if altitude == self._exif_altitude else None
         model = self.text(Base.Model).lower().replace(" ", "")
         datum = (self.xmp.get("camera:VertCS") or self.xmp.get("skydio:VertCS") or "").lower()
         rtk = self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt"
@@ -105,7 +103,7 @@ class PhotoTags:
             return "ellipsoid"
         if self.xmp_number("dji:RtkFlag") == 50:
             return "ellipsoid (RTK fixed)"
-        if code in (0, 1) and self.text(Base.ExifVersion) >= EXIF_3:
+        if code in (0, 1) and self.text(Base.ExifVersion) >= "0300":
             return "ellipsoid"
         if self.text(Base.Make).lower() == "parrot":
             return "sea level (EGM96)"
@@ -133,7 +131,7 @@ class PhotoTags:
     @property
     def position(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (degrees), altitude (metres above the maker's datum); None without a fix."""
-        place, altitude = self.place, self._told_altitude()
+        place, altitude = self.place, self._written_altitude()
         altitude = self.supposed_altitude if altitude is None else altitude
         return None if place is None or altitude is None else (*place, altitude)
 
@@ -144,9 +142,7 @@ class PhotoTags:
         longitude = _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W")
         if latitude is None or longitude is None:
             latitude = self.xmp_number("dji:GpsLatitude")
-            longitude = self.xmp_number("dji:GpsLongitude") or self.xmp_number(
-                "dji:GpsLongtitude"
-            )  # DJI's own spelling
+            longitude = self.xmp_number("dji:GpsLongitude") or self.xmp_number("dji:GpsLongtitude")  # DJI's spelling
         if latitude is None or longitude is None:
             return None
         on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
@@ -155,13 +151,11 @@ class PhotoTags:
     @property
     def relative_altitude(self) -> float | None:
         """Metres above the place of take-off; None where the photo does not give them."""
-        said = (
-            self.xmp_number(k) for k in ("dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude")
-        )
-        return next((v for v in said if v is not None), None)
+        keys = "dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude"
+        return next((v for k in keys if (v := self.xmp_number(k)) is not None), None)
 
     @property
-    def half_said(self) -> bool:
+    def hemisphere_missing(self) -> bool:
         """True if EXIF has a place without its hemisphere: north and east are assumed then."""
         references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
         return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
@@ -177,7 +171,7 @@ class PhotoTags:
         exif = finite(self.gps.get(Gps.GPSAltitude))
         return -exif if exif is not None and self._altitude_code in (1, 3) else exif
 
-    def _told_altitude(self) -> float | None:
+    def _written_altitude(self) -> float | None:
         exif, absolute = self._exif_altitude, self.xmp_number("dji:AbsoluteAltitude")
         if absolute is not None and (exif is None or abs(exif - absolute) > 1):
             return absolute  # some firmware leaves the EXIF altitude at zero

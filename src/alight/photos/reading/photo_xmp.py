@@ -12,7 +12,6 @@ SPACES = {  # parts of XMP namespaces: DJI, Pix4D (also Autel, senseFly, Sentera
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 ITEM = f"{RDF}li"
 FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # tags that enclose values and name none
-MOST_TEXT = 1_000_000  # characters of a damaged packet that are searched
 _META = re.compile(r"<(\w{1,40}):xmpmeta\b")
 _NAME = r"([\w-]{1,40}):(\w{1,80})"
 _DECLARED = re.compile(r"""xmlns:([\w-]{1,40})\s*=\s*["']([^"'<>]*)["']""")
@@ -57,7 +56,7 @@ def parse_xmp(packet: bytes | str) -> dict[str, str]:
 
 def salvage_xmp(packet: bytes | str) -> dict[str, str]:
     """Extract values from a packet that is no valid XML, such as one with an undeclared prefix."""
-    text = _text(packet)[:MOST_TEXT]
+    text = _text(packet)[:1_000_000]  # that much of a damaged packet is searched
     spaces = dict(_DECLARED.findall(text))
 
     def key(prefix: str, name: str) -> str:

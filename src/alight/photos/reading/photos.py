@@ -12,12 +12,18 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from hashlib import blake2b, file_digest
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from alight.geometry import Camera
-from alight.photos.reading.photo_camera import GUESSED, dewarp_text, guessed_camera, photo_camera, photo_readout
+from alight.photos.reading.photo_camera import (
+    GUESSED,
+    Notes,
+    dewarp_text,
+    guessed_camera,
+    photo_camera,
+    photo_readout,
+)
 from alight.photos.reading.photo_pixels import PhotoPixels, PictureMemory
 from alight.photos.reading.photo_pose import (
     BODY_FROM_CAM,
@@ -31,19 +37,16 @@ from alight.photos.reading.photo_pose import (
 from alight.photos.reading.photo_selection import band_to_use, thermal_photos
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
-from alight.settings import ImuNoise, Settings
+from alight.settings import Settings
+from alight.sources.calibration import read_camchain
 from alight.sources.images import UNREADABLE
-from alight.sources.kalibr import read_camchain
-from alight.sources.source import Findings, RecordedSource, Trajectory
+from alight.sources.source import Source
 
-GENERIC = ("images", "photos", "dcim", "jpg")  # folder names without information; the parent's is used instead
-SECOND = 1_000_000_000
-HELD = 0.5  # of the memory for images, by pictures that were read
+SECOND = 1_000_000_000  # ns
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
-BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
 
 
-class Photos(RecordedSource):
+class Photos(Source):
     """The photos in one folder.
 
     Args:
@@ -55,39 +58,40 @@ class Photos(RecordedSource):
         InputError: no readable photo, or none with GPS.
     """
 
-    kind: Literal["photos"] = "photos"
-    truth_trajectory: Trajectory | None = None
+    kind = "photos"
     georeferenced = True
-    imu_noise = ImuNoise()
 
     def __init__(self, root: Path, files: Sequence[Path], settings: Settings, closed: Sequence[Path] = ()) -> None:
+        super().__init__()
         self._root = root
-        self._memory = PictureMemory(HELD * 1e6 * settings.parallax.store_mb)
-        self._findings = Findings()
-        self._findings.expect("photos", len(files))
+        self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb)
+        self._tags: dict[Path, PhotoTags] = {}  # of all photos that can be read
+        self._left_out: dict[Path, str] = {}  # reasons
+        self.findings.expect("photos", len(files))
         if closed:
             names = ", ".join(self._name_of(p) for p in closed)
-            self._findings.say(f"no permission to read {names}: photos in there are left out")
-        self.name = root.parent.name if root.name.lower() in GENERIC else root.name
-        self._facts: dict[Path, PhotoFacts] = {}
+            self.findings.warn(f"no permission to read {names}: photos in there are left out")
+        generic = root.name.lower() in ("images", "photos", "dcim", "jpg")
+        self.name = root.parent.name if generic else root.name
         photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
         photos, supposed = with_supposed_altitudes(photos)
         if supposed:
-            self._findings.say(f"no photo says its altitude: {supposed}, heights above the sea are not known")
-            self._facts |= {p.path: facts_of(p) for p in photos}
+            self.findings.warn(f"no photo says its altitude: {supposed}, heights above the sea are not known")
+            self._tags |= {p.path: p for p in photos}
         if not any(p.position for p in photos):
             raise InputError(f"{root}: no photo has a GPS position; photos need EXIF GPS latitude and longitude")
         ordered = self._in_order(photos)[settings.sources.skip :: settings.sources.every]
         if not any(p.position for _, p in ordered):
             raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
         self._photos = ordered
+        self._leave_out({p.path for p in photos} - {p.path for _, p in ordered}, "by sources.skip or sources.every")
         self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
         self._names = _names([p for _, p in ordered], root)
+        self._flights = _flights([p for _, p in ordered])
         self.length = len(ordered)
         self.local = local_frame([p for _, p in ordered])
-        self.rig, self.notes = self._calibrate(settings)
+        self.rig = self._calibrate(settings)
         self._note()
-        self._understand()
 
     def events(self) -> Iterator[Event]:
         for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
@@ -103,7 +107,18 @@ class Photos(RecordedSource):
     @property
     def photos(self) -> list[PhotoFacts]:
         """Facts about each photo, unused ones included; complete after `events`."""
-        return [self._facts[path] for path in sorted(self._facts)]
+        facts = {path: facts_of(tags) for path, tags in self._tags.items()}
+        by_user = str(self.notes["focal_from"]) if "Kalibr" in str(self.notes["focal_from"]) else ""
+        for (t_ns, tags), name, flight in zip(self._photos, self._names, self._flights, strict=True):
+            own, focal_from = self._cameras.index(tags.camera), facts[tags.path].focal_from
+            facts[tags.path] = replace(
+                facts[tags.path], name=name, t_ns=t_ns, group=f"flight {flight + 1}, camera {own + 1}",
+                focal_px=round(self.rig.cameras[own].camera.fu, 1), focal_from=by_user or focal_from or GUESSED,
+            )  # fmt: skip
+        for path, why in self._left_out.items():
+            known = facts.get(path) or PhotoFacts(self._name_of(path), (0, 0), "")
+            facts[path] = replace(known, left_out=why, t_ns=None)
+        return [facts[path] for path in sorted(facts)]
 
     def digest(self) -> str:
         """Digest of the names and the bytes of all photos that are used."""
@@ -121,43 +136,38 @@ class Photos(RecordedSource):
 
     def _lose(self, path: Path, why: str) -> None:
         """Leave a photo out, with a warning."""
-        self._findings.lose("photos", self._name_of(path), why)
-        self._leave_out(path, why)
+        self.findings.lose("photos", self._name_of(path), why)
+        self._left_out[path] = why
 
-    def _leave_out(self, path: Path, why: str) -> None:
-        facts = self._facts.get(path) or PhotoFacts(self._name_of(path), (0, 0), "")
-        self._facts[path] = replace(facts, left_out=why, t_ns=None)
+    def _leave_out(self, paths: set[Path], why: str) -> None:
+        self._left_out |= dict.fromkeys(paths, why)
 
     def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
-        photos, damaged = [], list[str]()
+        damaged = list[str]()
         for path in files:
             try:
-                tags, problem = read_tags(path)
+                self._tags[path], problem = read_tags(path)
             except UNREADABLE as e:
                 self._lose(path, "it is no image" if "identify" in str(e) else str(e))
                 continue
-            photos.append(tags)
-            self._facts[path] = facts_of(tags)
             if problem:
                 damaged.append(f"{path.name}: {problem}")
         if damaged:
-            self._findings.say(
+            self.findings.warn(
                 f"{len(damaged)} photo(s) have damaged XMP (first: {damaged[0]}): of attitude and calibration, only "
                 "what can be picked out of it is used"
             )
-        if not photos:
+        if not self._tags:
             raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
-        return photos
+        return list(self._tags.values())
 
     def _without_thermal(self, photos: list[PhotoTags]) -> list[PhotoTags]:
         thermal = thermal_photos(photos)
         if thermal:
-            self._findings.say(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
-            self._findings.counts["thermal pictures"] = len(thermal)
-        for p in thermal:
-            self._leave_out(p.path, "a thermal picture")
-        aside = {p.path for p in thermal}
-        return [p for p in photos if p.path not in aside]
+            self.findings.warn(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
+            self.findings.counts["thermal pictures"] = len(thermal)
+        self._leave_out({p.path for p in thermal}, "a thermal picture")
+        return [p for p in photos if p.path not in self._left_out]
 
     def _of_one_band(self, photos: list[PhotoTags]) -> list[PhotoTags]:
         band = band_to_use(photos)
@@ -166,119 +176,86 @@ class Photos(RecordedSource):
         others = [p for p in photos if p.band != band]
         used = f"band {band.removeprefix('band ')} is" if band else "the colour pictures are"
         if others:
-            self._findings.say(
+            self.findings.warn(
                 f"{len(others)} picture(s) of single bands are left out (first: {others[0].path.name}): of a "
                 f"multispectral camera {used} used"
             )
-            self._findings.counts["pictures of other bands"] = len(others)
+            self.findings.counts["pictures of other bands"] = len(others)
         for p in others:
-            self._leave_out(p.path, f"{p.band or 'colour'}: {used} used")
+            self._left_out[p.path] = f"{p.band or 'colour'}: {used} used"
         return [p for p in photos if p.band == band]
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
-        groups = Counter(p.camera for p in photos).most_common()
-        first = groups[0][0]
         out = dict[object, str]()
-        for camera, count in groups[1:]:
-            its = next(p for p in photos if p.camera == camera)
+        for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
+            first = next(p for p in photos if p.camera == camera)
             if settings.sources.calibration:
                 out[camera] = "sources.calibration is of another camera"
             elif count < LEAST_OF_A_CAMERA:
                 out[camera] = f"fewer than {LEAST_OF_A_CAMERA} photos of its camera"
-            elif not has_focal_length(its):
+            elif facts_of(first).focal_px is None:
                 out[camera] = "no focal length in its tags"
             else:
                 continue
-            self._findings.say(
-                f"{count} photo(s) of another camera are left out: {camera.title} (first: {its.path.name}): "
+            self.findings.warn(
+                f"{count} photo(s) of another camera are left out: {camera.title} (first: {first.path.name}): "
                 f"{out[camera]}"
             )
         if out:
-            self._findings.counts["photos of another camera"] = sum(p.camera in out for p in photos)
-        for p in photos:
-            if p.camera in out:
-                self._leave_out(p.path, out[p.camera])
-        return [p for p in photos if p.camera not in out or p.camera == first]
+            self.findings.counts["photos of another camera"] = sum(p.camera in out for p in photos)
+        self._left_out |= {p.path: out[p.camera] for p in photos if p.camera in out}
+        return [p for p in photos if p.camera not in out]
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
         """Photos sorted by time of capture, then name; photos of one second are spread over it, so that time rises."""
-        times = {p.path: p.time_ns for p in photos}
-        if any(t is None for t in times.values()):
-            n = sum(t is None for t in times.values())
-            self._findings.say(f"{n} photo(s) have no capture time: the order of the file names is used")
+        times = {p.path: t for p in photos if (t := p.time_ns) is not None}
+        if n := len(photos) - len(times):
+            self.findings.warn(f"{n} photo(s) have no capture time: the order of the file names is used")
             return [(k * SECOND, p) for k, p in enumerate(sorted(photos, key=lambda p: p.path))]
-        ordered = sorted(photos, key=lambda p: (times[p.path] or 0, p.path))
-        return list(zip(_spread([times[p.path] or 0 for p in ordered]), ordered, strict=True))
+        ordered = sorted(photos, key=lambda p: (times[p.path], p.path))
+        return list(zip(spread_times([times[p.path] for p in ordered]), ordered, strict=True))
 
-    def _calibrate(self, settings: Settings) -> tuple[Rig, dict[str, Any]]:
-        first = self._photos[0][1]
+    def _calibrate(self, settings: Settings) -> Rig:
+        """The rig, of a lens a camera; the notes get the source of its numbers."""
         if settings.sources.calibration:
             path = Path(settings.sources.calibration).expanduser()
-            blank = Rig((RigCamera("cam0", Camera(*first.size, 1, 1, 0, 0), BODY_FROM_CAM),))
-            lens = read_camchain(path, blank, BODY_FROM_CAM).cameras[0].camera
-            return Rig((RigCamera("cam0", lens, BODY_FROM_CAM),)), {
-                "focal_from": f"Kalibr {path.name}",
-                "focal_px": lens.fu,
-            }
-        found = [self._lens(camera) for camera in self._cameras]
-        readouts = [self._readout(camera) for camera in self._cameras]
-        cameras = enumerate(zip(found, readouts, strict=True))
-        rig = Rig(tuple(RigCamera(f"cam{k}", lens, BODY_FROM_CAM, r) for k, ((lens, _), r) in cameras))
-        notes = found[0][1]
-        if len(found) > 1:
-            notes["cameras"] = [
-                f"{c.title}: {n['focal_px']:g} px, {n['focal_from']}"
-                for c, (_, n) in zip(self._cameras, found, strict=True)
+            blank = RigCamera("cam0", Camera(*self._photos[0][1].size, 1, 1, 0, 0), BODY_FROM_CAM)
+            lens = read_camchain(path, Rig((blank,)), BODY_FROM_CAM).cameras[0].camera
+            self.notes |= {"focal_from": f"Kalibr {path.name}", "focal_px": lens.fu}
+            return Rig((replace(blank, camera=lens),))
+        cameras, notes = list[RigCamera](), list[Notes]()
+        for k, camera in enumerate(self._cameras):
+            its = [p for _, p in self._photos if p.camera == camera]
+            lens, its_notes = self._lens(camera, its)
+            readout = Counter(photo_readout(p) for p in its).most_common(1)[0][0]
+            cameras.append(RigCamera(f"cam{k}", lens, BODY_FROM_CAM, readout))
+            notes.append(its_notes)
+        self.notes |= notes[0]
+        if len(cameras) > 1:
+            self.notes["cameras"] = [
+                f"{c.title}: {n['focal_px']:g} px, {n['focal_from']}" for c, n in zip(self._cameras, notes, strict=True)
             ]
-        return rig, notes
+        return Rig(tuple(cameras))
 
-    def _lens(self, camera: PhotoCamera) -> tuple[Camera, dict[str, Any]]:
+    def _lens(self, camera: PhotoCamera, photos: list[PhotoTags]) -> tuple[Camera, Notes]:
         """The lens of one camera, from the most frequent calibration that its photos carry."""
-        its = [p for _, p in self._photos if p.camera == camera]
-        dewarp = Counter(dewarp_text(p) for p in its).most_common()
-        chosen = next(p for p in its if dewarp_text(p) == dewarp[0][0])
+        dewarp = Counter(dewarp_text(p) for p in photos).most_common()
+        chosen = next(p for p in photos if dewarp_text(p) == dewarp[0][0])
         if len(dewarp) > 1:
-            self._findings.say(
+            self.findings.warn(
                 f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"
             )
         try:
             return photo_camera(chosen)
         except InputError:
             lens, notes = guessed_camera(chosen)
-            self._findings.say(
+            self.findings.warn(
                 f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
                 "quarter, and heights above ground scale with it; give the true one with --set "
                 "sources.calibration=camchain.yaml"
             )
             return lens, notes
-
-    def _readout(self, camera: PhotoCamera) -> float | None:
-        """The most frequent readout time in the tags of a camera's photos, in seconds."""
-        told = Counter(photo_readout(p) for _, p in self._photos if p.camera == camera)
-        return told.most_common(1)[0][0]
-
-    def _understand(self) -> None:
-        """Complete the facts that depend on the whole set: exposure, flight and camera, focal length in use."""
-        flight, before = 0, None
-        for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
-            taken = tags.time_ns
-            new = before is not None and taken is not None and taken - before > BETWEEN_FLIGHTS * SECOND
-            flight, before = flight + new, before if taken is None else taken
-            own = self._cameras.index(tags.camera)
-            lens = self.rig.cameras[own].camera
-            facts = self._facts[tags.path]
-            self._facts[tags.path] = replace(
-                facts, name=name, t_ns=t_ns, group=f"flight {flight + 1}, camera {own + 1}",
-                focal_px=round(lens.fu, 1), focal_from=facts.focal_from or GUESSED,
-            )  # fmt: skip
-            if "Kalibr" in str(self.notes["focal_from"]):
-                self._facts[tags.path] = replace(self._facts[tags.path], focal_from=str(self.notes["focal_from"]))
-        for path, facts in self._facts.items():
-            if facts.t_ns is None and not facts.left_out:
-                self._leave_out(path, "by sources.skip or sources.every")
-        if flight:
-            self.notes["flights"] = flight + 1
 
     def _note(self) -> None:
         photos = [p for _, p in self._photos]
@@ -295,29 +272,25 @@ class Photos(RecordedSource):
             self.notes["height_note"] = (
                 "without an RTK fix a drone's altitude may be above sea level, not the ellipsoid"
             )
-        if missing := sum(p.position is None for p in photos):
-            low = sum(p.position is None and p.place is not None for p in photos)
-            but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
-            self._findings.say(
-                f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the pictures "
-                "alone"
-            )
-        if half := sum(p.half_said for p in photos):
-            self._findings.say(
-                f"{half} photo(s) do not say whether their place is north or south, east or west: north and east are "
-                "taken"
-            )
-        if kinds["flight"]:
-            self._findings.say(
-                f"{kinds['flight']} photo(s) have no gimbal angles: a camera fixed to look down is assumed"
-            )
-        if turned := sum(p.turned > 0 for p in photos):
-            self._findings.say(
-                f"{turned} photo(s) have an EXIF orientation other than 1: their pixels are used as they are stored, "
-                "their attitude tags are not used"
-            )
-        if kinds["none"]:
-            self._findings.say(f"{kinds['none']} photo(s) say nothing about where the camera looked")
+        if self._flights[-1]:
+            self.notes["flights"] = self._flights[-1] + 1
+        missing = sum(p.position is None for p in photos)
+        low = sum(p.position is None and p.place is not None for p in photos)
+        but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
+        half, turned = sum(p.hemisphere_missing for p in photos), sum(p.turned > 0 for p in photos)
+        for count, warning in (
+            (missing, f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the "
+             "pictures alone"),
+            (half, f"{half} photo(s) do not say whether their place is north or south, east or west: north and east "
+             "are taken"),
+            (kinds["flight"], f"{kinds['flight']} photo(s) have no gimbal angles: a camera fixed to look down is "
+             "assumed"),
+            (turned, f"{turned} photo(s) have an EXIF orientation other than 1: their pixels are used as they are "
+             "stored, their attitude tags are not used"),
+            (kinds["none"], f"{kinds['none']} photo(s) say nothing about where the camera looked"),
+        ):  # fmt: skip
+            if count:
+                self.findings.warn(warning)
 
 
 def facts_of(tags: PhotoTags) -> PhotoFacts:
@@ -337,18 +310,23 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
     )  # fmt: skip
 
 
-def has_focal_length(tags: PhotoTags) -> bool:
-    """True if the focal length follows from a photo's tags."""
-    return facts_of(tags).focal_px is not None
-
-
 def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
     """File names; with the folder where two folders have the same one."""
     taken = Counter(p.path.name for p in photos)
     return [p.path.name if taken[p.path.name] == 1 else p.path.relative_to(root).as_posix() for p in photos]
 
 
-def _spread(times: Sequence[int]) -> list[int]:
+def _flights(photos: Sequence[PhotoTags]) -> list[int]:
+    """Number of the flight of each photo, from 0: another one begins after five minutes without a photo."""
+    out, flight, before = list[int](), 0, None
+    for taken in (tags.time_ns for tags in photos):
+        flight += before is not None and taken is not None and taken - before > 300 * SECOND
+        before = before if taken is None else taken
+        out.append(flight)
+    return out
+
+
+def spread_times(times: Sequence[int]) -> list[int]:
     """Times in order, those that are equal spread over the time to the next one, a second at most."""
     out: list[int] = []
     for t, n in Counter(times).items():

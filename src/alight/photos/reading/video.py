@@ -1,13 +1,16 @@
-"""A video with telemetry (`.srt`) as photos: frames by distance, with tags that `Photos` reads."""
+"""A video with telemetry (`.srt`, in the dialects of DJI) as photos: frames by distance, with tags for `Photos`."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
+import re
 import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,22 +18,97 @@ from xml.sax.saxutils import quoteattr
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image
 
 from alight.arrays import U8
+from alight.photos.reading.photo_camera import film_focal_px
 from alight.photos.reading.photos import Photos
-from alight.photos.reading.sensor_sizes import FOUR_THIRDS, film_focal_px
-from alight.photos.reading.subtitles import Subtitle, read_srt
 from alight.records import InputError
 from alight.settings import Settings
 
+Base, Gps = ExifTags.Base, ExifTags.GPS
+
 OVERLAP = 0.8  # of one frame with the next, along the flight
-LEAST_STEP = 0.5  # metres
-USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not give it
-USUAL_FIELD = 0.56  # ground of a frame's height over the distance, where the focal length is unknown
-QUALITY = 95  # of the JPEGs
-COARSE_SIGMA = 11.0  # m, of a place with four decimals of a degree
-TENTHS = 200  # mm; whole numbers above are tenths of a millimetre
+_TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
+_STAMP = re.compile(r"(\d{4})[-.](\d\d)[-.](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
+_NUMBER = r"([-+]?\d+(?:\.\d+)?)"
+_PAIR = re.compile(rf"\b([a-z_]+)\s*:\s*{_NUMBER}", re.IGNORECASE)
+_GPS = re.compile(rf"\bGPS\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*(?:,\s*{_NUMBER}\s*(M?)\s*)?\)", re.IGNORECASE)
+_UP = re.compile(rf"\bBAROMETER\s*[:(]\s*{_NUMBER}|,\s*H\s+{_NUMBER}\s*m\b", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Subtitle:
+    """Content of one subtitle."""
+
+    seconds: float  # from the start of the video
+    taken: datetime | None
+    values: dict[str, float]  # latitude, longitude, abs_alt, rel_alt, focal_len, gb_yaw, ...
+    coarse: bool = False  # latitude or longitude has few decimals
+
+    @property
+    def place(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (degrees), and the altitude, else the height above take-off (m); None without a fix."""
+        latitude, longitude = self.values.get("latitude"), self.values.get("longitude")
+        up = self.values.get("rel_alt") if self.altitude is None else self.altitude
+        if latitude is None or longitude is None or up is None or (latitude, longitude) == (0, 0):
+            return None
+        return latitude, longitude, up
+
+    @property
+    def altitude(self) -> float | None:
+        """Metres above the maker's datum; None where at most the height above take-off is given."""
+        return next((self.values[k] for k in ("abs_alt", "altitude") if k in self.values), None)
+
+
+def read_srt(text: str) -> list[Subtitle]:
+    """The telemetry of subtitles.
+
+    Either each number has its name, as in `[latitude: 45.1]`, or a line is `GPS(149.0251,-20.2533,16) BAROMETER:1.9`.
+    """
+    out = []
+    for block in re.split(r"\n\s*\n", text.replace("\r", "")):
+        if (at := _TIME.search(block)) is None:
+            continue
+        h, m, s, ms = (int(v) for v in at.groups())
+        written = {k.lower().replace("longtitude", "longitude"): v for k, v in _PAIR.findall(block[at.end() :])}
+        written |= _bracketed(block[at.end() :])
+        seconds = 3600 * h + 60 * m + s + ms / 10 ** len(at.group(4))
+        decimals = [len(written[k].partition(".")[2]) for k in ("latitude", "longitude") if k in written]
+        coarse = bool(decimals) and max(decimals) <= 4  # of a degree: 11 m
+        out.append(Subtitle(seconds, _stamp(block), {k: float(v) for k, v in written.items()}, coarse))
+    return out
+
+
+def _bracketed(block: str) -> dict[str, str]:
+    """Place and height above take-off of the older dialects, as they are written; empty in the others.
+
+    With a unit (`0.0M`, Matrice 300) latitude comes first, without one (Mavic Pro, Phantom 4) longitude, unless that is
+    no place on Earth. The third number is a count of satellites or nothing, the height is the barometer's.
+    """
+    found = _GPS.search(block)
+    if found is None:
+        return {}
+    first, second, _, unit = found.groups()
+    latitude, longitude = (first, second) if unit else (second, first)
+    if abs(float(latitude)) > 90:
+        latitude, longitude = longitude, latitude
+    if abs(float(latitude)) > 90 or abs(float(longitude)) > 180:
+        return {}
+    up = _UP.search(block)
+    height = {} if up is None else {"rel_alt": up.group(1) or up.group(2)}
+    return {"latitude": latitude, "longitude": longitude} | height
+
+
+def _stamp(block: str) -> datetime | None:
+    if (found := _STAMP.search(block)) is None:
+        return None
+    *whole, fraction = found.groups()
+    try:
+        at = datetime(*(int(v) for v in whole), tzinfo=UTC)  # type: ignore[arg-type, misc]
+    except ValueError:
+        return None
+    return at + timedelta(milliseconds=int((fraction or "0").ljust(3, "0")))
 
 
 def open_video(path: Path, settings: Settings) -> Photos:
@@ -52,25 +130,20 @@ def open_video(path: Path, settings: Settings) -> Photos:
             "with GPS(...) and BAROMETER:..."
         )
     folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
-    root = folder / path.stem
-    root.mkdir()
     try:
-        source = _opened(path, rows, root, settings)
+        root = folder / path.stem
+        root.mkdir()
+        files = list(_write_frames(path, rows, root))
+        if not files:
+            raise InputError(
+                f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
+            )
+        source = Photos(root, files, settings)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    weakref.finalize(source, shutil.rmtree, folder, True)
-    return source
-
-
-def _opened(path: Path, rows: Sequence[Subtitle], root: Path, settings: Settings) -> Photos:
-    files = list(_write_frames(path, rows, root))
-    if not files:
-        raise InputError(
-            f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
-        )
-    source = Photos(root, files, settings)
     source.notes["video"] = f"{len(files)} frames of {path.name}, chosen by the distance flown"
+    weakref.finalize(source, shutil.rmtree, folder, True)
     return source
 
 
@@ -80,9 +153,7 @@ def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[
     try:
         rate = film.get(cv2.CAP_PROP_FPS) or 30.0
         at, last = np.array([t.seconds for t in rows]), None
-        number = -1
-        while film.grab():
-            number += 1
+        for number in itertools.takewhile(lambda _: film.grab(), itertools.count()):
             row = rows[max(int(np.searchsorted(at, number / rate, side="right")) - 1, 0)]
             if last is not None and _apart(last, row) < _step(row, film):
                 continue
@@ -108,21 +179,20 @@ def _apart(a: Subtitle, b: Subtitle) -> float:
 
 def focal_px(row: Subtitle, width: float) -> float | None:
     """Focal length in pixels from the 35 mm equivalent (DJI's 4:3 sensors, whose whole width is filmed)."""
-    film = row.said.get("focal_len")
+    film = row.values.get("focal_len")
     if not film or film <= 0:
         return None
-    if film > TENTHS and film == int(film):
+    if film > 200 and film == int(film):  # mm; larger whole numbers are tenths of a millimetre
         film /= 10
-    return film_focal_px(film, width, FOUR_THIRDS)
+    return film_focal_px(film, width, 4 / 3)
 
 
 def _step(row: Subtitle, film: Any) -> float:
-    """Distance in metres from one frame to the next, for the overlap `OVERLAP`."""
+    """Distance in metres from one frame to the next, for the overlap `OVERLAP`; usual values where none is known."""
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     focal = focal_px(row, width)
-    field = USUAL_FIELD if focal is None else height / focal
-    above = row.said.get("rel_alt", USUAL_HEIGHT)
-    return max((1 - OVERLAP) * field * max(above, 1.0), LEAST_STEP)
+    field = 0.56 if focal is None else height / focal  # ground of a frame's height over the distance
+    return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
 def _dms(degrees: float) -> tuple[float, float, float]:
@@ -137,26 +207,32 @@ def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
     (latitude, longitude, _), altitude = row.place, row.altitude
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
     exif = Image.Exif()
-    exif[0x010F], exif[0x0110], exif[0x0112] = "video", "with telemetry", 1
-    exif.get_ifd(0x8769).update({0x9003: f"{taken:%Y:%m:%d %H:%M:%S}", 0x9291: f"{taken.microsecond // 1000:03d}"})
-    exif.get_ifd(0x8825).update(
+    exif[Base.Make], exif[Base.Model], exif[Base.Orientation] = "video", "with telemetry", 1
+    exif.get_ifd(ExifTags.IFD.Exif).update(
         {
-            1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude)),
-            **({} if altitude is None else {5: b"\x01" if altitude < 0 else b"\x00", 6: abs(altitude)}),
+            Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
+            Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
         }
-    )  # fmt: skip
+    )
+    gps: dict[int, Any] = {
+        Gps.GPSLatitudeRef: "NS"[latitude < 0], Gps.GPSLatitude: _dms(abs(latitude)),
+        Gps.GPSLongitudeRef: "EW"[longitude < 0], Gps.GPSLongitude: _dms(abs(longitude)),
+    }  # fmt: skip
+    if altitude is not None:
+        gps |= {Gps.GPSAltitudeRef: b"\x01" if altitude < 0 else b"\x00", Gps.GPSAltitude: abs(altitude)}
+    exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps)
     tags = {
         "GpsLatitude": latitude, "GpsLongitude": longitude, "AbsoluteAltitude": altitude,
-        "RelativeAltitude": row.said.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
-        "GimbalYawDegree": row.said.get("gb_yaw"), "GimbalPitchDegree": row.said.get("gb_pitch"),
-        "GimbalRollDegree": row.said.get("gb_roll"),
+        "RelativeAltitude": row.values.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
+        "GimbalYawDegree": row.values.get("gb_yaw"), "GimbalPitchDegree": row.values.get("gb_pitch"),
+        "GimbalRollDegree": row.values.get("gb_roll"),
     }  # fmt: skip
     attributes = " ".join(f"d:{k}={quoteattr(f'{v:.9g}')}" for k, v in tags.items() if v is not None)
     if row.coarse:
-        attributes += f' c:GPSXYAccuracy="{COARSE_SIGMA}"'
+        attributes += ' c:GPSXYAccuracy="11.0"'  # m
     xmp = (
         '<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
         f'<r:Description r:about="" xmlns:d="http://www.dji.com/drone-dji/1.0/" xmlns:c="http://pix4d.com/camera/1.0/" '
         f"{attributes}/></r:RDF></x:xmpmeta>"
     )
-    Image.fromarray(pixels).save(path, "JPEG", quality=QUALITY, exif=exif, xmp=xmp.encode())
+    Image.fromarray(pixels).save(path, "JPEG", quality=95, exif=exif, xmp=xmp.encode())

@@ -1,19 +1,102 @@
-"""Work that is saved piece by piece, so that an interrupted run continues from there."""
+"""Work of a set of photos, saved piece by piece in its output folder: an interrupted run continues from there."""
 
 from __future__ import annotations
 
+import json
 from collections import deque
-from collections.abc import Iterable, Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 from alight import __version__
+from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_bytes, read_text
 from alight.jobs import Jobs, Task
+from alight.outputs.atomic_write import output_error, write_whole
+from alight.outputs.folder import WORK, remove_work
 from alight.photos.work.packing import is_whole, pack_result, unpack_result
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
+
+KEY = "run.json"  # identifies the run that the work belongs to
+SUFFIX = ".part"
+
+
+class WorkFolder(MutableMapping[str, bytes]):
+    """Pieces of work by name, each a file that is written whole or not at all.
+
+    Args:
+        out: folder of the results.
+        key: everything that the work depends on: input, settings, version.
+        resume: continue with the saved work; without it, saved work is removed.
+
+    Raises:
+        InputError: the saved work has another key, or its key is damaged.
+        OutputError: the folder cannot be written.
+    """
+
+    def __init__(self, out: Path, key: Mapping[str, Any], resume: bool) -> None:
+        self._folder = out / WORK
+        there = _key_of(self._folder) if resume else None
+        if there is not None and (other := _differing(there, json.loads(json.dumps(key)))):
+            raise InputError(
+                f"{out}: cannot be resumed, the interrupted run had {other}; give it the same again, or run without "
+                "--resume to begin anew"
+            )
+        if there is None:
+            remove_work(out)
+            try:
+                self._folder.mkdir(parents=True)
+            except OSError as e:
+                raise output_error(self._folder, e) from e
+            write_whole(self._folder / KEY, json.dumps(key, indent=1).encode())
+        self.found = len(self)  # number of pieces that were saved before
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}{SUFFIX}"
+
+    def __getitem__(self, name: str) -> bytes:
+        try:
+            return read_bytes(self._path(name), 4_000_000_000)
+        except (OSError, DocumentError) as e:
+            raise KeyError(name) from e
+
+    def __setitem__(self, name: str, data: bytes) -> None:
+        write_whole(self._path(name), data, durable=False)  # a damaged piece is detected by its digest and done again
+
+    def __delitem__(self, name: str) -> None:
+        self._path(name).unlink()
+
+    def __iter__(self) -> Iterator[str]:
+        return (p.name.removesuffix(SUFFIX) for p in self._folder.iterdir() if p.suffix == SUFFIX)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def _key_of(folder: Path) -> dict[str, Any] | None:
+    """Key of the saved work; None: there is none."""
+    try:
+        tree = parse_json(read_text(folder / KEY, LARGEST_JSON))
+    except FileNotFoundError:
+        return None
+    except (OSError, DocumentError) as e:
+        raise InputError(f"{folder / KEY}: is damaged; run without --resume to begin anew") from e
+    return tree if isinstance(tree, dict) else {}
+
+
+def _differing(there: Any, wanted: Any, name: str = "") -> str:
+    """The first difference of two keys, in words; empty where they are the same."""
+    if there == wanted:
+        return ""
+    if isinstance(there, dict) and isinstance(wanted, dict):
+        for part in [*wanted, *there]:
+            inner = f"{name}.{part}" if name else str(part)
+            if other := _differing(there.get(part), wanted.get(part), inner):
+                return other
+    old, new = (str(v) if len(str(v)) < 40 else "" for v in (there, wanted))
+    return f"another {name}" + (f" ({old}, now {new})" if old and new else "")
 
 
 class SavedJobs:
@@ -34,20 +117,20 @@ class SavedJobs:
 
         def open_tasks() -> Iterator[Task]:
             for task in tasks:
-                known = is_whole(self._saved.get(task.name, b""), task.about)
-                drawn.append((task, known))
-                if not known:
+                saved = is_whole(self._saved.get(task.name, b""), task.about)
+                drawn.append((task, saved))
+                if not saved:
                     yield task
 
         for value in self._doing.run(open_tasks(), at_once):
-            yield from self._known(drawn)
+            yield from self._saved_results(drawn)
             task, _ = drawn.popleft()
             self._saved[task.name] = pack_result(value, task.about)
             self.done.append(task.name)
             yield value
-        yield from self._known(drawn)
+        yield from self._saved_results(drawn)
 
-    def _known(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
+    def _saved_results(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
         """Yield saved results, up to the next task without one.
 
         Raises:

@@ -10,13 +10,14 @@ import twins_bundle as twins
 
 from alight.arrays import F64, I64
 from alight.geometry import Camera, so3_exp
-from alight.photos.bundle.lens_kernels import distort, undistort
+from alight.photos.bundle.adjustment_kernels import meet_rays, rays_of_pixels
+from alight.photos.bundle.camera_kernels import distort, undistort
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.matching import BundleObservations
-from alight.photos.bundle.ray_kernels import meet_rays, rays_of_pixels
 from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
+    NormalEquations,
     Priors,
     intersection_angle,
     project_points,
@@ -113,18 +114,18 @@ def cameras(request: pytest.FixtureRequest) -> tuple[Camera, ...]:
     return SETS[request.param]
 
 
-def parts(system: Adjustment) -> tuple[F64, F64]:
-    """Return the normal equations after `linearise` in full: photos, free lens numbers, mounting, points."""
+def parts(system: Adjustment, blocks: NormalEquations) -> tuple[F64, F64]:
+    """Return the normal equations in full: photos, free lens numbers, mounting, points."""
     p, obs = system.size, system.obs
     H, g = np.zeros((p + 3 * obs.points,) * 2), np.zeros(p + 3 * obs.points)
-    H[:p, :p], g[:p] = np.tril(system.U) + np.tril(system.U, -1).T, system.b
-    lens = np.arange(len(system.free)) + system.each * system.photos
+    H[:p, :p], g[:p] = np.tril(blocks.U) + np.tril(blocks.U, -1).T, blocks.b
+    lens = np.arange(len(system.free)) + system.poses
     for k in range(obs.points):
         at = np.arange(3) + p + 3 * k
-        H[np.ix_(at, at)], g[at] = system.information[k], system.gradient[k]
-        H[np.ix_(at, lens)] = system.lens_coupling[k]
+        H[np.ix_(at, at)], g[at] = blocks.information[k], blocks.gradient[k]
+        H[np.ix_(at, lens)] = blocks.lens_coupling[k]
         for n in np.flatnonzero(obs.point == k):
-            H[np.ix_(at, np.arange(system.each) + system.each * obs.photo[n])] = system.coupling[n]
+            H[np.ix_(at, np.arange(system.each) + system.each * obs.photo[n])] = blocks.coupling[n]
     H[:p, p:] = H[p:, :p].T
     return H, g
 
@@ -133,11 +134,11 @@ def expected(system: Adjustment, state: BundleState) -> tuple[F64, F64]:
     """Return the normal equations from the twin's rows and the blocks of the priors."""
     p, each = system.size, system.each
     r, J = twins.rows(state, system.obs, system.priors, each)
-    mounting = each * system.photos + len(system.free)
+    mounting = system.poses + len(system.free)
     J = np.concatenate([J[:, :mounting], np.zeros((len(r), p - mounting)), J[:, mounting:]], axis=1)
     w = twins.cauchy_weights(r, system.pixel_sigma, system.loss)
     H, g = J.T @ (w[:, None] * J), -J.T @ (w * r)
-    U, b = system._prior_blocks(state)
+    U, b = system.prior_blocks(state)
     H[:p, :p] += U
     g[:p] += b
     return H, g
@@ -154,8 +155,8 @@ def test_blocks_are_those_of_the_rows_written_out(cameras: tuple[Camera, ...], t
     """The blocks agree for every lens, with and without turns, and for several cameras with their own free numbers."""
     state, obs, priors = survey(cameras, turning)
     system = Adjustment(obs, priors, sigmas(obs), LOSS)
-    system.linearise(state)
-    H, g = parts(system)
+    blocks = system.linearise(state)
+    H, g = parts(system, blocks)
     wanted, right = expected(system, state)
     size = np.sqrt(np.diag(wanted))
     close(H, wanted, size, 1e-6)
@@ -181,7 +182,7 @@ def test_rows_are_those_of_differences(cameras: tuple[Camera, ...], turning: flo
         turns = state.turns + photos[:, 6:].reshape(PHOTOS, 2, 3) if turning else state.turns
         x = state.points + step[each * PHOTOS + len(free) :].reshape(-1, 3)
         after = BundleState(state.centres + photos[:, :3], turned, x, lens, state.mounting, turns)
-        return project_points(after, obs, priors.lenses.moved(lens), priors.velocity)[0].ravel()
+        return project_points(after, obs, priors).pixels.ravel()
 
     for k in range(J.shape[1]):
         step = 1e-6 * np.eye(J.shape[1])[k]
@@ -196,17 +197,17 @@ def test_the_reduced_system_is_the_dense_schur_complement(
     """Matrix, right side and steps of the points agree with the solution of the whole system."""
     state, obs, priors = survey(cameras, turning)
     system = Adjustment(obs, priors, sigmas(obs), LOSS)
-    system.linearise(state)
-    H, g = parts(system)
+    blocks = system.linearise(state)
+    H, g = parts(system, blocks)
     H += damping * np.diag(np.diag(H))
     p = system.size
     gain = np.linalg.solve(H[p:, p:], H[p:, :p]).T
-    S, rhs = system.reduce(damping)
+    S, rhs, _ = system.reduce(blocks, damping)
     size = np.sqrt(np.diag(H))[:p]
     close(S, H[:p, :p] - gain @ H[p:, :p], size, 1e-9)
     close(rhs, g[:p] - gain @ g[p:], size, 1e-9)
     np.testing.assert_array_equal(S, S.T)
-    after, step = system.step(state, damping), np.linalg.solve(H, g)
+    after, step = system.step(state, blocks, damping), np.linalg.solve(H, g)
     np.testing.assert_allclose(after.points - state.points, step[p:].reshape(-1, 3), rtol=1e-5, atol=1e-7)
     np.testing.assert_allclose(after.mounting - state.mounting, step[p - 3 : p], rtol=1e-5, atol=1e-9)
 
@@ -216,15 +217,14 @@ def test_a_point_behind_a_camera_is_far_off_and_no_reason_to_stop() -> None:
     points = state.points.copy()
     points[3, 2] = 200.0
     state = replace(state, points=points)
-    pixels, depth = project_points(state, obs, priors.lenses.moved(state.lens), priors.velocity)
+    pixels, depth = project_points(state, obs, priors)
     behind = obs.point == 3
     assert (depth[behind] < 0).all()
     assert np.isnan(pixels[behind]).all()
     assert np.isfinite(pixels[~behind]).all()
     np.testing.assert_array_equal(residuals(state, obs, priors)[behind], twins.FAR)
     system = Adjustment(obs, priors, sigmas(obs), LOSS)
-    system.linearise(state)
-    assert np.isfinite(system.reduce(1e-3)[0]).all()
+    assert np.isfinite(system.reduce(system.linearise(state), 1e-3).S).all()
 
 
 @pytest.mark.parametrize("turning", [0.0, 0.02])
@@ -232,10 +232,10 @@ def test_predictions_and_rays_are_those_of_numpy(cameras: tuple[Camera, ...], tu
     """Predicted pixels agree with NumPy, and so do directions and origins of the rays of observed pixels."""
     state, obs, priors = survey(cameras, turning)
     lenses = priors.lenses.moved(state.lens)
-    pixels, _ = project_points(state, obs, lenses, priors.velocity)
+    pixels, _ = project_points(state, obs, priors)
     np.testing.assert_allclose(pixels, twins.predicted(state, obs, lenses, priors.velocity), atol=1e-9)
     ray, origin = np.empty((2, len(obs.photo), 3))
-    rays_of_pixels(*state.for_kernels(obs, lenses, priors.velocity), ray, origin)
+    rays_of_pixels(*state.for_kernels(obs, priors), ray, origin)
     for n, (photo, pixel) in enumerate(zip(obs.photo, obs.pixels, strict=True)):
         R, C, _ = twins.exposed(state, lenses, priors.velocity, int(photo), pixel[1])
         wanted = R @ lenses.of_photo(int(photo)).rays(pixel)
@@ -258,12 +258,12 @@ def test_points_are_where_their_rays_meet() -> None:
     obs.pixels[np.flatnonzero(np.bincount(obs.point)[obs.point] > 4)[0]] += [60.0, 0.0]
     lenses = priors.lenses.moved(state.lens)
     ray, origin = np.empty((2, len(obs.photo), 3))
-    rays_of_pixels(*state.for_kernels(obs, lenses, priors.velocity), ray, origin)
+    rays_of_pixels(*state.for_kernels(obs, priors), ray, origin)
     focal, out = lenses.focal(obs.photo)[:, 0], np.empty((POINTS, 3))
     meet_rays(starts_of(obs), ray, origin, focal, 4, 3.0, 1e-9, np.ones(len(ray)), out)
     wanted = twins.meeting_points(starts_of(obs), ray, origin, focal, 4, 3.0)
     np.testing.assert_allclose(out, wanted, atol=1e-6)
-    np.testing.assert_array_equal(out, triangulate_bundle(state, lenses, priors.velocity, obs))
+    np.testing.assert_array_equal(out, triangulate_bundle(state, obs, priors))
 
 
 def test_angles_between_rays_are_those_of_numpy() -> None:
@@ -279,9 +279,8 @@ def test_no_observation_is_no_error() -> None:
     state, obs, priors = survey((PINHOLE,), 0.0)
     none = obs.keep(np.zeros(len(obs.photo), bool))[0]
     empty = replace(state, points=np.empty((0, 3)))
-    lenses = priors.lenses.moved(state.lens)
-    assert triangulate_bundle(empty, lenses, priors.velocity, none).shape == (0, 3)
+    assert triangulate_bundle(empty, none, priors).shape == (0, 3)
     assert intersection_angle(empty.points, empty.centres, none).shape == (0,)
     system = Adjustment(none, priors, sigmas(none), LOSS)
-    system.linearise(empty)
-    np.testing.assert_allclose(system.reduce(0.0)[0], system._prior_blocks(empty)[0], atol=1e-10)
+    reduced = system.reduce(system.linearise(empty), 0.0)
+    np.testing.assert_allclose(reduced.S, system.prior_blocks(empty)[0], atol=1e-10)

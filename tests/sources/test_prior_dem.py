@@ -57,7 +57,7 @@ def test_a_dem_is_put_on_the_grid_of_the_world(tmp_path: Path, crs: str) -> None
 def test_a_dem_that_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such file"):
         read_prior(tmp_path / "none.tif", PLACE)
-    with pytest.raises(InputError, match="does not say where it lies"):
+    with pytest.raises(InputError, match="has no coordinate system"):
         read_prior(write_dem(tmp_path / "nowhere.tif", None), PLACE)
     there = "+proj=tmerc +lat_0=-33 +lon_0=-70 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
     with pytest.raises(InputError, match="lies elsewhere"):

@@ -12,8 +12,7 @@ from drawn_photos import CAMERA, PLACE, UP, look, texture
 
 from alight.geometry import enu_from_flu
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
-from alight.photos.reading.subtitles import read_srt
-from alight.photos.reading.video import focal_px
+from alight.photos.reading.video import focal_px, read_srt
 from alight.records import Frame, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.sources import Source
@@ -39,7 +38,7 @@ OLD = """7
 def test_subtitles_of_two_generations_are_read() -> None:
     new, old = read_srt(NEW + "\n" + OLD.replace("\n", "\r\n"))
     assert (new.seconds, new.place) == (0.0, (45.123456, -7.654321, 330.2))
-    assert {k: new.said[k] for k in ("rel_alt", "focal_len", "gb_yaw", "gb_pitch")} == {
+    assert {k: new.values[k] for k in ("rel_alt", "focal_len", "gb_yaw", "gb_pitch")} == {
         "rel_alt": 30.1, "focal_len": 24.0, "gb_yaw": 12.5, "gb_pitch": -89.9,
     }  # fmt: skip
     assert new.taken is not None

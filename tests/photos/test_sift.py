@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from alight.arrays import F64, U8
-from alight.photos.bundle.matching import extract
-from alight.photos.bundle.sift import detect, keypoints
+from alight.photos.bundle.features import detect, extract, keypoints
 from alight.settings import BundleSettings
 
 CONTRAST = 0.02

@@ -19,9 +19,9 @@ from drawn_photos import SMALL, draw_photos
 
 from alight.cli import call
 from alight.jobs import InTurn, Task
-from alight.photos.work import SavedJobs
+from alight.outputs.folder import WORK
+from alight.photos.work import SavedJobs, WorkFolder
 from alight.photos.work.packing import is_whole, pack_result, unpack_result
-from alight.photos.work.work_folder import WORK, WorkFolder
 from alight.records import InputError
 
 RASTERS = ("dem.tif", "flags.tif", "ortho.tif", "safe.tif", "reasons.tif", "terrain.tif", "trajectory.csv")

@@ -12,22 +12,13 @@ from numpy.typing import NDArray
 
 pytest.importorskip("pycolmap")
 
+
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.photos.bundle.adjust import joint_of, select, solve_bundle
+from alight.photos.bundle.adjust import confirmed, joint_of, select, solve_bundle
 from alight.photos.bundle.exposure import exposure_gains
-from alight.photos.bundle.lenses import PhotoLenses
-from alight.photos.bundle.matching import (
-    BundleObservations,
-    Pair,
-    PhotoFeatures,
-    match_descriptors,
-    neighbours,
-    tracks,
-    verify,
-)
-from alight.photos.bundle.points import confirmed
-from alight.photos.bundle.priors import make_priors, rolling_priors
-from alight.photos.bundle.rolling import velocities
+from alight.photos.bundle.features import PhotoFeatures
+from alight.photos.bundle.matching import BundleObservations, Pair, match_descriptors, neighbours, tracks, verify
+from alight.photos.bundle.priors import make_priors, rolling_priors, velocities
 from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
@@ -124,8 +115,8 @@ def told(
     )
 
 
-def solved(s: Scene, priors: Priors, **settings: object) -> Solved:
-    out = solve_bundle(s.observations, s.pairs, priors, BundleSettings.model_validate(settings))
+def solved(s: Scene, priors: Priors, seconds: F64 | None = None, **settings: object) -> Solved:
+    out = solve_bundle(s.observations, s.pairs, priors, BundleSettings.model_validate(settings), seconds=seconds)
     assert out is not None
     return out
 
@@ -339,7 +330,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         np.zeros(3),
         np.zeros((len(exact.centres), 2, 3)),
     )
-    start = triangulate_bundle(true, PhotoLenses.one(CAMERA, len(exact.centres)), priors.velocity, obs)
+    start = triangulate_bundle(true, obs, priors)
     state = BundleState(
         exact.centres + rng.normal(0, 0.05, exact.centres.shape),
         np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),
@@ -349,7 +340,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         rng.normal(0, 0.005, (len(exact.centres), 2, 3)),
     )
     system = Adjustment(obs, priors, np.ones(len(obs.photo)), 3.0)
-    system.linearise(state)
+    equations = system.linearise(state)
     n = len(exact.centres)
 
     def cost(**moved: F64) -> float:
@@ -369,18 +360,18 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         return rotations
 
     for axis in range(3):
-        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * system.b[60 + axis], rel=1e-3, abs=0.5)
+        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * equations.b[60 + axis], rel=1e-3, abs=0.5)
         rotation = (cost(rotations=turned(1, axis)) - cost(rotations=turned(-1, axis))) / 2e-6
-        assert rotation == pytest.approx(-2 * system.b[63 + axis], rel=1e-2, abs=5.0)
+        assert rotation == pytest.approx(-2 * equations.b[63 + axis], rel=1e-2, abs=5.0)
         for k in range(2):
             assert slope("turns", (5, k, axis), 1e-6) == pytest.approx(
-                -2 * system.b[66 + 3 * k + axis], rel=1e-2, abs=1.0
+                -2 * equations.b[66 + 3 * k + axis], rel=1e-2, abs=1.0
             )
-        assert slope("points", (7, axis), 1e-5) == pytest.approx(-2 * system.gradient[7, axis], rel=1e-3, abs=0.5)
+        assert slope("points", (7, axis), 1e-5) == pytest.approx(-2 * equations.gradient[7, axis], rel=1e-3, abs=0.5)
         mounting = slope("mounting", (axis,), 1e-6)
-        assert mounting == pytest.approx(-2 * system.b[len(system.b) - 3 + axis], rel=2e-2, abs=5.0)
+        assert mounting == pytest.approx(-2 * equations.b[len(equations.b) - 3 + axis], rel=2e-2, abs=5.0)
     for k, number in enumerate(system.free):
-        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[12 * n + k], rel=1e-2, abs=1.0)
+        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * equations.b[12 * n + k], rel=1e-2, abs=1.0)
 
 
 def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None:
@@ -490,12 +481,7 @@ def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float
     seconds = BETWEEN * np.arange(len(survey.centres))
     turn = np.random.default_rng(3).normal(0, turning, (len(seconds), 2, 3))
     seen = rolled(survey, velocity_of(survey, seconds) * READOUT, turn)
-    settings = BundleSettings.model_validate({"lens": "free"})
-    by_rows, at_once = (
-        solve_bundle(seen.observations, seen.pairs, told(seen, sigma=0.1), settings, seconds=s) for s in (seconds, None)
-    )
-    assert by_rows is not None
-    assert at_once is not None
+    by_rows, at_once = (solved(seen, told(seen, sigma=0.1), s, lens="free") for s in (seconds, None))
     readout = by_rows.priors.lenses.moved(by_rows.state.lens).readouts[0]
     assert abs(readout - READOUT) < (0.2 if turning else 0.1) * READOUT
     assert (by_rows.priors.sigma_turn > 0) == (turning > 0)
@@ -509,11 +495,7 @@ def test_a_readout_that_the_maker_tells_is_held(small: Scene, readout: float) ->
     seconds = BETWEEN * np.arange(len(small.centres))
     turn = np.random.default_rng(3).normal(0, 0.03, (len(seconds), 2, 3))
     seen = rolled(small, velocity_of(small, seconds) * READOUT, turn)
-    out = solve_bundle(
-        seen.observations, seen.pairs, told(seen, sigma=0.1, readout=readout),
-        BundleSettings.model_validate({"lens": "free"}), seconds=seconds,
-    )  # fmt: skip
-    assert out is not None
+    out = solved(seen, told(seen, sigma=0.1, readout=readout), seconds, lens="free")
     assert out.priors.lenses.moved(out.state.lens).readouts == (readout,)
     assert (misfit(out) < 0.45) == (readout > 0)
 
@@ -522,11 +504,7 @@ def test_a_readout_that_the_maker_tells_counts_with_a_held_lens_too(small: Scene
     """The calibration is held, and its readout with it: rows are exposed one after the other."""
     seconds = BETWEEN * np.arange(len(small.centres))
     seen = rolled(small, velocity_of(small, seconds) * READOUT, np.zeros((len(seconds), 2, 3)))
-    out = solve_bundle(
-        seen.observations, seen.pairs, told(seen, sigma=0.1, readout=READOUT, lens="held"),
-        BundleSettings.model_validate({"lens": "held"}), seconds=seconds,
-    )  # fmt: skip
-    assert out is not None
+    out = solved(seen, told(seen, sigma=0.1, readout=READOUT, lens="held"), seconds, lens="held")
     lenses = out.priors.lenses.moved(out.state.lens)
     assert lenses.readouts == (READOUT,)
     assert lenses.cameras == (CAMERA,)
@@ -537,11 +515,7 @@ def test_rows_that_are_exposed_at_once_stay_so(small: Scene) -> None:
     """A readout that fits only noise is rejected, and no turns are estimated."""
     seconds = BETWEEN * np.arange(len(small.centres))
     seen = rolled(small, np.zeros((len(seconds), 3)), np.zeros((len(seconds), 2, 3)))
-    out = solve_bundle(
-        seen.observations, seen.pairs, told(seen, sigma=0.1), BundleSettings.model_validate({"lens": "free"}),
-        seconds=seconds,
-    )  # fmt: skip
-    assert out is not None
+    out = solved(seen, told(seen, sigma=0.1), seconds, lens="free")
     assert not any(out.priors.lenses.moved(out.state.lens).readouts)
     assert not out.state.turns.any()
     assert out.priors.sigma_turn == 0

@@ -17,8 +17,8 @@ from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
 from alight.sources import Source
-from alight.sources.exposures import group_exposures
-from alight.sources.tables import rising
+from alight.sources.flight_log import group_exposures
+from alight.sources.streams import rising
 
 
 def opened(path: Path, *assignments: str) -> Source:

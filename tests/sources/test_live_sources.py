@@ -24,11 +24,9 @@ from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_live, open_source
 from alight.runs import flown_home
 from alight.settings import Settings
-from alight.sources.arrival import as_they_arrive
 from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
-from alight.sources.growing import GrowingLog, GrowingTable
-from alight.sources.live import LiveSource
-from alight.sources.paced import paced
+from alight.sources.growing import GrowingLog, GrowingTable, WaitingExposures
+from alight.sources.live import LiveSource, as_they_arrive, paced
 from alight_sim import fly
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
@@ -181,13 +179,13 @@ def test_images_of_a_folder_that_fills_are_paired_within_half_a_period(tmp_path:
     assert [[i is not None for i in f.images] for f in frames] == [[True, True]] * 5 + [[True, False], [False, True]]
 
 
-def test_an_exposure_has_the_time_of_its_first_camera_though_that_comes_later(tmp_path: Path) -> None:
+def test_an_exposure_has_the_time_of_its_first_camera_though_that_comes_later() -> None:
     """At 100 Hz, the row of the left camera comes after that of the right one, which is 2 ms ahead."""
-    log = GrowingLog(write_flight(tmp_path / "flight"), Settings(), idle=0.01)
+    waiting = WaitingExposures(2)
     for k in range(4):
-        log._join(1, T0 + k * 10_000_000 - 2_000_000, f"right {k}", 0.0)
-        log._join(0, T0 + k * 10_000_000, f"left {k}", 0.0)
-    assert log._waiting == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
+        waiting.add(1, T0 + k * 10_000_000 - 2_000_000, f"right {k}", 0.0)
+        waiting.add(0, T0 + k * 10_000_000, f"left {k}", 0.0)
+    assert waiting.names == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
 
 
 def test_gps_that_comes_after_the_start_of_a_folder_is_not_used(tmp_path: Path) -> None:
@@ -325,7 +323,7 @@ def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -
     assert np.linalg.norm(first) < 5.0
     now = time.monotonic_ns()
     assert all(0 <= now - r.t_ns < 60_000_000_000 for r in rows)
-    home = flown_home(None, opened.heard(), None)  # of route.plan: the autopilot's own
+    home = flown_home(None, opened.telemetry(), None)  # of route.plan: the autopilot's own
     assert home is not None
     assert np.isfinite(home.height)
 

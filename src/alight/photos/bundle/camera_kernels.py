@@ -1,15 +1,13 @@
-"""Lens models with derivatives: kernels. The models are those of `Camera.distort`."""
+"""Loops over one pixel: lens models with derivatives, and the pose at the exposure of a row: kernels.
+
+Lens models are those of `Camera.distort`; equation numbers: docs/method/bundle.md.
+"""
 
 import math
 
 from alight.arrays import F64
 from alight.compiled import pixelwise
-
-_STEPS = 20  # of Newton, at most; five are usual
-_LONGEST = 0.5  # of a step, so that it does not leap over the fold of a lens
-_LEAST_STEP = 1e-12
-_LEAST_SLOPE = 1e-9  # of the distorted by the ideal area
-_CENTRE = 1e-9  # from the axis, within which a fisheye does not distort
+from alight.motion.rotation_kernels import exponential, multiply
 
 
 @pixelwise
@@ -32,7 +30,7 @@ def _radial_tangential(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F
 def _equidistant(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F64) -> None:
     """Kannala-Brandt: see `distort`."""
     r = math.sqrt(x * x + y * y)
-    if r < _CENTRE:
+    if r < 1e-9:  # at the axis a fisheye does not distort
         return
     theta = math.atan(r)
     t2 = theta * theta
@@ -73,13 +71,51 @@ def distort(x: float, y: float, model: int, k: F64, out: F64, by_xy: F64, by_k: 
 def undistort(u: float, v: float, model: int, k: F64, out: F64, flat: F64, by_xy: F64, by_k: F64) -> None:
     """Write ideal coordinates (2,) of distorted ones (Newton); the rest is for `distort` to write into."""
     out[0], out[1] = u, v
-    for _ in range(_STEPS if model > 0 else 0):
+    for _ in range(20 if model > 0 else 0):  # five are usual
         distort(out[0], out[1], model, k, flat, by_xy, by_k)
         e, f = flat[0] - u, flat[1] - v
         det = by_xy[0, 0] * by_xy[1, 1] - by_xy[0, 1] * by_xy[1, 0]
-        det = det if abs(det) > _LEAST_SLOPE else _LEAST_SLOPE
+        det = det if abs(det) > 1e-9 else 1e-9
         a, b = (e * by_xy[1, 1] - f * by_xy[0, 1]) / det, (f * by_xy[0, 0] - e * by_xy[1, 0]) / det
-        out[0] -= min(max(a, -_LONGEST), _LONGEST)
-        out[1] -= min(max(b, -_LONGEST), _LONGEST)
-        if max(abs(a), abs(b)) < _LEAST_STEP:
+        out[0] -= min(max(a, -0.5), 0.5)  # a longer step may leap over the fold of a lens
+        out[1] -= min(max(b, -0.5), 0.5)
+        if max(abs(a), abs(b)) < 1e-12:
             break
+
+
+@pixelwise
+def row_time(row: float, of: F64) -> float:
+    """Time of exposure of a pixel row, -0.5 at the first to 0.5 at the last, in readouts from the photo's middle.
+
+    `of` (11,) is a row of the table of lenses (`adjustment_kernels`).
+    """
+    t: float = (row + 0.5) / of[9] - 0.5
+    return t
+
+
+@pixelwise
+def quadratic(t: float) -> float:
+    """Factor of the quadratic turn of a photo at a time of `row_time`; that of the linear turn is `t`."""
+    return t * t - 1.0 / 12.0
+
+
+@pixelwise
+def expose(R: F64, C: F64, turns: F64, velocity: F64, of: F64, t: float, turn: F64, row_R: F64, row_C: F64) -> None:
+    """Write the pose of a camera when a row was exposed (eq. 10).
+
+    Args:
+        R, C: (3, 3), (3,) world_from_cam in the middle of the photo.
+        turns: (2, 3) rad, linear and quadratic in time.
+        velocity: (3,) m/s.
+        of: (11,) row of the table of lenses.
+        t: of `row_time`.
+        turn: (3, 3) out, from the row's camera to that of the middle.
+        row_R, row_C: out, as `R`, `C`.
+    """
+    q = quadratic(t)
+    exponential(
+        t * turns[0, 0] + q * turns[1, 0], t * turns[0, 1] + q * turns[1, 1], t * turns[0, 2] + q * turns[1, 2], turn
+    )
+    multiply(R, turn, row_R)
+    for i in range(3):
+        row_C[i] = C[i] + velocity[i] * of[10] * t

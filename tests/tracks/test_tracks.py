@@ -11,8 +11,8 @@ from alight.records import Frame, Prediction, Rig, RigCamera
 from alight.settings import TracksSettings as Settings
 from alight.tracks import Tracker, corner_response, detect_corners, epipolar_distance, inverse_depth
 from alight.tracks.global_alignment import likely_turns, relocate
-from alight.tracks.lens import Lens
 from alight.tracks.patches import GroundPlane, patch_warps
+from alight.tracks.view_transfer import Lens
 
 HEIGHT, FOCAL = 20.0, 300.0
 CAMERA = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5)

@@ -112,12 +112,11 @@ def survey(
     lens = np.zeros(5 * len(cameras))
     state = BundleState(centres, rotations, points, lens, np.zeros(3), np.zeros((4, 2, 3)))
     obs = BundleObservations(photo, point, np.zeros((320, 2)), np.zeros(320, bool))
-    obs = replace(obs, pixels=project_points(state, obs, lenses, np.zeros((4, 3)))[0])
     priors = Priors(
         centres, np.ones((4, 3)), rotations @ down.T, np.ones((4, 3)), down, 0.0, lenses, np.zeros(len(lens)),
         np.zeros((4, 3)),
     )  # fmt: skip
-    return state, obs, priors, frames
+    return state, replace(obs, pixels=project_points(state, obs, priors).pixels), priors, frames
 
 
 @pytest.mark.parametrize(("cameras", "longest"), [((CAMERA,), 3200), ((CAMERA,), 240), ((CAMERA, FINER), 400)])

@@ -1,0 +1,193 @@
+"""SIFT features of photos, from the picture at full size on (Lowe 2004). Descriptors are OpenCV's.
+
+OpenCV doubles the picture first. In a photo of two megapixels it finds 29,000 features, 23,000 of them in the doubled
+picture. The largest 4,000 are kept, none of them from the doubled picture, which takes three quarters of the time and
+memory. The others are found here as by OpenCV, from the same samples a quarter of a pixel beside the pixels.
+Samples on the pixels gave attitudes with larger errors (docs/lab/photos.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import cv2
+import numpy as np
+
+from alight.arrays import F32, F64, U8
+from alight.geometry import Camera
+from alight.jobs import Jobs, Sent, Task
+from alight.photos.bundle.sift_kernels import features
+from alight.records import Frame, MissingExtraError, Pixels
+from alight.settings import BundleSettings
+
+LAYERS, SIGMA = 3, 1.6  # of an octave; pixels, of its first picture
+BLURRED = 0.5  # pixels, sigma of a photo's own blur
+_CONTRAST = 0.02  # least contrast of a feature, grey levels over 255: it gives as many features as pycolmap
+_ENOUGH = 1500  # features of a photo from which its doubled picture is not used
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoFeatures:
+    """The features of one photo."""
+
+    pixels: F64  # (K, 2) in the photo's own pixels
+    descriptors: U8  # (K, 128) as found
+    colours: F32  # (K, 3) of the picture about each
+
+    @property
+    def unit(self) -> F32:
+        """The descriptors, (K, 128), of unit length."""
+        table = self.descriptors.astype(np.float32)
+        return np.asarray(table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9), dtype=np.float32)
+
+
+def colmap() -> ModuleType:
+    """Return pycolmap, silenced.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import pycolmap
+    except ImportError as e:
+        raise MissingExtraError("pycolmap", "photos") from e
+    pycolmap.logging.logtostderr = False
+    pycolmap.logging.alsologtostderr = False
+    pycolmap.logging.minloglevel = 3
+    pycolmap.logging.stderrthreshold = 3
+    module: ModuleType = pycolmap
+    return module
+
+
+def colmap_camera(camera: Camera) -> object:
+    """Return a camera of pycolmap, where pixel (0, 0) is the corner and not the centre of the first pixel."""
+    k = [camera.fu, camera.fv, camera.cu + 0.5, camera.cv + 0.5]
+    d = list(camera.distortion)
+    model, params = {
+        "none": ("PINHOLE", k),
+        "radial-tangential": ("FULL_OPENCV", k + d + [0.0] * (8 - len(d))),
+        "equidistant": ("OPENCV_FISHEYE", k + d),
+    }[camera.model]
+    out = colmap().Camera(model=model, width=camera.width, height=camera.height, params=params)
+    out.has_prior_focal_length = True
+    return out
+
+
+def shrunk(image: Pixels, longest: float) -> U8:
+    """The picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
+    picture = np.asarray(image)
+    factor = longest / max(picture.shape[:2])
+    if factor < 1.0:
+        size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    return np.ascontiguousarray(picture, dtype=np.uint8)
+
+
+def grey_levels(picture: U8) -> U8:
+    """Grey levels (H, W) of a picture that is grey or RGB."""
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)) if picture.ndim == 3 else picture
+
+
+def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:
+    """The blurred pictures (`LAYERS` + 3, R, C) of one octave after the other, each of half the size."""
+    step = 2.0 ** (1.0 / LAYERS)
+    weights = np.array([0.25, 0.75, 0.0])  # of pixels, to sample every other place of a doubled picture
+    between = cv2.sepFilter2D(grey.astype(np.float32), -1, weights, weights)
+    first = np.asarray(cv2.GaussianBlur(between, (0, 0), float(np.sqrt(SIGMA**2 - blurred**2))), np.float32)
+    while min(first.shape) >= 16 and octaves > 0:
+        out = np.empty((LAYERS + 3, *first.shape), np.float32)
+        out[0] = first
+        for k in range(1, len(out)):
+            more = SIGMA * step ** (k - 1) * float(np.sqrt(step**2 - 1.0))
+            cv2.GaussianBlur(out[k - 1], (0, 0), more, dst=out[k])
+        yield out
+        first, octaves = np.ascontiguousarray(out[LAYERS][::2, ::2]), octaves - 1
+
+
+def detect(grey: U8, contrast: float, blurred: float = BLURRED, octaves: int = 16) -> F64:
+    """Find features: (K, 5) column and row in the picture, size, octave as OpenCV packs it, orientation in degrees.
+
+    Args:
+        grey: (H, W).
+        contrast: the least of a feature, shares of 255.
+        blurred: sigma of the picture's own blur, pixels.
+        octaves: most octaves.
+    """
+    out = []
+    for octave, pictures in enumerate(blurred_octaves(grey, blurred, octaves)):
+        found = np.empty((pictures[0].size // 8, 5))
+        n = features(np.diff(pictures, axis=0), pictures, SIGMA, 255.0 * contrast / LAYERS, found)
+        between, layer, angle = found[:n, 2:].T
+        size = 2.0 * SIGMA * 2.0 ** (between / LAYERS + octave)
+        fraction = np.rint((between - layer + 0.5) * 255.0)
+        packed = octave + 256 * layer + 65536 * fraction
+        place = found[:n, :2] * 2.0**octave - 0.25
+        out.append(np.column_stack([place, size, packed, angle]))
+    return np.concatenate(out) if out else np.empty((0, 5))
+
+
+def keypoints(found: F64) -> list[cv2.KeyPoint]:
+    """Features as keypoints of OpenCV, to describe them."""
+    return [cv2.KeyPoint(x, y, size, angle, 0.0, int(octave)) for x, y, size, octave, angle in found.tolist()]
+
+
+def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
+    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
+
+    Where the picture has too few, because it is small or dull, those of the doubled picture are taken as well: it costs
+    four times as much.
+    """
+    picture = np.asarray(image)
+    read = shrunk(picture, settings.image_px)
+    grey = grey_levels(read)
+    place, table = described(grey, detect(grey, _CONTRAST), settings.features)
+    if len(place) < min(_ENOUGH, settings.features):
+        twice = np.asarray(cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR), np.uint8)
+        found = detect(twice, _CONTRAST, 2 * BLURRED, octaves=1)
+        finer, its_table = described(twice, found, settings.features - len(place))
+        place, table = np.concatenate([place, (finer + 0.5) / 2 - 0.5]), np.concatenate([table, its_table])
+    scale = np.array(picture.shape[1::-1]) / grey.shape[1::-1]
+    return PhotoFeatures((place + 0.5) * scale - 0.5, table, colours_at(read, place))
+
+
+def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
+    """The largest of the features `found`, at most `count`: their places (K, 2), px, and descriptors (K, 128)."""
+    largest = np.argsort(-found[:, 2], kind="stable")[:count]
+    kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
+    place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
+    return place, rooted(np.zeros((0, 128), np.float32) if descriptors is None else descriptors)
+
+
+def rooted(descriptors: F32) -> U8:
+    """The square roots of descriptors (K, 128) over their sums: distances by Hellinger (Arandjelovic 2012)."""
+    share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.rint(np.minimum(512.0 * np.sqrt(share), 255.0)), dtype=np.uint8)
+
+
+def colours_at(picture: U8, pixels: F64) -> F32:
+    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); a grey one has three equal colours."""
+    even = cv2.blur(picture, (9, 9))
+    even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
+    col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
+    return np.asarray(even[row, col], dtype=np.float32)
+
+
+def taken_by(frame: Frame) -> int:
+    """The first camera of the rig that has a picture of an exposure; 0 where none has."""
+    return next((k for k, image in enumerate(frame.images) if image is not None), 0)
+
+
+def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures | None]:
+    """Find the features of every photo, in order; None where there is no picture."""
+    colmap()
+    images = [frame.images[taken_by(frame)] if frame.images else None for frame in frames]
+    tasks = (
+        Task(f"features-{frame.t_ns}", extract, (Sent(f"photo-{frame.t_ns}-{taken_by(frame)}", image), settings))
+        for frame, image in zip(frames, images, strict=True)
+        if image is not None
+    )
+    found = jobs.run(tasks, at_once=True)
+    for image in images:
+        yield None if image is None else next(found)
