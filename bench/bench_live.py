@@ -42,7 +42,6 @@ from alight.sources.live import paced
 KEPT = Path(__file__).parents[1] / "out" / "bench-live"
 RATE, SECONDS = 30.0, 10.0
 SETTINGS = ("tuning.tracks.count=200", "parallax.cell=0.09")  # 40 m up: 590 x 450 cells below
-WARM = 3.0  # s of flight that are not counted: the ground is still looked for
 
 
 def recording() -> Path:
@@ -112,7 +111,7 @@ class Flown:
             for event in paced(around(source, seconds), 1.0):
                 live.feed(event)
                 now = time.perf_counter()
-                if first is None and now - begin > WARM:
+                if first is None and now - begin > 3.0:  # s; before, the ground is still searched
                     first = now
                     for times in live.watch.timings.stages.values():
                         times.clear()

@@ -37,6 +37,7 @@ SCENES = (
 # flown by name as well: families of scenes, whose colours, light, density and layout another seed changes
 FAMILIES = ("gravel", "pasture", "canal", "marsh", "furrows", "depot")
 FIRST_SEED = {"tuning": 1, "test": 1001}
+MOST_SEEDS = 1000
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))  # degrees: courses spread evenly however many seeds there are
 LOWEST, HIGHEST = 6, 100  # metres, of flights that change their height
 RISE, PUSH = 5.0, 3.5  # m/s up and down, m/s^2, in those
@@ -189,8 +190,8 @@ def _check(r: Rung) -> None:
         LOWEST <= min(r.height, r.end_height) < max(r.height, r.end_height) <= HIGHEST
     ):
         raise InputError(f"{r.name}: use two different heights from {LOWEST} to {HIGHEST} m")
-    if r.kind not in KINDS or not 1 <= r.number <= 1000:
-        raise InputError(f"{r.name}: use tuning-1 or test-1, up to 1000")
+    if r.kind not in KINDS or not 1 <= r.number <= MOST_SEEDS:
+        raise InputError(f"{r.name}: use tuning-1 or test-1, up to {MOST_SEEDS}")
 
 
 def exposures(flight: SimulatedFlight) -> Iterator[list[View]]:

@@ -19,7 +19,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 MOST = {"run": 26_000, "fly": 34_000}  # lines
-SECONDS = 60.0  # of the flight
 WATCH = """
 import os, sys
 class _Watch:
@@ -70,7 +69,7 @@ def fly(folder: Path, rate: str = "5") -> None:
         print(line, end="")
         if line.startswith("state"):
             break
-    time.sleep(SECONDS)
+    time.sleep(60.0)
     flight.send_signal(signal.SIGINT)
     print(flight.communicate()[0])
     vehicle.send_signal(signal.SIGINT)
