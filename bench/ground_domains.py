@@ -26,7 +26,7 @@ from alight import hazards
 from alight.arrays import F32
 from alight.landing import sites
 from alight.landing.next_view import Observer
-from alight.pipeline.judging import land_cover
+from alight.pipeline.judging import find_land_cover
 from alight.raster import distance_to
 from alight.records import Hazard, HazardMap, Site
 from alight.settings import Settings
@@ -100,7 +100,7 @@ class Row:
 
 def judged(j: Judgeable, settings: Settings) -> tuple[HazardMap, tuple[Site, ...]]:
     """The hazard map, and the listed places."""
-    s, cover = settings.stages(), land_cover(j.elevation, settings.stages().terrain, read_model())
+    s, cover = settings.stages(), find_land_cover(j.elevation, settings.stages().terrain, read_model())
     danger = hazards.assess(j.elevation, cover, s.lander, s.hazards)
     middle = j.elevation.grid
     above = Observer(

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 import yaml
-from alight.pipeline.mapping.size import refuse_too_large
 from damage import change_field, dji_tags, write_photo, write_yaml, xmp_packet
 from PIL import ExifTags, Image
 
 from alight.cli import call
+from alight.pipeline.mapping.cell_size import refuse_too_large
 from alight.records import SettingsError
 
 

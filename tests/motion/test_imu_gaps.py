@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from typing import cast
 
 import numpy as np
 import pytest
 from point_flight import NOISE, PointFlight, error, run, seconds
 
 from alight.arrays import F64
-from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral, preintegrate, segments
-from alight.pipeline.navigation.filter_lane import FrameBatch, HandoverInTurn, TrackingHalf
-from alight.records import Frame, ImuSample, Prediction
+from alight.pipeline.navigation import filter_lane
+from alight.records import Frame, ImuSample, Prediction, Tracks
 from alight.settings import FilterSettings, Settings
 
 MS = 1_000_000  # ns
@@ -100,7 +98,7 @@ def test_an_old_state_is_carried_on_with_all_samples() -> None:
 
 
 class _Spy:
-    """Stands for a prediction; it notes the samples that it is given."""
+    """Stands for a filter whose newest prediction is of one time; it notes the samples that the prediction is given."""
 
     def __init__(self, t_ns: int) -> None:
         self.t_ns, self.since = t_ns, list[int]()
@@ -109,17 +107,25 @@ class _Spy:
         self.since.append(imu.first_ns)
         return None
 
+    def predictor(self) -> _Spy:
+        return self
 
-def test_the_tracker_keeps_the_samples_since_its_prediction() -> None:
+    def feed_imu(self, sample: ImuSample) -> None:
+        """Do nothing."""
+
+    def feed_tracks(self, tracks: Tracks) -> None:
+        """Give no motion."""
+
+
+def test_the_tracker_keeps_the_samples_since_its_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     """The newest prediction is of 1 s; exposures at 3, 5, 7 s are predicted from there on."""
-    handover, spy = HandoverInTurn(), _Spy(1000 * MS)
-    for _ in range(3):
-        handover.put(cast(MotionPredictor, spy))
-    half = TrackingHalf(PointFlight().rig, Settings().stages(), handover)
+    spy = _Spy(1000 * MS)
+    monkeypatch.setattr(filter_lane, "MotionFilter", lambda *arguments: spy)
+    lane = filter_lane.FilterLane(PointFlight().rig, Settings().stages())
     blank: F64 = np.zeros((480, 640))
     for second in (3, 5, 7):
         rows = tuple(sample(1000 * (second - 2) + 10 * k) for k in range(200))
         image = blank.astype(np.uint8)
-        half.track(FrameBatch(Frame(1000 * second * MS, (image, image)), rows))
+        lane.take(filter_lane.FrameBatch(Frame(1000 * second * MS, (image, image)), rows))
     assert len(spy.since) == 3
     assert max(spy.since) <= 1000 * MS

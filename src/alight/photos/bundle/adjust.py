@@ -32,7 +32,7 @@ from alight.photos.bundle.summary import (
     outcomes_of,
     why_no_motion,
 )
-from alight.pipeline.navigation.lane import Trajectory
+from alight.pipeline.navigation import Trajectory
 from alight.records import Frame, InputError, KeyframePosterior, Motion, NavSample, Rig
 from alight.settings import BundleSettings
 from alight.spread import robust_sigma
