@@ -131,7 +131,7 @@ def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> N
 def test_a_vehicle_that_is_not_there_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("alight.trials.rehearse.UNHEARD", 0.2)
+    monkeypatch.setattr("alight.trials.rehearse.NO_VEHICLE", 0.2)
     words = ["rehearse", "concrete", "--folder", str(tmp_path / "f"), "--follow", "udp:127.0.0.1:0", "--width", "80"]
     assert call(words) == 2
     said = capsys.readouterr().err

@@ -18,6 +18,7 @@ from alight_sim.rehearsal import CameraFolder
 RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
 SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
 STEP = 0.02  # s
+NO_VEHICLE = 120.0  # s without a vehicle, after which this is an error; a SITL waits for the first link before this one
 
 
 class _TrackReader:
@@ -125,9 +126,11 @@ def _follow(
             link.write(data)
         if not before and follower.exposures:
             print_line("the first picture is written")
-        if follower.autopilot.vehicle is None and time.monotonic() - begin > 120.0:
+        if follower.autopilot.vehicle is None and time.monotonic() - begin > NO_VEHICLE:
             reason = f" ({link.broken})" if link.broken else ""
-            raise InputError(f"{link.name}: no message of a vehicle for two minutes{reason}; is the autopilot running?")
+            raise InputError(
+                f"{link.name}: no message of a vehicle for {NO_VEHICLE:.0f} s{reason}; is the autopilot running?"
+            )
         if found is None and (found := follower.touchdown) is not None:
             end = min(end, time.monotonic() + 5.0)  # for the reader of the pictures
     return found
