@@ -26,7 +26,7 @@ from alight.parallax.views import (
     centres_of,
     choose_views,
     enlarged,
-    level_of,
+    halved_view,
     maps,
     picture_at,
     prepare_view,
@@ -82,7 +82,7 @@ class Images:
                 while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                     self._ready.popitem(last=False)
             self._ready.move_to_end(key)
-            return level_of(self._ready[key], halved)
+            return halved_view(self._ready[key], halved)
 
 
 class Match(NamedTuple):

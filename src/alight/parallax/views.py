@@ -138,7 +138,7 @@ def coarser(fine: Prepared) -> Prepared:
     return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=camera)
 
 
-def level_of(levels: list[Prepared], halvings: int) -> Prepared:
+def halved_view(levels: list[Prepared], halvings: int) -> Prepared:
     """A view at the cells of the map, halved so many times; `levels` keeps those that were made."""
     while len(levels) <= halvings:
         levels.append(coarser(levels[-1]))
@@ -165,7 +165,7 @@ class Kept:
     @property
     def coarse(self) -> Prepared:
         """The prepared view at half the resolution."""
-        return level_of(self.levels, 1)
+        return halved_view(self.levels, 1)
 
     def posed(self, world_from_cam: Pose) -> Kept:
         """The view with another pose of its camera."""

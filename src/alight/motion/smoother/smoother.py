@@ -35,6 +35,7 @@ log = logging.getLogger(__name__)
 _SIZE = AT.nav.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
 _POSE = AT.pos.stop  # of these: attitude and position
 _NAV_SCALE = np.sqrt(27.0)  # sigmas, Cauchy scale of a quantity of GPS/INS
+_ITERATIONS = 12
 _LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
 _SHORTEST = 5  # exposures in a piece
 _MOST_JOINT = 240  # exposures whose joint covariance is given out: 17 MB; between them errors are interpolated
@@ -108,7 +109,7 @@ class _Batch:
     def run(self) -> RefinedMotions:
         """Gauss-Newton on all unknowns; the weights of observations follow the residuals."""
         self._segments.triangulate(*self._rigs())
-        for i in range(12):
+        for i in range(_ITERATIONS):
             rms = self._segments.reweigh(*self._rigs())
             linear = self._segments.linearise(*self._rigs())
             factors = self._factorised(linear)

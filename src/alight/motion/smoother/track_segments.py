@@ -14,6 +14,7 @@ from alight.motion.points import NEAR, triangulate_rays
 from alight.motion.robust import cauchy
 from alight.records import Tracks
 
+_MIN_EXPOSURES = 3  # of a segment
 _POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: holds points with parallel rays
 
 
@@ -53,7 +54,7 @@ class TrackSegments:
         """
         exposure, ids, normalised = _stack(tracks)
         segment = _segment_of(exposure, ids, span)
-        long = np.bincount(segment, minlength=1)[segment] >= 3 if len(segment) else np.zeros(0, bool)
+        long = np.bincount(segment, minlength=1)[segment] >= _MIN_EXPOSURES if len(segment) else np.zeros(0, bool)
         row, cam = np.nonzero(np.isfinite(normalised[..., 0]) & long[:, None])
         order = np.argsort(segment[row], kind="stable")
         row, self.cam = row[order], cam[order]  # (M,)
