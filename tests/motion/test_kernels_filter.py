@@ -384,10 +384,14 @@ def test_features_are_followed_from_picture_to_picture() -> None:
     np.testing.assert_allclose(found[:2], pixels[:2] + map_[:, 2], atol=0.05)
 
 
-def test_new_patches_take_only_free_room() -> None:
-    """Held patches stay unchanged while others go and new ones come, more than there was room for."""
+def test_new_patches_leave_held_ones_as_they_are() -> None:
+    """Held patches stay unchanged while others go and new ones come."""
     image, rng = picture(1), np.random.default_rng(2)
-    held = FeaturePatches.cut(image, np.arange(200), rng.uniform(25, 90, (200, 2)), 15).select(np.arange(0, 200, 2))
+    held = (
+        FeaturePatches.none(15)
+        .with_new(image, np.arange(200), rng.uniform(25, 90, (200, 2)), 0)
+        .select(np.arange(0, 200, 2))
+    )
     before = held.grey[held.slots].copy()
     for number, count in ((1, 100), (2, 300)):
         ids = 1000 * number + np.arange(count)
