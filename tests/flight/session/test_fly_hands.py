@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 from length import BOTH, EITHER, first, in_turn
 from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying, raised
-from some_run import some_run
+from some_run import site, some_run
 
 from alight.checks.result import CheckResult, bad
 from alight.cli import call
@@ -37,9 +38,10 @@ SET_MODE = 176
 
 def test_the_page_never_calls_a_place_certain() -> None:
     situation = SimpleNamespace(state=MotionState.GOOD, picture_age=0.1)
-    view = PilotView(1.0, S.LOOK, "stay", situation, "site", (1.0, 2.0, 0.0), 0.99999)  # type: ignore[arg-type]
-    told = dict(facts(FlightStatus("landing", view=view)))
-    assert told["place"] == "site at east 1.0 m north 2.0 m, P(safe) > 0.999"
+    place = replace(site(), east=1.0, north=2.0, up=0.0, p_safe=0.99999, doubt=None)
+    view = PilotView(1.0, S.LOOK, "stay", situation, place)  # type: ignore[arg-type]
+    shown = dict(facts(FlightStatus("landing", view=view)))
+    assert shown["place"] == "site at east 1.0 m north 2.0 m, P(safe) > 0.999"
 
 
 def speed_of(r: PilotRig) -> float:

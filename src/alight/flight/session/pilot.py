@@ -14,7 +14,7 @@ from alight.flight.session.orders import OrderSender
 from alight.flight.session.touchdown import MotorStop
 from alight.geometry import Grid, LocalFrame
 from alight.pipeline import FlightPolicy
-from alight.records import Motion, Notice, NoticeKind
+from alight.records import Motion, Notice, NoticeKind, Site
 from alight.records.executive import (
     FlightDiary,
     FlightState,
@@ -73,9 +73,7 @@ class PilotView:
     state: FlightState
     order: str
     situation: Situation
-    kind: str = ""  # of the place that it is about: site, candidate
-    place: tuple[float, float, float] | None = None  # of it, metres in the map's frame
-    p_safe: float | None = None
+    target: Site | None = None  # the place that it is about, in the map's frame
     height: float | None = None  # metres above that place, or above the ground
 
 
@@ -175,10 +173,7 @@ class LandingPilot:
         place, verdict = self.executive.target, self.inputs.verdict
         ground = place.up if place is not None else None if verdict is None else verdict.ground
         height = None if now.position is None or ground is None else float(now.position[2]) - ground
-        if place is None:
-            return PilotView(now.t, self.state, self._order, now, height=height)
-        at = (place.east, place.north, place.up)
-        return PilotView(now.t, self.state, self._order, now, place.kind, at, place.p_safe, height)
+        return PilotView(now.t, self.state, self._order, now, place, height)
 
 
 def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
