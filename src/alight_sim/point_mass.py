@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Pose
+from alight.records import Event
 from alight_sim.vehicle import GRAVITY, UPWARDS
 
 _REACTION = 0.25  # s, in which a wanted velocity is reached where the limits allow it
@@ -77,6 +78,11 @@ class PointMass:
         return float(self.ground(float(self.position[0]), float(self.position[1])))
 
     @property
+    def body(self) -> PointMass:
+        """Itself, as `TrueVehicle` has it."""
+        return self
+
+    @property
     def stands(self) -> bool:
         """True if it touches the ground."""
         return bool(self.position[2] - self._floor < _STAND)
@@ -96,8 +102,8 @@ class PointMass:
         """(3,) rad/s and (3,) m/s^2 in the body, as gyroscope and accelerometer measure them."""
         return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + UPWARDS))
 
-    def step(self, dt: float, wanted: Wanted | None) -> None:
-        """Move for `dt` seconds; None: the motors stand still."""
+    def step(self, dt: float, wanted: Wanted | None) -> Sequence[Event]:
+        """Move for `dt` seconds; None: the motors stand still. Return no events: it has no sensors."""
         before = self._attitude()
         if wanted is None:
             self._fall(dt)
@@ -107,6 +113,7 @@ class PointMass:
         self._meet_ground()
         turn = before.T @ self._attitude()
         self._rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (2 * dt)
+        return ()
 
     def _fly(self, dt: float, wanted: Wanted) -> None:
         most = self.limits.acceleration

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from alight.records import Frame, OutputError, Rig
-from alight_sim.autopilot import EstimateError, SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4, UdpServer
+from alight.records import Event, Frame, OutputError, Rig
+from alight_sim.autopilot import DIALECTS, EstimateError, SimulatedAutopilot, SimulatedHome, UdpServer
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.log import encode_image, write_calibration
 from alight_sim.steered import SteeredFlight
-from alight_sim.steered.flown import FlownVehicle
 
 SEPARATION = 46.0  # m, ellipsoid above sea level
 
@@ -65,21 +64,22 @@ class Rehearsal:
         self, flight: SteeredFlight, folder: Path, port: int, px4: bool = False,
         wrong: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
-        self.flight, self.vehicle = flight, FlownVehicle(flight)
+        self.flight = flight
         local = flight.local
         home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
-        dialect = SpokenPx4() if px4 else SpokenArduPilot()
-        self.autopilot = SimulatedAutopilot(dialect, self.vehicle, home, EstimateError(wrong, walk=0.05))
+        dialect = DIALECTS["px4" if px4 else "ardupilot"]
+        self.autopilot = SimulatedAutopilot(dialect, flight, home, EstimateError(wrong, walk=0.05))
         if flight.height_above_ground > 1.0:
             self.autopilot.hover(Doing.PILOT)
         self._cameras, self._shift_ns = CameraFolder(folder, flight.rig, flight.rate_hz), 0
         self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
-    def _expose(self) -> None:
+    def _expose(self, events: Sequence[Event]) -> None:
         """Write the new exposures, stamped by the steady clock: simulated time plus the clock at its start."""
         self._shift_ns = self._shift_ns or time.monotonic_ns() - self.flight.time_ns
-        for frame in self.vehicle.take():
-            self._cameras.write(frame, frame.t_ns + self._shift_ns)
+        for frame in events:
+            if isinstance(frame, Frame):
+                self._cameras.write(frame, frame.t_ns + self._shift_ns)
 
     def __enter__(self) -> Rehearsal:
         self.server.__enter__()

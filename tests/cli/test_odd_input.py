@@ -293,7 +293,7 @@ def test_options_out_of_range(words: list[str], capsys: Told) -> None:
 def test_a_rehearsal_that_cannot_keep_up_ends_and_knows_it() -> None:
     """The steps once never ended behind a clock that ran away, and Ctrl-C had no effect."""
     nobody = SimpleNamespace(step=lambda seconds: None, pending=lambda: [], receive=lambda data: None)
-    with UdpServer(nobody, step=0.001, after_step=lambda: time.sleep(0.02)) as server:  # type: ignore[arg-type]
+    with UdpServer(nobody, step=0.001, after_step=lambda events: time.sleep(0.02)) as server:  # type: ignore[arg-type]
         time.sleep(0.3)
     assert server.behind > 0.1
 

@@ -6,13 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.autopilot import Autopilot, RemoteVehicle, TelemetryEvents
+from alight.flight.autopilot.vehicle_state import VehicleState
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, Notice, NoticeKind
-from alight_sim.autopilot import LossyChannel, SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4
+from alight.records import FlightMode, Notice, NoticeKind, Telemetry
+from alight.records.telemetry import FirmwareName
+from alight_sim.autopilot import DIALECTS, LossyChannel, SimulatedAutopilot, SimulatedHome
 
-DIALECTS = {"ardupilot": SpokenArduPilot, "px4": SpokenPx4}
 START = 1_700_000_000.0  # s, of our clock: nothing may depend on where it starts
 HOME = SimulatedHome()
 LOCAL = LocalFrame(HOME.latitude, HOME.longitude, HOME.altitude_msl + HOME.separation)
@@ -22,18 +24,18 @@ class Rig:
     """Both ends, stepped together; `link` holds the keywords of both directions' `LossyChannel`."""
 
     def __init__(
-        self, dialect: str = "ardupilot", seed: int = 0, link: dict[str, float] | None = None, step: float = 0.04,
-        rates: dict[str, float] | None = None, **simulated: Any,
+        self, dialect: FirmwareName = "ardupilot", seed: int = 0, link: dict[str, float] | None = None,
+        step: float = 0.04, rates: dict[str, float] | None = None, **simulated: Any,
     ) -> None:  # fmt: skip
-        self.sim = SimulatedAutopilot(DIALECTS[dialect](), **simulated)
-        self.events = TelemetryEvents(LOCAL)
-        self.ours = Autopilot(rates, self.events)
+        self.sim = SimulatedAutopilot(DIALECTS[dialect], **simulated)
+        self.ours = Autopilot(rates, TelemetryEvents(LOCAL))
         self.up = LossyChannel(seed=seed, **(link or {}))
         self.down = LossyChannel(seed=seed + 1, **(link or {}))
         self.t, self.dt = START, step
         self.heard: list[Notice] = []
         self.samples: list[Any] = []
         self.each_step: Callable[[], None] = lambda: None
+        self.is_lost: Callable[[bytes], bool] = lambda data: False  # of a datagram of ours
 
     @property
     def now_ns(self) -> int:
@@ -43,6 +45,11 @@ class Rig:
     def vehicle(self) -> RemoteVehicle:
         assert self.ours.vehicle is not None
         return self.ours.vehicle
+
+    @property
+    def telemetry(self) -> Telemetry:
+        assert self.ours.telemetry is not None
+        return self.ours.telemetry
 
     def step(self) -> None:
         self.t += self.dt
@@ -56,7 +63,8 @@ class Rig:
         self.ours.tick(self.now_ns)
         self.each_step()
         for data in self.ours.pending():
-            self.up.put(data, self.t)
+            if not self.is_lost(data):
+                self.up.put(data, self.t)
         self.heard += self.ours.notices()
         self.samples += self.ours.samples()
 
@@ -69,6 +77,11 @@ class Rig:
                 return True
         return False
 
+    def lose(self, kind: str, when: Callable[[Any], bool]) -> None:
+        """From now on, lose our messages of a kind for which a condition holds."""
+        reader = mavlink.MAVLink(None)
+        self.is_lost = lambda data: any(m.get_type() == kind and when(m) for m in reader.parse_buffer(data) or ())
+
     def of(self, kind: NoticeKind) -> list[Notice]:
         return [n for n in self.heard if n.kind is kind]
 
@@ -78,9 +91,14 @@ class Rig:
         assert found() or self.run(seconds, lambda: bool(found())), f"no answer; heard {self.heard}"
         return found()[0]
 
+    def ready(self) -> Rig:
+        """Wait until it may be armed."""
+        assert self.run(30, lambda: self.ours.telemetry is not None and self.ours.telemetry.ready)
+        return self
+
     def up_and_flying(self, height: float = 20.0) -> None:
         """Wait until it is ready, arm, take off, and reach the height."""
-        assert self.run(30, lambda: self.ours.telemetry is not None and self.ours.telemetry.ready)
+        self.ready()
         self.answered(self.vehicle.set_mode(FlightMode.GUIDED))
         assert self.answered(self.vehicle.arm()).ok
         if self.vehicle.helicopter:
@@ -98,3 +116,16 @@ def geodetic(metres: np.ndarray) -> tuple[float, float, float]:
     """Latitude, longitude and height above the ellipsoid of metres from the simulated home."""
     latitude, longitude, msl = HOME.degrees(metres)
     return latitude, longitude, msl + HOME.separation
+
+
+HERE = (476_000_000, 134_000_000, 530_000, 30_000)  # a place as GLOBAL_POSITION_INT has it
+
+
+def report(boot_ms: int, numbers: tuple[int, int, int, int], velocity: tuple[int, int, int] = (0, 0, 0)) -> Any:
+    """A GLOBAL_POSITION_INT."""
+    return mavlink.MAVLink_global_position_int_message(boot_ms, *numbers, *velocity, 0)
+
+
+def accepted(state: VehicleState, *messages: Any) -> list[bool]:
+    """Which of the messages are accepted, one after the other."""
+    return [state.on_message(m.get_type(), m, 0) for m in messages]

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from autopilot_rig import LOCAL, Rig
+from made_up_ground import Ground, clearer_from_below
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.flight.session.order_taker import OrderTaker
+from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.pilot import LandingPilot, PilotView
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
 from alight.records import Frame, Motion, MotionState
-from alight.records.executive import FlightState, LookRecord, MapVerdict, Transition
+from alight.records.executive import FlightEvent, FlightState, LookRecord, MapVerdict, Order, Situation, Transition
+from alight.records.telemetry import FirmwareName
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError
+from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 
 WRONG = (3.0, -2.0, 1.0)  # m, error of the autopilot's estimate
@@ -31,18 +35,17 @@ LATER = 1_000  # ns from the newest message to the tick that uses it: no heartbe
 See = Callable[[int, float, np.ndarray], MapVerdict]  # number, second, place of the vehicle
 
 
-def seldom(r: PilotRig, period: float) -> None:
-    """Let a position through every `period` seconds."""
-    hear, newest = r.vehicle._state.hear, [-np.inf]
+def seldom(r: Rig, period: float) -> None:
+    """Let the autopilot send a position every `period` seconds only."""
+    make, newest = r.sim.reports.makers["GLOBAL_POSITION_INT"], [-np.inf]
 
-    def seldom_hear(name: str, m: Any, now_ns: int) -> bool:
-        if name == "GLOBAL_POSITION_INT":
-            if m.time_boot_ms * 1e-3 - newest[0] < period - 1e-3:
-                return False
-            newest[0] = m.time_boot_ms * 1e-3
-        return hear(name, m, now_ns)
+    def seldom_made(now: Any) -> Any:
+        if now.boot - newest[0] < period - 1e-3:
+            return None
+        newest[0] = now.boot
+        return make(now)
 
-    r.vehicle._state.hear = seldom_hear  # type: ignore[method-assign]
+    r.sim.reports.makers["GLOBAL_POSITION_INT"] = seldom_made
 
 
 class PilotRig(Rig):
@@ -52,13 +55,14 @@ class PilotRig(Rig):
     """
 
     def __init__(
-        self, see: See, dialect: str = "ardupilot", settings: tuple[str, ...] = (), step: float = 0.1, **more: Any
-    ) -> None:
+        self, see: See, dialect: FirmwareName = "ardupilot", settings: tuple[str, ...] = (), step: float = 0.1,
+        **more: Any,
+    ) -> None:  # fmt: skip
         # it leans in 0.1 s, as a real one: over a slow link targets are turned by the attitude of another moment
         more = {"vehicle": PointMass(FlightLimits(lag=0.1)), **more}
         super().__init__(dialect, step=step, estimate=EstimateError(WRONG), **more)
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
-        self.pilot: LandingPilot | None = None
+        self._pilot: LandingPilot | None = None
         self.policy, self.judges = FlightPolicy(every=0), True  # False: no verdict comes
         self.pictures, self.positions = True, True
         self.frame_id, self.motion_state = 0, MotionState.GOOD
@@ -82,9 +86,26 @@ class PilotRig(Rig):
         self.each_step = self._fly
         self.ticks = True  # False: somebody else ticks the pilot
 
-    def begin(self, hand: OrderTaker | None = None, flying: bool = False) -> None:
+    @property
+    def pilot(self) -> LandingPilot:
+        assert self._pilot is not None
+        return self._pilot
+
+    @property
+    def state(self) -> FlightState:
+        return self.pilot.state
+
+    @property
+    def events(self) -> list[FlightEvent]:
+        return [t.event for t in self.pilot.diary.transitions]
+
+    @property
+    def doing(self) -> Doing:
+        return self.sim.logic.doing
+
+    def begin(self, commands: VehicleCommands | None = None, flying: bool = False) -> None:
         """Begin the landing."""
-        self.pilot = LandingPilot(self.settings, LOCAL, self.vehicle, hand or self.vehicle, self.policy, self)
+        self._pilot = LandingPilot(self.settings, LOCAL, self.vehicle, commands or self.vehicle, self.policy, self)
         self._expose()
         self.run(1.0)
         self._begun = self.t
@@ -92,7 +113,7 @@ class PilotRig(Rig):
 
     def fly(self, until: FlightState, seconds: float = 400.0) -> bool:
         """Run until the executive is in a state; False: it never was."""
-        return self.run(seconds, lambda: self.pilot is not None and self.pilot.state is until)
+        return self.run(seconds, lambda: self.state is until)
 
     def moving_since(self, t: float) -> list[str]:
         """Messages sent after `t` that may move the vehicle, by name and command."""
@@ -102,6 +123,26 @@ class PilotRig(Rig):
             asks = name == "COMMAND_LONG" and m.command == SET_MESSAGE_INTERVAL
             if then > t and name not in HARMLESS and not asks:
                 out.append(f"{name} {getattr(m, 'command', '')}")
+        return out
+
+    def targets_since(self, t: float) -> list[np.ndarray]:
+        """Targets that were sent after `t`, each (3,) metres from the simulated home."""
+        sent = self.sent_since(t, "SET_POSITION_TARGET_GLOBAL_INT")
+        return [self.sim.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt) for m in sent]
+
+    def sent_since(self, t: float, kind: str) -> list[Any]:
+        """Messages of a kind that were sent after `t`."""
+        return [m for then, m in self.wire if then > t and m.get_type() == kind]
+
+    def executive_orders(self) -> list[Order]:
+        """The list that records the executive's orders from now on."""
+        tick, out = self.pilot.executive.tick, list[Order]()
+
+        def recorded(now: Situation) -> Order:
+            out.append(tick(now))
+            return out[-1]
+
+        self.pilot.executive.tick = recorded  # type: ignore[method-assign]
         return out
 
     # -- the log of the pilot
@@ -118,7 +159,7 @@ class PilotRig(Rig):
     # -- every step
 
     def _fly(self) -> None:
-        if self.pilot is None:
+        if self._pilot is None:
             return
         for due, do in [x for x in self._later if x[0] <= self.t]:
             self._later.remove((due, do))
@@ -126,14 +167,13 @@ class PilotRig(Rig):
         if round(self.t / self.dt) % round(EXPOSURE / self.dt) == 0:
             self._expose()
         for notice in self.heard[self._passed :]:
-            self.pilot.noticed(notice)
+            self.pilot.on_notice(notice)
         self._passed = len(self.heard)
         if self._begun and self.ticks:
             self.view = self.pilot.tick(self.now_ns + LATER)
 
     def _expose(self) -> None:
         """Make an exposure now, with its motion a little later."""
-        assert self.pilot is not None
         if not self.pictures:
             return
         if not self.freeze:
@@ -142,7 +182,7 @@ class PilotRig(Rig):
         self.pilot.inputs.add_frame(frame, self.now_ns)
         pose = Pose(np.eye(3), self.truth())
         motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
-        self._later.append((self.t + LATE, lambda: self.pilot.inputs.add_motion(motion)))  # type: ignore[union-attr]
+        self._later.append((self.t + LATE, lambda: self.pilot.inputs.add_motion(motion)))
         if self.policy.due_verdict(Navigation(frame, motion), None, self.judges):
             self._judge()
 
@@ -150,4 +190,27 @@ class PilotRig(Rig):
         at, t, t_ns = self.truth(), self.t - self._begun, self.now_ns
         self._number += 1
         number = self._number
-        self._later.append((self.t + VERDICT, lambda: self.pilot.inputs.add_map_verdict(self.see(number, t, at), t_ns)))  # type: ignore[union-attr]
+        self._later.append((self.t + VERDICT, lambda: self.pilot.inputs.add_map_verdict(self.see(number, t, at), t_ns)))
+
+
+PLACE = (10.0, 5.0)  # of the site
+
+
+def flying(dialect: FirmwareName = "ardupilot", *settings: str, see: See | None = None, **more: Any) -> PilotRig:
+    """Return a vehicle at 30 m whose landing has begun; `see`: else there is a site at `PLACE`."""
+    found = PilotRig(see or Ground({PLACE: clearer_from_below}).seen, dialect, settings, **more)
+    found.up_and_flying(30.0)
+    found.begin()
+    return found
+
+
+def raised(ground: Ground, up: float) -> See:
+    """Return the same ground, `up` metres higher."""
+
+    def see(number: int, t: float, at: np.ndarray) -> MapVerdict:
+        low = ground.seen(number, t, at - [0.0, 0.0, up])
+        sites, rest = (tuple(replace(s, up=up) for s in some) for some in (low.sites.sites, low.sites.candidates))
+        elevation = replace(low.elevation, height=low.elevation.height + np.float32(up))
+        return replace(low, sites=replace(low.sites, sites=sites, candidates=rest), elevation=elevation, ground=up)
+
+    return see

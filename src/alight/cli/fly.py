@@ -104,14 +104,10 @@ def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
     if view is not None:
         yield "time", f"{view.t:.0f} s"
         yield "order", view.order
-        if view.place is not None:
-            east, north, _ = view.place
-            yield (
-                "place",
-                f"{view.kind} at east {east:.1f} m north {north:.1f} m, P(safe) {p_safe_text(view.p_safe or 0.0)}",
-            )
+        if (p := view.target) is not None:
+            yield "place", f"{p.kind} at east {p.east:.1f} m north {p.north:.1f} m, P(safe) {p_safe_text(p.p_safe)}"
         if view.height is not None:
-            yield "height", f"{view.height:.1f} m above {'it' if view.place is not None else 'the ground'}"
+            yield "height", f"{view.height:.1f} m above {'it' if view.target is not None else 'the ground'}"
         yield "motion", f"{view.situation.state.name.lower()}, newest picture {view.situation.picture_age:.1f} s old"
     if telemetry is not None:
         age = telemetry.ages.get("HEARTBEAT", math.nan)

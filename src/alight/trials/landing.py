@@ -25,10 +25,9 @@ from alight.records import Event, Frame
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Transition
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
-from alight_sim.autopilot import SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4
+from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing
-from alight_sim.steered import SteeredFlight
-from alight_sim.steered.flown import FlownEstimate, FlownVehicle
+from alight_sim.steered import FlownEstimate, SteeredFlight
 
 SEPARATION = 46.0  # m, ellipsoid above sea level
 IMU_RATE = 100.0  # Hz, as `alight fly` requests it
@@ -142,10 +141,9 @@ class Trial:
         )  # fmt: skip
         self._pipeline = _MeasuredPipeline(vehicle.rig, "flight", self._settings, options)
         self._pipeline.costs = self._costs
-        local, self._flown = vehicle.local, FlownVehicle(vehicle)
+        local = vehicle.local
         home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
-        dialect = SpokenPx4() if firmware == "px4" else SpokenArduPilot()
-        self.autopilot = SimulatedAutopilot(dialect, self._flown, home, FlownEstimate(vehicle))
+        self.autopilot = SimulatedAutopilot(DIALECTS[firmware], vehicle, home, FlownEstimate(vehicle))
         self.autopilot.hover(Doing.PILOT)
         self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE}, TelemetryEvents(local))
         self.link = TrialLink(self._ours, self.autopilot)
@@ -187,12 +185,11 @@ class Trial:
     def step(self) -> None:
         """Let the vehicle fly for one step of the pilot, process what has come, and decide."""
         with self._costs.of("simulator"):
-            for _ in range(STEPS):
-                self.autopilot.step(STEP)
+            flown = [event for _ in range(STEPS) for event in self.autopilot.step(STEP)]
         now_ns = self._vehicle.time_ns
         with self._costs.of("link"):
             self.link.carry(now_ns)
-            events: list[Event] = [*self._ours.samples(), *self._flown.take()]
+            events: list[Event] = [*self._ours.samples(), *(e for e in flown if isinstance(e, Frame))]
         for event in sorted(events, key=lambda e: (e.t_ns, isinstance(e, Frame))):
             self._feed(event)
         while self._later and self._later[0][0] <= now_ns:
@@ -202,7 +199,7 @@ class Trial:
 
     def _fly(self, now_ns: int) -> None:
         for notice in self._ours.notices():
-            self._pilot.noticed(notice)
+            self._pilot.on_notice(notice)
         if self._begin_ns is None and self._is_ready(now_ns):
             self._begin_ns = now_ns
             self._pilot.begin(now_ns)

@@ -27,7 +27,7 @@ class _TrackReader:
     def __init__(self, cameras: FollowedCameras) -> None:
         self._cameras, self.starts = cameras, 1
 
-    def forget(self, starts: int) -> None:
+    def restart(self, starts: int) -> None:
         """Begin anew after a restart of the autopilot: its frame is another one."""
         self.starts = starts
         self._cameras.restart()

@@ -18,6 +18,7 @@ class LossyChannel:
     double: float = 0.0  # probability of a second copy
     damage: float = 0.0  # probability that a byte of the datagram is wrong
     seed: int = 0
+    damaged: int = field(default=0, init=False)  # datagrams with a wrong byte
     _queue: list[tuple[float, int, bytes]] = field(default_factory=list, init=False)
     _count: int = field(default=0, init=False)
 
@@ -43,6 +44,7 @@ class LossyChannel:
     def _spoiled(self, data: bytes) -> bytes:
         if self._rng.random() >= self.damage:
             return data
+        self.damaged += 1
         out = bytearray(data)
         out[int(self._rng.integers(len(out)))] ^= int(self._rng.integers(1, 256))
         return bytes(out)

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from alight.records.telemetry import FirmwareName
 
 
 class Doing(Enum):
@@ -19,12 +23,14 @@ class Doing(Enum):
     RETURN = "return"
 
 
-class Dialect(Protocol):
-    """Interface of a dialect: the properties in which autopilots differ."""
+@dataclass(frozen=True)
+class Dialect:
+    """The properties in which autopilots differ."""
 
     autopilot: int  # MAV_AUTOPILOT
-    estimator_message: int  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
-    wind_message: int
+    lacks: tuple[str, ...]  # messages that it does not send
+    modes: Mapping[Doing, tuple[int, int]]  # second and third parameter of MAV_CMD_DO_SET_MODE; the last one counts
+    mode_shift: int  # bits, of the first of these in a heartbeat's custom mode
     needs_setpoints: bool  # leaves guided flight when they stop
     turns_to_course: bool  # turns the nose along the course where no heading is commanded
     speeds_by_command: bool  # guided flight obeys DO_CHANGE_SPEED until its controller starts anew
@@ -35,70 +41,53 @@ class Dialect(Protocol):
 
     def number(self, doing: Doing) -> int:
         """The custom mode of a heartbeat."""
+        main, sub = self.modes[doing]
+        return main << self.mode_shift | sub << 24
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
         """The mode that MAV_CMD_DO_SET_MODE requests; None: there is no such mode."""
+        return {pair: doing for doing, pair in self.modes.items()}.get((round(parameters[1]), round(parameters[2])))
 
 
-class SpokenArduPilot:
-    """ArduPilot's Copter."""
-
-    autopilot = 3
-    estimator_message = 193
-    wind_message = 168
-    needs_setpoints = False
-    turns_to_course = True
-    speeds_by_command = True
-    returns_at_disarm = False
-    lands_in_guided = True
-    dead_reckoning = 7.6  # measured in Copter 4.6.3
-    target_delay = 2.0
-    _numbers: Mapping[Doing, int] = {
-        Doing.PILOT: 5,  # LOITER
-        Doing.GUIDED: 4,
-        Doing.TAKE_OFF: 4,
-        Doing.LAND: 9,
-        Doing.HOLD: 17,
-        Doing.RETURN: 6,
-    }
-
-    def number(self, doing: Doing) -> int:
-        """The custom mode of a heartbeat."""
-        return self._numbers[doing]
-
-    def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """The mode by its number in the second parameter; None: there is no such mode."""
-        wanted = {n: d for d, n in self._numbers.items() if d is not Doing.TAKE_OFF}
-        return wanted.get(round(parameters[1]))
-
-
-class SpokenPx4:
-    """PX4's multicopter."""
-
-    autopilot = 12
-    estimator_message = 230
-    wind_message = 231
-    needs_setpoints = True
-    turns_to_course = False
-    speeds_by_command = False
-    returns_at_disarm = True  # since 1.14
-    lands_in_guided = False  # its land detector needs a set-point of the velocity
-    dead_reckoning = 5.0  # EKF2_NOAID_TOUT
-    target_delay = math.inf
-    _numbers: Mapping[Doing, tuple[int, int]] = {
-        Doing.PILOT: (3, 0),  # POSCTL
-        Doing.GUIDED: (6, 0),
-        Doing.TAKE_OFF: (4, 2),
-        Doing.HOLD: (4, 3),
-        Doing.RETURN: (4, 5),
-        Doing.LAND: (4, 6),
-    }
-
-    def number(self, doing: Doing) -> int:
-        """The custom mode of a heartbeat: main mode in the third byte, sub-mode in the fourth."""
-        main, sub = self._numbers[doing]
-        return main << 16 | sub << 24
-
-    def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """The mode by main mode and sub-mode, the second and third parameters; None: there is no such mode."""
-        return {pair: d for d, pair in self._numbers.items()}.get((round(parameters[1]), round(parameters[2])))
+DIALECTS: Mapping[FirmwareName, Dialect] = {
+    "ardupilot": Dialect(
+        mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        ("ESTIMATOR_STATUS", "WIND_COV"),
+        {
+            Doing.PILOT: (mavlink.COPTER_MODE_LOITER, 0),
+            Doing.TAKE_OFF: (mavlink.COPTER_MODE_GUIDED, 0),
+            Doing.GUIDED: (mavlink.COPTER_MODE_GUIDED, 0),
+            Doing.LAND: (mavlink.COPTER_MODE_LAND, 0),
+            Doing.HOLD: (mavlink.COPTER_MODE_BRAKE, 0),
+            Doing.RETURN: (mavlink.COPTER_MODE_RTL, 0),
+        },
+        mode_shift=0,
+        needs_setpoints=False,
+        turns_to_course=True,
+        speeds_by_command=True,
+        returns_at_disarm=False,
+        lands_in_guided=True,
+        dead_reckoning=7.6,  # measured in Copter 4.6.3
+        target_delay=2.0,
+    ),
+    "px4": Dialect(
+        mavlink.MAV_AUTOPILOT_PX4,
+        ("EKF_STATUS_REPORT", "WIND"),
+        {
+            Doing.PILOT: (3, 0),  # POSCTL
+            Doing.GUIDED: (6, 0),
+            Doing.TAKE_OFF: (4, 2),
+            Doing.HOLD: (4, 3),
+            Doing.RETURN: (4, 5),
+            Doing.LAND: (4, 6),
+        },
+        mode_shift=16,
+        needs_setpoints=True,
+        turns_to_course=False,
+        speeds_by_command=False,
+        returns_at_disarm=True,  # since 1.14
+        lands_in_guided=False,  # its land detector needs a set-point of the velocity
+        dead_reckoning=5.0,  # EKF2_NOAID_TOUT
+        target_delay=math.inf,
+    ),
+}

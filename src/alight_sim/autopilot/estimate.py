@@ -10,30 +10,24 @@ import numpy as np
 from alight.arrays import F64
 
 
+@dataclass(frozen=True, eq=False)
+class NavigationError:
+    """Errors of a navigation solution at one instant."""
+
+    position: F64  # (3,) metres, world
+    attitude: F64  # (3, 3) rotation in the body, to the right of the true one
+    heading: F64  # (3, 3) rotation in the world, to the left of the true one
+    velocity: F64  # (3,) m/s, world
+    sigma: F64  # (3,) metres, claimed for the position
+    blind: float  # s since the last position of the receiver
+
+
 class Estimate(Protocol):
-    """Errors of the estimate at present. ENU, metres, m/s."""
+    """Errors of the estimate at present, and their course."""
 
     @property
-    def error(self) -> F64:
-        """(3,) metres, of the position."""
-
-    @property
-    def velocity_error(self) -> F64:
-        """(3,) m/s."""
-
-    @property
-    def accuracy(self) -> tuple[float, float]:
-        """1-sigma that the receiver claims, over the ground and in height, metres."""
-
-    @property
-    def blind(self) -> float:
-        """Seconds since the last position of the receiver."""
-
-    def attitude(self, world_from_body: F64) -> F64:
-        """The estimated attitude (3, 3) at a true one."""
-
-    def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+    def now(self) -> NavigationError: ...
+    def step(self, dt: float) -> None: ...
 
 
 @dataclass
@@ -44,17 +38,15 @@ class EstimateError:
     walk: float = 0.0  # metres per square root of a second
     seed: int = 0
     error: F64 = field(init=False)  # (3,) metres, at present
-    velocity_error: F64 = field(default_factory=lambda: np.zeros(3), init=False)
-    accuracy: tuple[float, float] = (0.8, 1.2)
-    blind: float = 0.0
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
         self.error = np.array(self.offset, dtype=np.float64)
 
-    def attitude(self, world_from_body: F64) -> F64:
-        """The true attitude."""
-        return world_from_body
+    @property
+    def now(self) -> NavigationError:
+        """The present errors."""
+        return NavigationError(self.error, np.eye(3), np.eye(3), np.zeros(3), np.array([0.8, 0.8, 1.2]), 0.0)
 
     def step(self, dt: float) -> None:
         """Advance the random walk by `dt` seconds."""

@@ -12,13 +12,8 @@ from alight_sim.autopilot.dialects import Dialect, Doing
 from alight_sim.point_mass import Wanted
 
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # landing: sink rate, m/s; that above _SLOW_BELOW, m/s; metres
-_ARRIVED = 0.4  # m
 _TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each stays valid
-_TARGET_GAP, _TARGET_WAIT = 0.5, 7.0  # s: longest gap between reports; longest wait of a landing for a target
-_DISARM_AFTER, _DISARM_IDLE = 1.0, 10.0  # s on the ground until it disarms: after a landing; without a take-off
 _STREAM = 0.5  # s of set-points that are needed before guided flight
-_RUN_UP = 4.0  # s, run-up of a helicopter's rotor
-_COURSE = 1.0  # m or m/s: shorter ways and slower velocities have no course
 
 
 @dataclass
@@ -30,16 +25,15 @@ class FlightLogic:
     disarms: bool = True  # after a landing; False: as PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
-    spoken: list[str] = field(default_factory=list)  # status texts since the last reading
+    texts: list[str] = field(default_factory=list)  # status texts since the last reading
 
     def __post_init__(self) -> None:
         self._wanted = Wanted()
         self._set_at = self._set_since = -math.inf
         self._turning_since: float | None = None  # a helicopter's rotor
         self._speed = self._sink = math.inf
-        self._heading: float | None = None
-        self._target: tuple[float, F64] | None = None
-        self._target_since = math.inf
+        self._target: tuple[float, F64] | None = None  # s of the newest report, and its place
+        self._target_since = math.inf  # s, of reports without a gap
         self._target_seen = False
         self._landing_since: float | None = None
         self._controller = ""  # kind of guided flight: take-off, positions, velocities, or both
@@ -104,11 +98,6 @@ class FlightLogic:
         if self.doing is Doing.GUIDED:
             self._control(f"position {wanted.position is not None} velocity {wanted.velocity is not None}")
             self._wanted = wanted
-            self._heading = None
-
-    def face(self, heading: float) -> None:
-        """Turn to a heading, rad clockwise from north."""
-        self._heading = heading
 
     def _control(self, kind: str) -> None:
         """Select the controller of guided flight; a new one resets the commanded speed limits."""
@@ -133,7 +122,7 @@ class FlightLogic:
 
     def aim_landing(self, target: F64, t: float) -> None:
         """Take the reported position of a landing target, (3,) metres."""
-        if self._target is None or t - self._target[0] > _TARGET_GAP:
+        if self._target is None or t - self._target[0] > 0.5:
             self._target_since = t
         self._target = (t, target)
 
@@ -144,7 +133,7 @@ class FlightLogic:
         if not self.armed or not self._runs(t):
             return None
         wanted = self._by_mode(t)
-        heading = self._heading if wanted.heading is None else wanted.heading
+        heading = wanted.heading
         if heading is None and self.dialect.turns_to_course and self.doing is Doing.GUIDED:
             heading = self._course(wanted)
         return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
@@ -160,13 +149,13 @@ class FlightLogic:
             self._turning_since = None
         elif self._turning_since is None:
             self._turning_since = t
-        return self._turning_since is not None and t - self._turning_since > _RUN_UP
+        return self._turning_since is not None and t - self._turning_since > 4.0
 
     def _course(self, wanted: Wanted) -> float | None:
         if self._controller == "take-off" and self.doing is Doing.GUIDED:
             return None
         way = wanted.velocity if wanted.position is None else wanted.position - self._here
-        far = way is not None and math.hypot(*way[:2]) > _COURSE
+        far = way is not None and math.hypot(*way[:2]) > 1.0  # m or m/s
         return math.atan2(float(way[0]), float(way[1])) if far and way is not None else None
 
     def _settle(self, doing: Doing) -> None:
@@ -174,7 +163,7 @@ class FlightLogic:
         self._armable = self._armable if doing in (Doing.LAND, Doing.RETURN) else doing
         self._anchor = self._here.copy()
         self._wanted = Wanted(self._anchor)
-        self._heading = self._landing_since = None
+        self._landing_since = None
         self._controller = ""
         self._speed = self._sink = math.inf
 
@@ -194,7 +183,7 @@ class FlightLogic:
 
     def _guided(self, t: float) -> Wanted:
         if self.dialect.needs_setpoints and t - self._set_at > _SETPOINT_AGE:
-            self.spoken.append("Offboard set-points lost")
+            self.texts.append("Offboard set-points lost")
             self._settle(Doing.HOLD)
         elif self._wanted.position is None and t - self._set_at > _VELOCITY_AGE:
             self._wanted = Wanted(self._here.copy())
@@ -206,7 +195,7 @@ class FlightLogic:
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen
         self._landing_since = t if self._landing_since is None else self._landing_since
-        early = t - self._landing_since < _TARGET_WAIT
+        early = t - self._landing_since < 7.0  # s that it waits for a target
         waits = math.isfinite(self.dialect.target_delay) and early and not self._target_seen
         goal = self._target[1] if seen and self._target is not None else place
         if seen and self.doing is Doing.LAND:
@@ -218,10 +207,10 @@ class FlightLogic:
         return Wanted(np.array([goal[0], goal[1], self._here[2]]), velocity)
 
     def _near(self, place: F64 | None) -> bool:
-        return place is not None and bool(np.linalg.norm(place - self._here) < _ARRIVED)
+        return place is not None and bool(np.linalg.norm(place - self._here) < 0.4)
 
     def _over(self, place: F64) -> bool:
-        return bool(np.hypot(*(place[:2] - self._here[:2])) < _ARRIVED)
+        return bool(np.hypot(*(place[:2] - self._here[:2])) < 0.4)
 
     def _disarm_on_ground(self, t: float) -> None:
         landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
@@ -231,9 +220,9 @@ class FlightLogic:
             self._stood_since = None
         elif self._stood_since is None:
             self._stood_since = t
-        elif t - self._stood_since > (_DISARM_AFTER if landing else _DISARM_IDLE):
+        elif t - self._stood_since > (1.0 if landing else 10.0):
             self._disarm()
-            self.spoken.append("Disarming motors")
+            self.texts.append("Disarming motors")
 
     def _disarm(self) -> None:
         self.armed = False

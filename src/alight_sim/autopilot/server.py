@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from threading import Event, Thread
+from threading import Event as Signal
+from threading import Thread
 from types import TracebackType
 from typing import Any
 
+from alight.records import Event
 from alight_sim.autopilot.channel import LossyChannel
 from alight_sim.autopilot.simulated import SimulatedAutopilot
 
-OF_LATE = 10.0  # s since its last datagram, in which a sender counts as recent
-
 
 class UdpServer:
-    """UDP server of the autopilot: it sends to `to` and to all recent senders, `speed` times as fast as the clock.
+    """UDP server of the autopilot. It sends to `to` and to the senders of the last ten seconds, at `speed` times
+    the clock.
 
-    `after_step` is called in its thread after every step.
+    `after_step` is called in its thread after every step, with the vehicle's events.
     """
 
     def __init__(
@@ -31,7 +32,7 @@ class UdpServer:
         step: float = 0.02,
         outwards: LossyChannel | None = None,
         inwards: LossyChannel | None = None,
-        after_step: Callable[[], None] = lambda: None,
+        after_step: Callable[[Sequence[Event]], None] = lambda events: None,
     ) -> None:
         self.autopilot = autopilot
         self._spoke: dict[Any, float] = {} if to is None else {to: math.inf}  # s, last datagram; `to`: for ever
@@ -40,7 +41,7 @@ class UdpServer:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
-        self._stop = Event()
+        self._stop = Signal()
         self.behind = 0.0  # s, largest delay against the clock: a machine that is too slow
         self._thread = Thread(target=self._run, daemon=True)
 
@@ -66,8 +67,7 @@ class UdpServer:
         while not self._stop.wait(max(0.0, due - time.monotonic())):
             while due <= (now := time.monotonic()) and not self._stop.is_set():  # all due steps before it answers
                 self.behind = max(self.behind, now - due)
-                self.autopilot.step(self._step)
-                self._after_step()
+                self._after_step(self.autopilot.step(self._step))
                 due += pace
             with suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
@@ -78,7 +78,7 @@ class UdpServer:
                 self.autopilot.receive(data)
             for data in self.autopilot.pending():
                 self._outwards.put(data, now)
-            self._spoke = {peer: t for peer, t in self._spoke.items() if now - t < OF_LATE}
+            self._spoke = {peer: t for peer, t in self._spoke.items() if now - t < 10.0}
             for data in self._outwards.get(now):
                 for peer in self._spoke:
                     with suppress(BlockingIOError, ConnectionRefusedError):

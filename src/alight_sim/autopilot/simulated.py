@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -10,39 +11,29 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.arrays import F64
-from alight.geometry import Pose
-from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
+from alight.records import Event
+from alight_sim.autopilot.dialects import DIALECTS, Dialect, Doing
 from alight_sim.autopilot.estimate import Estimate, EstimateError
 from alight_sim.autopilot.flight_logic import FlightLogic
-from alight_sim.autopilot.reports import Reports, SimulatedState
+from alight_sim.autopilot.reports import Reports
 from alight_sim.point_mass import PointMass, Wanted
 
 _START_UP = 3.0  # s from a start until it may be armed
-_NO_FIX = 0.5  # s without a position, after which the receiver reports no fix
-_ACCEPTED, _FOR_NOW, _DENIED, _UNSUPPORTED, _FAILED = 0, 1, 2, 3, 4
-_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_YAW = 7, 56, 1024
-_RELATIVE_FRAMES, _BODY_FRD = (3, 6), 12
-_HELICOPTER = 4  # MAV_TYPE
+_IGNORE_POSITION, _IGNORE_VELOCITY = 7, 56  # all bits of X, Y, Z and of VX, VY, VZ
 
 
 class TrueVehicle(Protocol):
     """Interface of the vehicle: a point with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
 
     @property
-    def position(self) -> F64: ...
-    @property
-    def velocity(self) -> F64: ...
+    def body(self) -> PointMass: ...
     @property
     def wind_world(self) -> F64: ...
-    @property
-    def stands(self) -> bool: ...
-    @property
-    def world_from_body(self) -> Pose: ...
     @property
     def imu(self) -> tuple[F64, F64] | None: ...
     @property
     def battery(self) -> float: ...
-    def step(self, dt: float, wanted: Wanted | None) -> None: ...
+    def step(self, dt: float, wanted: Wanted | None) -> Sequence[Event]: ...
 
 
 @dataclass(frozen=True)
@@ -87,119 +78,127 @@ class SimulatedAutopilot:
 
     def __init__(
         self,
-        dialect: Dialect | None = None,
+        dialect: Dialect = DIALECTS["ardupilot"],
         vehicle: TrueVehicle | None = None,
         home: SimulatedHome | None = None,
         estimate: Estimate | None = None,
         drift: float = 0.0,
         system: int = 1,
-        kind: int = 2,
+        kind: int = mavlink.MAV_TYPE_QUADROTOR,
     ) -> None:
-        self.dialect = dialect or SpokenArduPilot()
+        self.dialect, self.kind, self._drift, self._system = dialect, kind, drift, system
         self.vehicle: TrueVehicle = vehicle or PointMass()
         self.home = home or SimulatedHome()
         self.estimate: Estimate = estimate or EstimateError()
         self.healthy = self.checks = True  # checks: before arming, switched on
-        self._drift, self._system, self._kind = drift, system, kind
-        self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
+        self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._mavlink.robust_parsing = True
         self._out: list[bytes] = []
-        self._start()
+        self.reboot()
 
-    def _start(self) -> None:
-        self._boot = self._middle = self._refuses_until = 0.0  # s, of its own clock
-        self.logic = FlightLogic(self.dialect, interlock=False if self._kind == _HELICOPTER else None)
-        self.reports = Reports(self.dialect, self._send, self._kind)
+    def reboot(self) -> None:
+        """Start again: motors off, clock at 0, streams forgotten."""
+        self.boot = self.middle = 0.0  # s, its own clock; and the middle of the interval of the inertial measurements
+        self._refuses_until = 0.0  # s
+        self.logic: FlightLogic = FlightLogic(
+            self.dialect, interlock=False if self.kind == mavlink.MAV_TYPE_HELICOPTER else None
+        )
+        self.reports: Reports = Reports(self.dialect.lacks)
         self._mavlink.seq = 0
 
     @property
-    def boot_ns(self) -> int:
-        """Its own clock, ns since boot."""
-        return round(self._boot * 1e9)
+    def boot_ms(self) -> int:
+        """Its own clock, ms since boot."""
+        return round(self.boot * 1e3)
 
     @property
     def ready(self) -> bool:
         """True if it may be armed."""
-        return self.located and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
+        return self.located and self.boot > _START_UP and (self.logic.armed or not self.logic.interlock)
 
     @property
     def located(self) -> bool:
         """True while it has an absolute position, for some time after the last one of its receiver as well."""
-        return self.healthy and self.estimate.blind < self.dialect.dead_reckoning
+        return self.healthy and self.estimate.now.blind < self.dialect.dead_reckoning
+
+    @property
+    def fixed(self) -> bool:
+        """True while its receiver has a fix: until half a second without a position."""
+        return self.healthy and self.estimate.now.blind < 0.5
 
     @property
     def estimated(self) -> F64:
         """(3,) metres: its estimate of its position."""
-        return self.vehicle.position + self.estimate.error
+        return self.vehicle.body.position + self.estimate.now.position
 
-    def reboot(self) -> None:
-        """Start again: motors off, clock at 0, streams forgotten."""
-        self._start()
+    @property
+    def velocity(self) -> F64:
+        """(3,) m/s: its estimate of its velocity."""
+        return self.vehicle.body.velocity + self.estimate.now.velocity
+
+    @property
+    def attitude(self) -> F64:
+        """(3, 3) rotation, world from body: its estimate."""
+        errors = self.estimate.now
+        return np.asarray(errors.heading @ self.vehicle.body.world_from_body.rotation @ errors.attitude)
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
         """Put it in the air at the vehicle's position, armed, as after a take-off."""
-        self.logic.armed, self._boot = True, _START_UP + 1.0
-        self.logic.step(self._boot, self.estimated, False)
+        self.logic.armed, self.boot = True, _START_UP + 1.0
+        self.logic.step(self.boot, self.estimated, False)
         self.logic.doing = Doing.TAKE_OFF
-        self.logic.enter(doing, self._boot)
+        self.logic.enter(doing, self.boot)
 
     def refuse_modes(self, seconds: float) -> None:
         """Refuse all commands that change the mode for some time."""
-        self._refuses_until = self._boot + seconds
+        self._refuses_until = self.boot + seconds
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
         """Change the mode as a pilot does."""
-        self.logic.enter(doing, self._boot)
+        self.logic.enter(doing, self.boot)
 
     def pending(self) -> list[bytes]:
         """Remove and return the datagrams to send."""
         out, self._out = self._out, []
         return out
 
-    def step(self, dt: float) -> None:
-        """Advance by `dt` seconds of true time."""
-        self._middle = self._boot + 0.5 * dt * (1 + self._drift)
-        self._boot += dt * (1 + self._drift)
+    def step(self, dt: float) -> Sequence[Event]:
+        """Advance by `dt` seconds of true time; return the events of the vehicle."""
+        self.middle = self.boot + 0.5 * dt * (1 + self._drift)
+        self.boot += dt * (1 + self._drift)
         self.estimate.step(dt)
-        wanted = self.logic.step(self._boot, self.estimated, self.vehicle.stands)
-        self.vehicle.step(dt, None if wanted is None else self._in_truth(wanted))
-        self.reports.step(self._boot, self._snapshot())
+        wanted = self.logic.step(self.boot, self.estimated, self.vehicle.body.stands)
+        if wanted is not None and wanted.position is not None:  # it steers by its estimate, and is off by its error
+            wanted = replace(wanted, position=wanted.position - self.estimate.now.position)
+        events = self.vehicle.step(dt, wanted)
+        self.reports.step(self.boot, self)
+        return events
 
-    def _in_truth(self, wanted: Wanted) -> Wanted:
-        """The set-point in true coordinates: it steers by its estimate, so the vehicle is off by the error."""
-        position = None if wanted.position is None else wanted.position - self.estimate.error
-        return replace(wanted, position=position)
-
-    def _snapshot(self) -> SimulatedState:
-        estimated, estimate = self.estimated, self.estimate
-        return SimulatedState(
-            self.logic, self.vehicle, self.home.degrees(estimated), estimated,
-            self.vehicle.velocity + estimate.velocity_error, estimate.attitude(self.vehicle.world_from_body.rotation),
-            self.home, self.ready, self.healthy and estimate.blind < _NO_FIX, estimate.accuracy,
-            self._boot, self._middle, self.checks,
-        )  # fmt: skip
-
-    def _send(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
+        """Send a message."""
         self._out.append(bytes(message.pack(self._mavlink)))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
 
     def receive(self, data: bytes) -> None:
         """Take a datagram and handle its messages."""
         for m in self._mavlink.parse_buffer(data) or ():
-            handler = getattr(self, f"_on_{m.get_type().lower()}", None)
-            if handler is not None and getattr(m, "target_system", self._system) in (0, self._system):
-                handler(m, (m.get_srcSystem(), m.get_srcComponent()))
+            if getattr(m, "target_system", self._system) in (0, self._system):
+                self._on_message(m)
 
-    def _on_timesync(self, m: Any, sender: tuple[int, int]) -> None:
-        if m.tc1 == 0:
-            self._send(mavlink.MAVLink_timesync_message(self.boot_ns, m.ts1))
-
-    def _on_set_position_target_global_int(self, m: Any, sender: tuple[int, int]) -> None:
-        altitude = m.alt + self.home.altitude_msl if m.coordinate_frame in _RELATIVE_FRAMES else m.alt
-        self._guide(m, self.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, altitude))
-
-    def _on_set_position_target_local_ned(self, m: Any, sender: tuple[int, int]) -> None:
-        self._guide(m, np.array([m.y, m.x, -m.z]))
+    def _on_message(self, m: Any) -> None:
+        name = m.get_type()
+        if name == "COMMAND_LONG":
+            result = self.execute(m.command, (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7))
+            sender = m.get_srcSystem(), m.get_srcComponent()
+            self.send(mavlink.MAVLink_command_ack_message(m.command, result, 0, 0, *sender))
+        elif name == "TIMESYNC" and m.tc1 == 0:
+            self.send(mavlink.MAVLink_timesync_message(round(self.boot * 1e9), m.ts1))
+        elif name == "SET_POSITION_TARGET_GLOBAL_INT":
+            self._guide(m, self.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt))
+        elif name == "SET_POSITION_TARGET_LOCAL_NED":
+            self._guide(m, np.array([m.y, m.x, -m.z]))
+        elif name == "LANDING_TARGET" and m.position_valid and m.frame == mavlink.MAV_FRAME_BODY_FRD:
+            self._on_landing_target(m)
 
     def _guide(self, m: Any, position: F64) -> None:
         mask = m.type_mask
@@ -207,50 +206,36 @@ class SimulatedAutopilot:
         wanted = Wanted(
             None if mask & _IGNORE_POSITION == _IGNORE_POSITION else position,
             None if mask & _IGNORE_VELOCITY == _IGNORE_VELOCITY else velocity,
-            None if mask & _IGNORE_YAW else m.yaw,
+            None if mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE else m.yaw,
         )
-        self.logic.guide(wanted, self._boot)
+        self.logic.guide(wanted, self.boot)
 
-    def _on_landing_target(self, m: Any, sender: tuple[int, int]) -> None:
-        if not m.position_valid:
-            return
-        if m.frame == _BODY_FRD:
-            line = np.array([m.x, -m.y, -m.z])
-            angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
-            if np.abs(angles).max() > 0.05 * max(m.distance, 1.0):
-                return  # angles and position contradict each other
-            target = self.estimated + self.estimate.attitude(self.vehicle.world_from_body.rotation) @ line
-        else:
-            target = np.array([m.y, m.x, -m.z])
-        self.logic.aim_landing(target, self._boot)
+    def _on_landing_target(self, m: Any) -> None:
+        """Take a target in body axes, unless its angles and its position contradict each other."""
+        angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
+        if np.abs(angles).max() <= 0.05 * max(m.distance, 1.0):
+            self.logic.aim_landing(self.estimated + self.attitude @ np.array([m.x, -m.y, -m.z]), self.boot)
 
-    def _on_command_long(self, m: Any, sender: tuple[int, int]) -> None:
-        parameters = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
-        result = self._command(m.command, parameters)
-        self._send(mavlink.MAVLink_command_ack_message(m.command, result, 0, 0, *sender))
-
-    def _command(self, command: int, p: tuple[float, ...]) -> int:
-        if command == 511:
-            return _ACCEPTED if self.reports.ask(round(p[0]), p[1]) else _DENIED
-        if command == 176:
-            doing = self.dialect.doing(p) if self._boot >= self._refuses_until else None
-            return _ACCEPTED if doing is not None and self.logic.enter(doing, self._boot) else _FAILED
-        if command == 400:
-            refused = p[0] > 0.5 and not self.ready
-            return _FOR_NOW if refused else self._said(self.logic.arm(p[0] > 0.5))
-        if command == 22:
-            return self._said(
-                self.logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
-            )
-        if command == 178:
-            return self._said(self.logic.limit(p[0], p[1]))
-        if command == 115 and not self.dialect.needs_setpoints:
-            self.logic.face(math.radians(p[0]))
-            return _ACCEPTED
-        if command == 246:
+    def execute(self, command: int, p: tuple[float, ...]) -> int:
+        """Execute a MAV_CMD with its seven parameters; return its MAV_RESULT."""
+        denied, failed, logic = mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED, self.logic
+        done: bool
+        if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            done, failed = self.reports.request(round(p[0]), p[1]), denied
+        elif command == mavlink.MAV_CMD_DO_SET_MODE:
+            doing = self.dialect.doing(p) if self.boot >= self._refuses_until else None
+            done = doing is not None and logic.enter(doing, self.boot)
+        elif command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            if p[0] > 0.5 and not self.ready:
+                return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+            done = logic.arm(p[0] > 0.5)
+        elif command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            done = logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
+        elif command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
+            done = logic.limit(p[0], p[1])
+        elif command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+            done = True
             self.reboot()
-            return _ACCEPTED
-        return _UNSUPPORTED
-
-    def _said(self, done: bool) -> int:
-        return _ACCEPTED if done else _FAILED
+        else:
+            return int(mavlink.MAV_RESULT_UNSUPPORTED)
+        return int(mavlink.MAV_RESULT_ACCEPTED if done else failed)

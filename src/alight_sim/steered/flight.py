@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ from alight.arrays import F64, I64
 from alight.geometry import LocalFrame, Pose, so3_exp
 from alight.records import Event, InputError, Rig
 from alight.settings import ImuNoise
+from alight_sim.autopilot.estimate import NavigationError
 from alight_sim.course import LEAD, ground_at
 from alight_sim.faults import Faults
 from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, START_NS, WIND, flight_notes
@@ -23,15 +24,12 @@ from alight_sim.scene_world import build
 from alight_sim.sensors import BiasWalk, ImuErrors, ImuStream, Jump, NavErrors, NavStream, Outage, TrueMotion
 from alight_sim.steered.bodies import Body
 from alight_sim.steered.cameras import CameraFault, SteeredCameras
-from alight_sim.steered.ground import GroundBelow
+from alight_sim.steered.ground import ContactWatch, GroundBelow, TrueContact
 from alight_sim.steered.sensing import SteeredSensors
-from alight_sim.steered.track import TrueTrack
 from alight_sim.world import World
 
 NIMBLE = FlightLimits(lag=0.08)
 IMU_RATE_HZ = 100.0  # of a flight without an IMU of its own; the vehicle moves in steps of the IMU
-STRIKE_STEPS = 5  # samples of the IMU between two checks for things beside
-LAST = 1.0  # metres above the ground: lower, a contact is a touchdown
 _TRIM = 1.5  # s, time constant with which the autopilot learns a new wind or a lasting gust
 _SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
 
@@ -45,40 +43,34 @@ class TrueBattery:
     climb: float = 1.5e-4  # share for each metre upwards, on top of that
 
 
-@dataclass(frozen=True, eq=False)
-class TrueContact:
-    """Contact of the vehicle with the ground or a thing: time, pose, velocity."""
+@dataclass
+class _Air:
+    """Wind and gusts on command, and the part of them that the autopilot has learned."""
 
-    t_ns: int
-    pose: Pose  # world_from_body just then; its origin is `standing` above the ground
-    velocity_world: F64  # (3,) m/s just before
-    standing: float  # metres from the plane of the feet to the body's origin
-    struck: float | None = None  # metres above its feet: top of the thing that it struck in flight; None: a touchdown
+    velocity: F64  # (3,) m/s
+    learned: F64  # (3,) m/s, of the velocity
+    pushes: list[tuple[float, float, F64]] = field(default_factory=list)  # s from and to, m/s^2
+    leant: F64 = field(default_factory=lambda: np.zeros(3))  # m/s^2, learned part of the pushes
 
-
-@dataclass(frozen=True, eq=False)
-class NavigationError:
-    """Errors of the navigation solution at one instant."""
-
-    position: F64  # (3,) metres, world
-    attitude: F64  # (3, 3) rotation in the body, to the right of the true one
-    heading: F64  # (3, 3) rotation in the world, to the left of the true one
-    velocity: F64  # (3,) m/s, world
-    sigma: F64  # (3,) metres, claimed for the position
-    blind: float  # s since the last row with a position
+    def push(self, now: float, h: float, drag: float) -> F64:
+        """(3,) m/s^2 on the vehicle in a step of `h` seconds, less the part that the autopilot has learned."""
+        share = 1.0 - math.exp(-h / _TRIM)
+        self.learned = self.learned + share * (self.velocity - self.learned)
+        gusts: F64 = sum((a for start, end, a in self.pushes if start <= now < end), np.zeros(3))
+        self.leant = self.leant + share * (gusts - self.leant)
+        return np.asarray(drag * (self.velocity - self.learned) + gusts - self.leant)
 
 
 class SteeredFlight:
-    """A source of events that follows set-points. The same seed and calls give the same bits.
+    """A flight that follows set-points, as events; also the vehicle of a simulated autopilot (`TrueVehicle`).
+
+    The same seed and calls give the same bits.
 
     Args:
         scene: a built-in scene's name, a scene file, a scene, or a world.
-        seed: of all random draws.
         size: of the pictures, pixels; the world's rig is scaled to it.
         stereo: all cameras of the rig, or the first alone.
-        rate_hz: exposures a second.
         start: east and north, and metres above the ground there.
-        heading: rad clockwise from north.
         limits: of the vehicle; None: `NIMBLE`.
         wind: (3,) m/s, east, north, up: velocity of the air.
         gusts: m/s^2, standard deviation of their acceleration.
@@ -93,8 +85,6 @@ class SteeredFlight:
 
     kind: Literal["flight"] = "flight"
     georeferenced = True
-    schedule = None
-    flown_with = None
 
     def __init__(
         self,
@@ -120,45 +110,33 @@ class SteeredFlight:
         self.bodies: list[Body] = []  # that have come on command
         self.seed, self.rate_hz, self.standing = seed, rate_hz, standing
         self.warnings = list(self.world.warnings)
-        self._faults = faults or self.world.faults
+        faults = faults or self.world.faults
         self.true_rig = sized_rig(self.world.rig, size, stereo)
-        self.rig = self._faults.claimed(self.true_rig)
-        self._cameras = SteeredCameras(self.world, self.true_rig, self._faults, rate_hz, self._seeds, self.bodies)
+        self.rig = faults.claimed(self.true_rig)
+        self._cameras = SteeredCameras(self.world, self.true_rig, faults, rate_hz, self._seeds, self.bodies)
         self._imu_errors = imu or self.world.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
-        self._nav = NavStream(nav or self.world.sensors.nav, self._seeds(NAV))
-        self._track = TrueTrack()
-        self._sensors = SteeredSensors(
-            ImuStream(self._imu_errors, self._seeds(IMU_NOISE)),
-            BiasWalk(self._imu_errors, self._seeds(IMU_BIAS)),
-            self._nav,
-            self._cameras,
-            self._track,
-        )
+        imu_stream = ImuStream(self._imu_errors, self._seeds(IMU_NOISE))
+        biases = BiasWalk(self._imu_errors, self._seeds(IMU_BIAS))
+        nav_stream = NavStream(nav or self.world.sensors.nav, self._seeds(NAV))
+        self._sensors = SteeredSensors(imu_stream, biases, nav_stream, self._cameras)
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
-        self.contacts: list[TrueContact] = []
-        self._below, self._radius, self._strikes = GroundBelow(self.world, self.bodies, radius), radius, False
-        self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
-        self._pushes: list[tuple[float, float, F64]] = []
-        self._leant = np.zeros(3)  # m/s^2, learned part of the gusts
-        self._steps, self._asked_ns = 0, 0
-        self._start_vehicle(np.array(start, float), heading, limits or NIMBLE, gusts)
+        self._air = _Air(np.array(wind, float), np.array(wind, float))
+        below = GroundBelow(self.world, self.bodies, radius)
+        east, north, up = (float(v) for v in start)
+        place = np.array([east, north, ground_at(self.world, np.array(start, float)) + up + standing])
+        self._vehicle = PointMass(
+            limits or NIMBLE, lambda east, north: below.height(east, north) + standing, self._air.velocity, gusts,
+            seed=int(self._seeds(WIND).generate_state(1)[0]), position=place, heading=heading,
+        )  # fmt: skip
+        self._contacts = ContactWatch(below, standing, self._vehicle)
+        self._steps, self._elapsed_ns = 0, 0
         self._settled = np.zeros(3)  # metres: error of the navigation solution, smoothed
-
-    def _start_vehicle(self, start: F64, heading: float, limits: FlightLimits, gusts: float) -> None:
-        ground = ground_at(self.world, start)
-        place = np.array([start[0], start[1], ground + start[2] + self.standing])
-        seed = int(self._seeds(WIND).generate_state(1)[0])
-        self._vehicle = PointMass(limits, self._floor, self._air, gusts, seed=seed, position=place, heading=heading)
-        self._stood = self._vehicle.stands
-
-    def _floor(self, east: float, north: float) -> float:
-        return self._below.height(east, north) + self.standing
 
     def _seeds(self, *key: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
-    # -- properties of a source
+    # -- description of a source
 
     @property
     def name(self) -> str:
@@ -190,12 +168,12 @@ class SteeredFlight:
     @property
     def seconds(self) -> float:
         """Time of the flight, s, from its first exposure; it begins LEAD before."""
-        return self._asked_ns * 1e-9 - LEAD
+        return self._elapsed_ns * 1e-9 - LEAD
 
     @property
     def time_ns(self) -> int:
         """Time of the events' clock, ns."""
-        return START_NS - round(LEAD * 1e9) + self._asked_ns
+        return START_NS - round(LEAD * 1e9) + self._elapsed_ns
 
     @property
     def true_pose(self) -> Pose:
@@ -215,24 +193,30 @@ class SteeredFlight:
     @property
     def height_above_ground(self) -> float:
         """Metres from the surface below to the plane of the feet."""
-        east, north, up = self._vehicle.position
-        return float(up - self._floor(float(east), float(north)))
+        return self._contacts.height
 
     @property
     def gap(self) -> float:
         """Metres from the highest thing within its radius, or below its middle, up to the plane of its feet."""
-        east, north, up = (float(c) for c in self._vehicle.position)
-        return up - self.standing - self._below.highest(east, north)
+        return self._contacts.gap
 
     @property
-    def learned_wind(self) -> F64:
+    def wind_world(self) -> F64:
         """(3,) m/s: velocity of the air as the autopilot has learned it."""
-        return self._trimmed.copy()
+        return self._air.learned.copy()
 
     @property
     def wind_speed(self) -> float:
-        """Horizontal speed of `learned_wind`, m/s."""
-        return math.hypot(self._trimmed[0], self._trimmed[1])
+        """Horizontal speed of `wind_world`, m/s."""
+        return math.hypot(self._air.learned[0], self._air.learned[1])
+
+    @property
+    def imu(self) -> tuple[F64, F64] | None:
+        """(3,) rad/s and (3,) m/s^2 in the body, as measured; None: for 30 ms there was no sample."""
+        sample = self._sensors.newest_imu
+        if sample is None or self.time_ns - sample.t_ns > 30_000_000:
+            return None
+        return sample.angular_velocity_body, sample.specific_force_body
 
     @property
     def landed(self) -> bool:
@@ -243,10 +227,16 @@ class SteeredFlight:
     def navigation(self) -> NavigationError:
         """Errors of the navigation solution now; that of the position is smoothed, as an autopilot's estimate is."""
         seconds = self._steps / self._imu_errors.rate_hz - LEAD
+        nav = self._sensors.nav
         return NavigationError(
-            self._settled, so3_exp(self._nav.attitude_error), self._nav.heading_error(seconds),
-            self._nav.velocity_error, self._nav.sigma_position, max(seconds - self._nav.located_at, 0.0),
+            self._settled, so3_exp(nav.attitude_error), nav.heading_error(seconds), nav.velocity_error,
+            nav.sigma_position, max(seconds - nav.located_at, 0.0),
         )  # fmt: skip
+
+    @property
+    def contacts(self) -> list[TrueContact]:
+        """Contacts with the ground and things so far."""
+        return self._contacts.found
 
     @property
     def contact(self) -> TrueContact | None:
@@ -255,15 +245,15 @@ class SteeredFlight:
 
     def poses(self, t_ns: I64) -> list[Pose]:
         """True `world_from_body` at times (N,) of the last three seconds."""
-        turns, places = self._track.poses(1e-9 * np.asarray(t_ns - START_NS, np.float64))
+        turns, places = self._sensors.track.poses(1e-9 * np.asarray(t_ns - START_NS, np.float64))
         return [Pose(R, p) for R, p in zip(turns, places, strict=True)]
 
     # -- time
 
     def step(self, dt: float, wanted: Wanted | None) -> list[Event]:
         """Fly for `dt` seconds to a true set-point (None: motors off); return the events that arrived, in order."""
-        self._asked_ns += round(dt * 1e9)
-        while (self._steps + 1) / self._imu_errors.rate_hz <= self._asked_ns * 1e-9 + 1e-9:
+        self._elapsed_ns += round(dt * 1e9)
+        while (self._steps + 1) / self._imu_errors.rate_hz <= self._elapsed_ns * 1e-9 + 1e-9:
             self._advance(wanted)
         return self._sensors.arrived(self.time_ns)
 
@@ -272,46 +262,22 @@ class SteeredFlight:
         vehicle, h = self._vehicle, 1.0 / self._imu_errors.rate_hz
         start = self._steps * h - LEAD
         self._steps += 1
-        self._below.seconds = start
+        self._contacts.below.seconds = start
         place = vehicle.world_from_body
         before = TrueMotion(place.translation, vehicle.velocity.copy(), place.rotation, np.zeros(3))
         up = float(vehicle.position[2])
         flown = wanted if self.battery > 0 else None
-        vehicle.push_world = self._blown(start, h)
+        vehicle.push_world = self._air.push(start, h, vehicle.limits.drag)
         vehicle.step(h, flown)
-        self._settled += max(1.0 - math.exp(-h / _SETTLE), 1.0 / self._steps) * (self._nav.offset - self._settled)
-        stood, self._stood = self._stood, vehicle.stands  # of the last step: a body that drives in below it counts, too
-        if self._stood and not stood:
-            self.contacts.append(
-                TrueContact(
-                    START_NS + round((start + h) * 1e9), vehicle.world_from_body, before.velocity_world, self.standing
-                )
-            )
-        if self._radius > 0.0 and self._steps % STRIKE_STEPS == 0:
-            self._look_beside(start + h)
-        self._spend(flown is not None and not vehicle.stands, h, float(vehicle.position[2]) - up)
-        motion = self._track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
+        self._settled += max(1.0 - math.exp(-h / _SETTLE), 1.0 / self._steps) * (
+            self._sensors.nav.offset - self._settled
+        )
+        self._contacts.observe(START_NS + round((start + h) * 1e9), before.velocity_world)
+        if flown is not None and not vehicle.stands:
+            risen = max(float(vehicle.position[2]) - up, 0.0)
+            self.drain(h / self._cost.endurance + risen * self._cost.climb)
+        motion = self._sensors.track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
         self._sensors.measure(start, h, motion, vehicle.velocity)
-
-    def _look_beside(self, seconds: float) -> None:
-        """Record a strike in flight; on the last metre the touchdown is judged instead."""
-        gap = self.gap if self.height_above_ground > LAST else math.inf
-        if gap < 0.0 and not self._strikes:
-            t_ns, pose = START_NS + round(seconds * 1e9), self._vehicle.world_from_body
-            self.contacts.append(TrueContact(t_ns, pose, self.true_velocity, self.standing, -gap))
-        self._strikes = gap < 0.0
-
-    def _blown(self, now: float, h: float) -> F64:
-        """(3,) m/s^2: wind and gusts on command, less the part that the autopilot has learned."""
-        learned = 1.0 - math.exp(-h / _TRIM)
-        self._trimmed = self._trimmed + learned * (self._air - self._trimmed)
-        gusts: F64 = sum((a for start, end, a in self._pushes if start <= now < end), np.zeros(3))
-        self._leant = self._leant + learned * (gusts - self._leant)
-        return np.asarray(self._vehicle.limits.drag * (self._air - self._trimmed) + gusts - self._leant)
-
-    def _spend(self, flying: bool, h: float, risen: float) -> None:
-        cost = (h / self._cost.endurance + max(risen, 0.0) * self._cost.climb) if flying else 0.0
-        self.battery = max(0.0, self.battery - cost)
 
     # -- disturbances and faults on command, from now on
 
@@ -336,11 +302,11 @@ class SteeredFlight:
 
     def gust(self, acceleration: Sequence[float], seconds: float) -> None:
         """Push the vehicle with (3,) m/s^2, world, for `seconds`."""
-        self._pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
+        self._air.pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
 
     def wind(self, east: float, north: float, up: float = 0.0) -> None:
         """Set the velocity of the air, m/s."""
-        self._air = self._vehicle.wind_world = np.array([east, north, up], float)
+        self._air.velocity = self._vehicle.wind_world = np.array([east, north, up], float)
 
     def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
         """Send the last picture again, with new stamps. `camera`: its number; None: all of them."""
@@ -363,16 +329,18 @@ class SteeredFlight:
 
     def lose_gps(self, seconds: float, what: Literal["position", "rows"] = "position") -> None:
         """Lose positions or whole rows for `seconds`; the autopilot's own error goes on as before."""
-        self._change_nav(outages=(*self._nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what)))
+        self._change_nav(
+            outages=(*self._sensors.nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what))
+        )
 
     def jump_gps(self, offset: Sequence[float], seconds: float | None = None) -> None:
         """Shift all positions by (3,) metres, unclaimed, for a time (None: for good)."""
         east, north, up = (float(v) for v in offset)
         jump = Jump(at=self.seconds, seconds=seconds, offset=(east, north, up))
-        self._change_nav(jumps=(*self._nav.errors.jumps, jump))
+        self._change_nav(jumps=(*self._sensors.nav.errors.jumps, jump))
 
     def _change_nav(self, **what: Any) -> None:
-        self._nav.errors = self._nav.errors.model_copy(update=what)
+        self._sensors.nav.errors = self._sensors.nav.errors.model_copy(update=what)
 
     def lose_imu(self, seconds: float) -> None:
         """Lose the samples of the IMU for `seconds`."""
@@ -381,6 +349,18 @@ class SteeredFlight:
     def drain(self, share: float) -> None:
         """Take a share of the charge that is left away."""
         self.battery *= 1.0 - share
+
+
+class FlownEstimate:
+    """The estimate of a flight's autopilot (`Estimate`): the errors of the flight's navigation solution."""
+
+    def __init__(self, flight: SteeredFlight) -> None:
+        self._flight = flight
+        self.now = flight.navigation
+
+    def step(self, dt: float) -> None:
+        """Read the errors of the flight, which its own sensors have advanced."""
+        self.now = self._flight.navigation
 
 
 def sized_rig(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:

@@ -1,16 +1,21 @@
-"""The true surface under a vehicle: the ground, things that stand or drive on it, and bodies that came on command."""
+"""The true surface under a vehicle: the ground, things on it, bodies that came on command; and contacts with it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from alight.arrays import F64
+from alight.geometry import Pose
 from alight_sim.movers import Moving, boxes_at
+from alight_sim.point_mass import PointMass
 from alight_sim.world import World
 
+STRIKE_STEPS = 5  # samples of the IMU between two checks for things beside
+LAST = 1.0  # metres above the ground: lower, a contact is a touchdown
 _WINDOW = 4.0  # metres about the place for which heights are held
 _NEAR = 8.0  # metres within which bodies are looked for
 
@@ -28,13 +33,12 @@ class GroundBelow:
     """Heights of successive places near each other. The surface is bilinear between cell centres.
 
     Args:
-        world: the ground, and what moves on it.
         bodies: that have come on command until now.
         radius: metres about a place within which `highest` looks.
     """
 
     def __init__(self, world: World, bodies: Sequence[Moving] = (), radius: float = 0.0) -> None:
-        self._world, self._bodies, self._radius = world, bodies, radius
+        self._world, self._bodies, self.radius = world, bodies, radius
         self._cell, self._movers = world.cell, world.movers
         self._box = (0.0, 0.0, 0.0, 0.0)
         self._rows: list[list[float]] = []
@@ -57,7 +61,7 @@ class GroundBelow:
     def highest(self, east: float, north: float) -> float:
         """Height of the highest thing within the radius about a place, metres above the origin."""
         self._hold(east, north)
-        cell, radius, (west, south) = self._cell, self._radius, self._place
+        cell, radius, (west, south) = self._cell, self.radius, self._place
         col, row = int((east - radius - west) / cell), int((north - radius - south) / cell)
         size = int(2 * radius / cell) + 2
         part = self._heights[row : row + size, col : col + size]
@@ -85,10 +89,62 @@ class GroundBelow:
             self._load(east, north)
 
     def _load(self, east: float, north: float) -> None:
-        spare = _WINDOW + self._radius + 2.0 * self._cell
+        spare = _WINDOW + self.radius + 2.0 * self._cell
         truth = self._world.truth((east - spare, north - spare, east + spare, north + spare))
         rows = truth.grid.rows
         self._heights = truth.height[::-1].astype(np.float64)
         self._rows = self._heights.tolist()
         self._place = truth.grid.east, truth.grid.north - (rows - 1) * truth.grid.cell
         self._box = east - _WINDOW, north - _WINDOW, east + _WINDOW, north + _WINDOW
+
+
+@dataclass(frozen=True, eq=False)
+class TrueContact:
+    """Contact of the vehicle with the ground or a thing: time, pose, velocity."""
+
+    t_ns: int
+    pose: Pose  # world_from_body just then; its origin is `standing` above the ground
+    velocity_world: F64  # (3,) m/s just before
+    standing: float  # metres from the plane of the feet to the body's origin
+    struck: float | None = None  # metres above its feet: top of the thing that it struck in flight; None: a touchdown
+
+
+class ContactWatch:
+    """Contacts of a vehicle that is stepped.
+
+    Args:
+        below: the surface, with the radius within which it strikes things higher than its feet; 0: it strikes none.
+        standing: metres from the plane of the feet to the body's origin.
+    """
+
+    def __init__(self, below: GroundBelow, standing: float, vehicle: PointMass) -> None:
+        self.below, self._standing, self._vehicle = below, standing, vehicle
+        self.found: list[TrueContact] = []
+        self._stood, self._strikes, self._steps = vehicle.stands, False, 0
+
+    @property
+    def height(self) -> float:
+        """Metres from the surface below to the plane of the feet."""
+        east, north, up = self._vehicle.position
+        return float(up - (self.below.height(float(east), float(north)) + self._standing))
+
+    @property
+    def gap(self) -> float:
+        """Metres from the highest thing within the radius, or below the middle, up to the plane of the feet."""
+        east, north, up = (float(c) for c in self._vehicle.position)
+        return up - self._standing - self.below.highest(east, north)
+
+    def observe(self, t_ns: int, velocity_before: F64) -> None:
+        """Record a contact in the step that ends at `t_ns`; (3,) m/s just before."""
+        stood, self._stood = self._stood, self._vehicle.stands  # of the last step: a body that drives in counts, too
+        if self._stood and not stood:
+            self._add(t_ns, velocity_before)
+        self._steps += 1
+        if self.below.radius > 0.0 and self._steps % STRIKE_STEPS == 0:
+            gap = self.gap if self.height > LAST else math.inf  # on the last metre the touchdown is judged instead
+            if gap < 0.0 and not self._strikes:
+                self._add(t_ns, self._vehicle.velocity.copy(), -gap)
+            self._strikes = gap < 0.0
+
+    def _add(self, t_ns: int, velocity: F64, struck: float | None = None) -> None:
+        self.found.append(TrueContact(t_ns, self._vehicle.world_from_body, velocity, self._standing, struck))

@@ -7,7 +7,8 @@ from dataclasses import replace
 from alight.records.campaign import STRIKE
 from alight_sim.flight import START_NS
 from alight_sim.oracle import OracleLander, Touchdown, judge_touchdown
-from alight_sim.steered.flight import SteeredFlight, TrueContact
+from alight_sim.steered.flight import SteeredFlight
+from alight_sim.steered.ground import TrueContact
 
 
 def contact_seconds(contact: TrueContact) -> float:

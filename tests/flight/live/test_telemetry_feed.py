@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from over_a_link import free_port
 
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live.telemetry import TelemetryFeed
@@ -21,8 +22,9 @@ LOCAL = "127.0.0.1"
 @pytest.fixture
 def pair() -> Iterator[tuple[TelemetryFeed, UdpServer]]:
     """A feed, and the simulated autopilot that it listens to."""
-    feed = TelemetryFeed(f"udp:{LOCAL}:0")
-    server = UdpServer(SimulatedAutopilot(), (LOCAL, feed.link.port), speed=5.0)  # type: ignore[attr-defined]
+    port = free_port()
+    feed = TelemetryFeed(f"udp:{LOCAL}:{port}")
+    server = UdpServer(SimulatedAutopilot(), (LOCAL, port), speed=5.0)
     with server:
         assert wait(5.0, feed, lambda: feed.located)
         yield feed, server

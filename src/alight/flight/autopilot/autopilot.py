@@ -6,23 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from alight.flight.autopilot.clock import VehicleClock
-from alight.flight.autopilot.firmware import HOVERS, firmware_of
-from alight.flight.autopilot.framing import FrameCounts, Framing, Heard
-from alight.flight.autopilot.pymavlink_dialect import message
-from alight.flight.autopilot.remote_vehicle import AUTOPILOT, RemoteVehicle
+from alight.flight.autopilot.dialect import mavlink
+from alight.flight.autopilot.firmware import FIRMWARES, HOVERS
+from alight.flight.autopilot.framing import Framing, ReceivedMessage
+from alight.flight.autopilot.remote_vehicle import RemoteVehicle
 from alight.records import ImuSample, NavSample, Notice, NoticeKind, Telemetry
 
-COMPANION = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_ONBOARD, _NO_AUTOPILOT = 18, 8  # MAV_TYPE, MAV_AUTOPILOT
-_HEARTBEAT_NS = 1_000_000_000
 
+class TelemetryReader(Protocol):
+    """Reads a vehicle's messages: `TelemetryEvents`, or a class of your own."""
 
-class TelemetryTaker(Protocol):
-    """Receiver of a vehicle's messages: `TelemetryEvents`, or a class of your own."""
+    starts: int  # number of the autopilot's start that the messages belong to
 
-    starts: int  # number of the autopilot's start that the taken messages belong to
-
-    def forget(self, starts: int) -> None:
+    def restart(self, starts: int) -> None:
         """Begin anew after a restart of the autopilot; `starts` counts its starts."""
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
@@ -35,24 +31,21 @@ class Autopilot:
     `receive` what a link gives and call `tick` ten times a second or more; send the datagrams of `pending`; read
     `notices`, `samples` and `telemetry`. All times are of one monotonic clock of ours, in nanoseconds.
 
-    The vehicle is the first autopilot that sends a heartbeat. Other senders are not listened to.
+    The vehicle is the first autopilot that sends a heartbeat. Messages of other senders are ignored.
 
     Args:
         rates: Hz of further streams, or other rates of the default streams; 0: not requested.
         events: makes GPS/INS rows and IMU samples of the telemetry; None: they are not made.
         system: number of the vehicle on a link with several; None: the first.
         component: our component number on the link.
-
-    Raises:
-        MissingExtraError: pymavlink is not installed.
     """
 
     def __init__(
         self,
         rates: Mapping[str, float] | None = None,
-        events: TelemetryTaker | None = None,
+        events: TelemetryReader | None = None,
         system: int | None = None,
-        component: int = COMPANION,
+        component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER,
     ) -> None:
         self._framing = Framing(system or 1, component)
         self._wanted, self._component = system, component
@@ -63,17 +56,17 @@ class Autopilot:
         self._refused: set[int] = set()
         self._heartbeat_ns: int | None = None
         self._now_ns = 0
-        self.vehicle: RemoteVehicle | None = None  # takes the orders; None: not heard yet
+        self.vehicle: RemoteVehicle | None = None  # takes the orders; None: no heartbeat yet
 
     @property
     def telemetry(self) -> Telemetry | None:
-        """The newest report of everything heard from the vehicle; it does not change later. None: not heard yet."""
+        """The newest report of everything received from the vehicle; it does not change later. None: nothing yet."""
         return None if self.vehicle is None else self.vehicle.telemetry
 
     @property
-    def counts(self) -> FrameCounts:
-        """Messages, unknown messages and damaged bytes since the link was opened."""
-        return self._framing.counts
+    def messages(self) -> int:
+        """Number of messages received since the link was opened, of any sender."""
+        return self._framing.messages
 
     def pending(self) -> list[bytes]:
         """Datagrams to send; each is handed out once."""
@@ -97,17 +90,15 @@ class Autopilot:
             now_ns: of our clock; never less than before.
         """
         self._now_ns = max(now_ns, self._now_ns)
-        if self._heartbeat_ns is None or self._now_ns - self._heartbeat_ns >= _HEARTBEAT_NS:
+        if self._heartbeat_ns is None or self._now_ns - self._heartbeat_ns >= 1_000_000_000:
             self._heartbeat_ns = self._now_ns
-            self._send(
-                message("HEARTBEAT", type=_ONBOARD, autopilot=_NO_AUTOPILOT, base_mode=0, custom_mode=0,
-                        system_status=4, mavlink_version=3)
-            )  # fmt: skip
+            kind, invalid = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+            self._send(mavlink.MAVLink_heartbeat_message(kind, invalid, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
         if self.vehicle is not None:
             self.vehicle.tick(self._now_ns)
 
-    def look(self, now_ns: int) -> bool:
-        """Test whether ticks still come, from a thread that gives orders while another one listens and ticks.
+    def has_listener(self, now_ns: int) -> bool:
+        """Whether ticks still come, for a thread that gives orders while another one listens and ticks.
 
         Args:
             now_ns: of the clock that ticks.
@@ -117,36 +108,38 @@ class Autopilot:
             order may be sent: the state of the vehicle and its pilot are unknown.
         """
         self._now_ns = max(now_ns, self._now_ns)
-        return self.vehicle is None or self.vehicle.look(self._now_ns)
+        return self.vehicle is None or self.vehicle.has_listener(self._now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes as they came, in pieces of any length; no content can raise an exception."""
         self._now_ns = max(now_ns, self._now_ns)
-        for heard in self._framing.decode(data, now_ns):
-            if self.vehicle is None and heard.name == "HEARTBEAT":
-                self.vehicle = self._met(heard)
-            if self.vehicle is not None and (heard.system, heard.component) == (self.vehicle.system, AUTOPILOT):
-                self._take(self.vehicle, heard)
+        for received in self._framing.decode(data, now_ns):
+            if self.vehicle is None and received.name == "HEARTBEAT":
+                self.vehicle = self._vehicle_of(received)
+            if self.vehicle is not None and received.system == self.vehicle.system and _is_autopilot(received):
+                self._on_message(self.vehicle, received)
 
-    def _take(self, vehicle: RemoteVehicle, heard: Heard) -> None:
-        if not vehicle.hear(heard, self._now_ns) or self._events is None:
+    def _on_message(self, vehicle: RemoteVehicle, received: ReceivedMessage) -> None:
+        if not vehicle.on_message(received, self._now_ns) or self._events is None:
             return
         if vehicle.starts > self._events.starts:
-            self._events.forget(vehicle.starts)
-        self._samples += self._events.feed(heard.name, heard.message, vehicle.clock)
+            self._events.restart(vehicle.starts)
+        self._samples += self._events.feed(received.name, received.message, vehicle.clock)
 
-    def _met(self, heard: Heard) -> RemoteVehicle | None:
-        m, system = heard.message, heard.system
-        if heard.component != AUTOPILOT or m.autopilot == _NO_AUTOPILOT or self._wanted not in (None, system):
+    def _vehicle_of(self, heartbeat: ReceivedMessage) -> RemoteVehicle | None:
+        """The vehicle of a heartbeat; None: it is of something else, or not supported."""
+        m, system = heartbeat.message, heartbeat.system
+        if not _is_autopilot(heartbeat) or m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
             return None
-        firmware = firmware_of(m.autopilot)
+        if self._wanted not in (None, system):
+            return None
+        firmware = FIRMWARES.get(m.autopilot)
         if firmware is None or m.type not in HOVERS:
             self._refuse(system, "autopilot" if firmware is None else "kind of vehicle")
             return None
-        self._framing.speak_as(system, self._component)
+        self._framing.set_sender(system, self._component)
         self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
-        us = (system, self._component)
-        return RemoteVehicle(firmware, system, us, self._rates, self._send, self._note, m.type)
+        return RemoteVehicle(heartbeat, firmware(), (system, self._component), self._rates, self._send, self._note)
 
     def _refuse(self, system: int, what: str) -> None:
         if system not in self._refused:
@@ -159,3 +152,7 @@ class Autopilot:
 
     def _note(self, kind: NoticeKind, text: str, ok: bool = True, **more: Any) -> None:
         self._notices.append(Notice(self._now_ns, kind, text, ok, **more))
+
+
+def _is_autopilot(received: ReceivedMessage) -> bool:
+    return bool(received.component == mavlink.MAV_COMP_ID_AUTOPILOT1)

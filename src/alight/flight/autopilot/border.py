@@ -13,7 +13,6 @@ from alight.geometry import LocalFrame, enu_from_flu, matrix_from_quaternion
 from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
 from alight.records import Place
 
-GRAVITY = 9.80665  # m/s^2, of the unit mg
 METRES_PER_DEGREE = 111_132.0  # of latitude
 
 
@@ -50,16 +49,6 @@ def world_from_body_of_angles(roll: float, pitch: float, yaw: float) -> F64 | No
     return enu_from_flu(yaw, pitch, roll) if np.isfinite([roll, pitch, yaw]).all() else None
 
 
-def scaled_degrees(angle: float) -> int:
-    """Return an angle in degrees as the integer that MAVLink sends: 1e-7 degrees."""
-    return round(angle * 1e7)
-
-
-def signed_angle(angle: float) -> float:
-    """Return an angle in rad as the same angle from -pi to pi."""
-    return math.remainder(angle, 2 * math.pi)
-
-
 def metres_per_degree_east(place: Place) -> float:
     """Return the metres of a degree of longitude at a place; not quite 0 at the poles."""
     return METRES_PER_DEGREE * max(math.cos(math.radians(place.latitude)), 1e-6)
@@ -84,14 +73,7 @@ class EstimateTie:
     place: Place  # the autopilot's
 
     def place_of(self, target_world: ArrayLike) -> Place:
-        """Return a position of our world in the autopilot's coordinates.
-
-        Args:
-            target_world: (3,) metres.
-
-        Returns:
-            Degrees, and metres above sea level and above the home, in error by as much as the autopilot's own position.
-        """
+        """Return a position (3,) of our world in the autopilot's coordinates, in error by as much as its own is."""
         lat, lon, height = self.local.to_geodetic(np.stack([self.position_world, np.asarray(target_world)]))
         up = float(height[1] - height[0])
         return Place(

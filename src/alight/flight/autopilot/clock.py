@@ -1,4 +1,4 @@
-"""The autopilot's clock: converted to ours by TIMESYNC, and used for time-outs."""
+"""The autopilot's clock, converted to ours by TIMESYNC; the clock of time-outs; and the watch over the link."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 
 from alight.arrays import F64
 
-_WINDOW = 300  # exchanges: a minute
-_ASKED = 50  # requests that may still be answered
 _DRIFT = 50e-6  # 1-sigma of the rate of a crystal
 _FLOOR = 0.2e-3  # s, 1-sigma of an exchange without any waiting
 _JUMP = 0.02  # s, deviation of an answer beyond its round trip; a larger one means that the clock has jumped
 _SILENCE_NS = 1_500_000_000
 _BACK_NS = 1_000_000_000  # a clock that goes back by more was started again
+_HEARTBEAT_NS = 3_500_000_000  # without a heartbeat
+_SLOW_HEARTBEAT_NS = 1_900_000_000  # and of the autopilot's own time, in which a slow simulation sends one a second
+_NO_TICK_NS = 1_200_000_000  # longer than a TCP link takes to be opened again
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,11 @@ class _Exchange:
     theirs_ns: int
     offset_ns: int  # ours minus theirs
     round_trip: float  # s
+
+    def agrees(self, other: _Exchange) -> bool:
+        """True if both have the same offset, within half of both round trips."""
+        within = _JUMP + (self.round_trip + other.round_trip) / 2
+        return abs(self.offset_ns - other.offset_ns) * 1e-9 <= within
 
 
 class VehicleClock:
@@ -33,8 +39,9 @@ class VehicleClock:
     """
 
     def __init__(self) -> None:
-        self._asked: deque[int] = deque(maxlen=_ASKED)
-        self._exchanges: deque[_Exchange] = deque(maxlen=_WINDOW)
+        self._requested: deque[int] = deque(maxlen=50)  # that may still be answered
+        self._requests, self._request_ns = 0, 0  # since the start of the autopilot; the newest
+        self._exchanges: deque[_Exchange] = deque(maxlen=300)  # a minute
         self._fit: F64 = np.zeros(2)  # s from the base, s/s
         self._base: _Exchange | None = None
         self._doubtful: _Exchange | None = None  # the last one did not fit the others
@@ -45,44 +52,54 @@ class VehicleClock:
         """True once an answer has come: instants can be converted from one clock to the other."""
         return self._base is not None
 
-    def question(self, now_ns: int) -> int:
+    def is_request_due(self, now_ns: int) -> bool:
+        """True if the next TIMESYNC request is due: five times a second, at first ten times."""
+        return not self._requests or now_ns - self._request_ns >= (100_000_000 if self._requests < 10 else 200_000_000)
+
+    def request(self, now_ns: int) -> int:
         """Return the stamp for a TIMESYNC request; only answers with such a stamp are used."""
-        self._asked.append(now_ns)
+        self._requests, self._request_ns = self._requests + 1, now_ns
+        self._requested.append(now_ns)
         return now_ns
 
-    def answer(self, asked_ns: int, theirs_ns: int, now_ns: int) -> bool:
+    def add_answer(self, requested_ns: int, theirs_ns: int, now_ns: int) -> bool:
         """Take an answer to TIMESYNC. After a jump of the autopilot's clock the estimate begins anew.
 
         A jump is accepted when two answers in turn agree on it: a simulated autopilot that had to wait for its machine
         is late once, and catches up.
 
         Args:
-            asked_ns: our stamp, as the answer repeats it.
+            requested_ns: our stamp, as the answer repeats it.
             theirs_ns: the autopilot's clock when it answered.
             now_ns: our clock when the answer came.
 
         Returns:
             False: no request of ours had this stamp, or it was answered before.
         """
-        if asked_ns not in self._asked or now_ns < asked_ns:
+        if requested_ns not in self._requested or now_ns < requested_ns:
             return False
-        self._asked.remove(asked_ns)
-        exchange = _Exchange(theirs_ns, (asked_ns + now_ns) // 2 - theirs_ns, (now_ns - asked_ns) * 1e-9)
+        self._requested.remove(requested_ns)
+        offset_ns = (requested_ns + now_ns) // 2 - theirs_ns
+        exchange = _Exchange(theirs_ns, offset_ns, (now_ns - requested_ns) * 1e-9)
         before, self._doubtful = self._doubtful, None
         if self._jumped(exchange):
-            if before is None or not _agree(before, exchange):
+            if before is None or not before.agrees(exchange):
                 self._doubtful = exchange
                 return True
-            self.forget()
+            self._forget()
             self._exchanges.append(before)
         self._exchanges.append(exchange)
         self._update()
         return True
 
-    def forget(self) -> None:
-        """Forget all exchanges, as after a reboot: instants cannot be converted until the next answer."""
+    def restart(self) -> None:
+        """Forget all exchanges after a reboot: instants cannot be converted until the next answer."""
+        self._forget()
+        self._requests = 0
+
+    def _forget(self) -> None:
         self._exchanges.clear()
-        self._asked.clear()
+        self._requested.clear()
         self._base = self._doubtful = None
         self.sigma = float("nan")
 
@@ -117,23 +134,12 @@ class VehicleClock:
         return theirs_ns + self._base.offset_ns + round(float(self._fit[0] + self._fit[1] * dt) * 1e9)
 
     def theirs_ns(self, ours_ns: int) -> int:
-        """Convert an instant of our clock to the autopilot's.
-
-        Raises:
-            ValueError: no exchange yet.
-        """
-        if self._base is None:
-            raise ValueError("the autopilot's clock is not known yet")
-        guess = ours_ns - self._base.offset_ns
-        return guess - (self.ours_ns(guess) - ours_ns)  # the drift over the remainder is negligible
+        """Convert an instant of our clock to the autopilot's; raises as `ours_ns`."""
+        start = ours_ns - (0 if self._base is None else self._base.offset_ns)
+        return start - (self.ours_ns(start) - ours_ns)  # the drift over the remainder is negligible
 
 
-def _agree(a: _Exchange, b: _Exchange) -> bool:
-    """True if two exchanges have the same offset, within half of both round trips."""
-    return abs(a.offset_ns - b.offset_ns) * 1e-9 <= _JUMP + (a.round_trip + b.round_trip) / 2
-
-
-class Pace:
+class TimeoutClock:
     """Clock of the time-outs: the autopilot's own, so that a slow simulation gets its time; ours while it is silent."""
 
     def __init__(self) -> None:
@@ -141,7 +147,7 @@ class Pace:
         self._boot_ns: int | None = None
         self._counted_ns: int | None = None  # of our clock: until when silence has been counted
 
-    def heard(self, boot_ns: int, now_ns: int) -> bool:
+    def add_stamp(self, boot_ns: int, now_ns: int) -> bool:
         """Take a stamp of the autopilot's clock; True if it was started again."""
         before, self._counted_ns = self._boot_ns, now_ns + _SILENCE_NS
         if before is None or boot_ns > before:
@@ -154,8 +160,45 @@ class Pace:
         return False
 
     def tick(self, now_ns: int) -> None:
-        """Let our own time pass where the autopilot's is not heard."""
+        """Let our own time pass while the autopilot is silent."""
         if self._counted_ns is None:
             self._counted_ns = now_ns
         self.t_ns += max(now_ns - self._counted_ns, 0)
         self._counted_ns = max(now_ns, self._counted_ns)
+
+
+class LinkWatch:
+    """Watch over the heartbeat (`tick`, of the listening thread), and over the ticks (`check`, of another thread)."""
+
+    def __init__(self) -> None:
+        self.alive = True
+        self._heartbeat: tuple[int, int] | None = None  # the newest, ns of our clock and of the time-outs'
+        self._ticked_ns: int | None = None
+        self._checks = 0  # since the last tick
+
+    def on_heartbeat(self, now_ns: int, timeout_ns: int) -> bool:
+        """Take a heartbeat; True: the link was lost and is back."""
+        self._heartbeat = now_ns, timeout_ns
+        back, self.alive = not self.alive, True
+        return back
+
+    def tick(self, now_ns: int, timeout_ns: int) -> str:
+        """Let time pass; return the reason if the vehicle was lost just now, else an empty string."""
+        self._ticked_ns, self._checks = now_ns, 0
+        if self._heartbeat is None:
+            return ""
+        late = now_ns - self._heartbeat[0] > _HEARTBEAT_NS and timeout_ns - self._heartbeat[1] > _SLOW_HEARTBEAT_NS
+        return self._lose("no heartbeat of the vehicle any more") if late else ""
+
+    def check(self, now_ns: int) -> str:
+        """Check from another thread that ticks come; return the reason if the vehicle was lost just now."""
+        self._checks += 1
+        return "" if self.has_ticks(now_ns) else self._lose("nobody listens to the link")
+
+    def has_ticks(self, now_ns: int) -> bool:
+        """False: ticks have stopped, over several checks; a program that was itself suspended has checked once only."""
+        return self._ticked_ns is None or self._checks < 5 or now_ns - self._ticked_ns <= _NO_TICK_NS
+
+    def _lose(self, why: str) -> str:
+        lost, self.alive = self.alive, False
+        return why if lost else ""

@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot import border
-from alight.flight.autopilot.pymavlink_dialect import message
+from alight.flight.autopilot.dialect import mavlink
 from alight.records import FlightMode, Telemetry
 
-ARDUPILOT, PX4 = 3, 12  # MAV_AUTOPILOT
-HOVERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, and 4, the helicopter
-_CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-_AHEAD = 0.5  # s of flight until the autopilot has the next set-point, and a margin
-_BODY_FRD = 12  # MAV_FRAME
-_NAN = float("nan")
-# Copter's modes in order of their numbers
-_COPTER = """
-STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE POSITION LAND OF_LOITER DRIFT 12 SPORT FLIP AUTOTUNE POSHOLD BRAKE
-THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTATE AUTO_RTL TURTLE RATE_ACRO
-"""
 _RATES: Mapping[str, float] = {  # Hz, of few kinds: ArduPilot keeps ten different intervals a link, the next is rounded
     "ATTITUDE_QUATERNION": 20.0,
     "GLOBAL_POSITION_INT": 10.0,
@@ -35,54 +26,68 @@ _RATES: Mapping[str, float] = {  # Hz, of few kinds: ArduPilot keeps ten differe
 }
 
 
-class Firmware(Protocol):
+# Copter's modes in order of their numbers
+_COPTER = """
+STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE POSITION LAND OF_LOITER DRIFT 12 SPORT FLIP AUTOTUNE POSHOLD BRAKE
+THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTATE AUTO_RTL TURTLE RATE_ACRO
+"""
+
+
+class Firmware(ABC):
     """Modes, streams and messages of one kind of autopilot."""
 
     name: str
-    rates: Mapping[str, float]  # Hz of the messages to ask for
+    rates: Mapping[str, float]  # Hz of the messages to request
     repeats_setpoints: bool  # whether a set-point must be sent again and again
     takes_speeds: bool  # as commands; else the distance to a set-point is its speed
-    natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
-    natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are a takeover
+    natural: Mapping[tuple[FlightMode, FlightMode], bool] = MappingProxyType({})  # changes of mode that it makes by
+    # itself at the end of a task; True: on the ground only, as in the air they are a takeover
     high_site: float  # metres above its home, from which its LAND comes down fast
+    modes: Mapping[str, FlightMode]  # by its own names; others are OTHER
+    parameters: Mapping[FlightMode, tuple[float, ...]]  # of MAV_CMD_DO_SET_MODE, after the base mode
 
-    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
-        """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own name for it."""
+    @abstractmethod
+    def mode_name(self, custom_mode: int) -> str:
+        """The autopilot's own name for a heartbeat's custom mode."""
 
-    def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
-        """Parameters of MAV_CMD_DO_SET_MODE."""
+    @abstractmethod
+    def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
+        """Parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
 
-    def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Parameters of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
-
+    @abstractmethod
     def reach(self, speed: float, upright: bool) -> float:
         """Distance in metres of a set-point at which it still flies at a speed (m/s), over the ground or upright."""
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
-        """Make a LANDING_TARGET.
+        """Make the LANDING_TARGET of a target (3,) metres from the vehicle, world axes; None: this one uses none.
 
         Args:
             t_ns: instant at which this held, our clock.
             target_world: (3,) metres from the vehicle to the target, world axes.
             world_from_body: (3, 3) attitude of that instant.
-
-        Returns:
-            The message; None: this autopilot uses none.
         """
+        return None
+
+    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
+        """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own name for it."""
+        name = self.mode_name(custom_mode)
+        return self.modes.get(name, FlightMode.OTHER), name
+
+    def is_natural(self, before: FlightMode, after: FlightMode, on_ground: bool) -> bool:
+        """True if the autopilot makes this change by itself at the end of a task."""
+        ground_only = self.natural.get((before, after))
+        return ground_only is not None and (on_ground or not ground_only)
 
 
-class ArduPilotFirmware:
+class ArduPilotFirmware(Firmware):
     """ArduPilot's Copter, helicopters included."""
 
     name = "ArduPilot"
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
     repeats_setpoints = False
     takes_speeds = True
-    natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
-    natural_on_ground = natural
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
-    _names = tuple(_COPTER.split())
-    _meanings: Mapping[str, FlightMode] = {
+    modes: Mapping[str, FlightMode] = {
         "AUTO": FlightMode.MISSION,
         "GUIDED": FlightMode.GUIDED,
         "LAND": FlightMode.LAND,
@@ -92,59 +97,54 @@ class ArduPilotFirmware:
         "AUTO_RTL": FlightMode.RETURN,
         **dict.fromkeys(("STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "DRIFT", "SPORT", "POSHOLD"), FlightMode.PILOT),
     }
-    _numbers: Mapping[FlightMode, float] = {
-        FlightMode.GUIDED: 4.0,
-        FlightMode.TAKE_OFF: 4.0,
-        FlightMode.RETURN: 6.0,
-        FlightMode.LAND: 9.0,
-        FlightMode.HOLD: 17.0,
+    parameters: Mapping[FlightMode, tuple[float, ...]] = {
+        FlightMode.GUIDED: (mavlink.COPTER_MODE_GUIDED,),
+        FlightMode.TAKE_OFF: (mavlink.COPTER_MODE_GUIDED,),
+        FlightMode.RETURN: (mavlink.COPTER_MODE_RTL,),
+        FlightMode.LAND: (mavlink.COPTER_MODE_LAND,),
+        FlightMode.HOLD: (mavlink.COPTER_MODE_BRAKE,),
     }
 
-    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
-        """Look up Copter's number; a number that is not known is `OTHER`."""
-        name = self._names[custom_mode] if custom_mode < len(self._names) else str(custom_mode)
-        return self._meanings.get(name, FlightMode.OTHER), name
+    def mode_name(self, custom_mode: int) -> str:
+        """Copter's name; the number where it has none."""
+        names = _COPTER.split()
+        return names[custom_mode] if custom_mode < len(names) else str(custom_mode)
 
-    def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
-        """Base mode and Copter's number."""
-        return (_CUSTOM_MODE, self._numbers[mode])
-
-    def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Parameters with the altitude above the home."""
-        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
+    def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
+        """Above the home."""
+        return (0.0, 0.0, 0.0, height)
 
     def reach(self, speed: float, upright: bool) -> float:
         """Its position controller (of all releases so far) brakes with half of the acceleration, with a margin here.
 
-        v = sqrt(a (d - a / 4)), and v = d (gain 1/s) near the target.
+        v = sqrt(a (d - a / 4)), and v = d (gain 1/s) near the target; half a second passes until the next set-point.
         """
         braking = 1.0 if upright else 2.5  # m/s^2: WPNAV_ACCEL_Z, WPNAV_ACCEL
-        return speed**2 / braking + braking / 4 + _AHEAD * speed
+        return speed**2 / braking + braking / 4 + 0.5 * speed
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make it with angles and position in body axes, not levelled: ArduPilot applies its own attitude."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
-        distance = float(np.linalg.norm(target_world))
-        return message(
-            "LANDING_TARGET", time_usec=t_ns // 1000, target_num=0, frame=_BODY_FRD, angle_x=math.atan2(y, z),
-            angle_y=math.atan2(-x, z), distance=distance, size_x=0.0, size_y=0.0, x=x, y=y, z=z,
-            q=[1.0, 0.0, 0.0, 0.0], type=2, position_valid=1,
+        return mavlink.MAVLink_landing_target_message(
+            time_usec=t_ns // 1000, target_num=0, frame=mavlink.MAV_FRAME_BODY_FRD, angle_x=math.atan2(y, z),
+            angle_y=math.atan2(-x, z), distance=float(np.linalg.norm(target_world)), size_x=0.0, size_y=0.0,
+            x=x, y=y, z=z, q=[1.0, 0.0, 0.0, 0.0], type=mavlink.LANDING_TARGET_TYPE_VISION_FIDUCIAL, position_valid=1,
         )  # fmt: skip
 
 
-class Px4Firmware:
-    """PX4's multicopter."""
+class Px4Firmware(Firmware):
+    """PX4's multicopter. LAND is AUTO.LAND, not its precision landing, which climbs and searches without reports."""
 
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
     repeats_setpoints = True
     takes_speeds = False
-    natural = frozenset({(FlightMode.TAKE_OFF, FlightMode.HOLD), (FlightMode.LAND, FlightMode.HOLD)})
-    natural_on_ground = frozenset({(FlightMode.LAND, FlightMode.HOLD)})
+    natural: Mapping[tuple[FlightMode, FlightMode], bool] = {
+        (FlightMode.TAKE_OFF, FlightMode.HOLD): False,
+        (FlightMode.LAND, FlightMode.HOLD): True,
+    }
     high_site = 4.0  # it slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
-    _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
-    _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
-    _meanings: Mapping[str, FlightMode] = {
+    modes: Mapping[str, FlightMode] = {
         "OFFBOARD": FlightMode.GUIDED,
         "AUTO.MISSION": FlightMode.MISSION,
         "AUTO.TAKEOFF": FlightMode.TAKE_OFF,
@@ -154,43 +154,40 @@ class Px4Firmware:
         "AUTO.RTL": FlightMode.RETURN,
         **dict.fromkeys(("MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED", "RATTITUDE"), FlightMode.PILOT),
     }
-    _numbers: Mapping[FlightMode, tuple[float, float]] = {
+    parameters: Mapping[FlightMode, tuple[float, ...]] = {
         FlightMode.GUIDED: (6.0, 0.0),
         FlightMode.TAKE_OFF: (4.0, 2.0),
         FlightMode.HOLD: (4.0, 3.0),
         FlightMode.RETURN: (4.0, 5.0),
-        FlightMode.LAND: (4.0, 6.0),  # not its precision landing, which climbs and searches where reports stop
+        FlightMode.LAND: (4.0, 6.0),
     }
+    _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
+    _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
 
-    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
+    def mode_name(self, custom_mode: int) -> str:
         """Main mode in the third byte, sub-mode in the fourth."""
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         name = self._main[main] if main < len(self._main) else str(main)
-        if name == "AUTO":
-            name += "." + (self._auto[sub] if sub < len(self._auto) else str(sub))
-        return self._meanings.get(name, FlightMode.OTHER), name
+        return f"AUTO.{self._auto[sub] if sub < len(self._auto) else sub}" if name == "AUTO" else name
 
-    def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
-        """Base mode, main mode, sub-mode."""
-        return (_CUSTOM_MODE, *self._numbers[mode])
-
-    def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Parameters with the altitude above sea level; NaN keeps the place and the heading of the vehicle."""
+    def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
+        """Above sea level; NaN keeps the place and the heading of the vehicle."""
         home = telemetry.home or telemetry.place
-        sea = _NAN if home is None else home.altitude_msl + height
-        return (0.0, 0.0, 0.0, _NAN, _NAN, _NAN, sea)
+        return (math.nan, math.nan, math.nan, math.nan if home is None else home.altitude_msl + height)
 
     def reach(self, speed: float, upright: bool) -> float:
         """Its speed is the distance times MPC_XY_P; that of the height, MPC_Z_P, is 1.0."""
         return speed / 0.95
 
-    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
-        """None: LAND is AUTO.LAND, which uses no target."""
-        return None
 
-
-def firmware_of(autopilot: int) -> Firmware | None:
-    """Return the firmware of a heartbeat's MAV_AUTOPILOT number; None: it is not supported."""
-    if autopilot == ARDUPILOT:
-        return ArduPilotFirmware()
-    return Px4Firmware() if autopilot == PX4 else None
+FIRMWARES: Mapping[int, type[Firmware]] = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilotFirmware,
+    mavlink.MAV_AUTOPILOT_PX4: Px4Firmware,
+}
+HOVERS = frozenset(
+    {
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER, mavlink.MAV_TYPE_HEXAROTOR,
+        mavlink.MAV_TYPE_OCTOROTOR, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_DODECAROTOR,
+        mavlink.MAV_TYPE_DECAROTOR,
+    }
+)  # fmt: skip

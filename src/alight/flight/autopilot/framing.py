@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from alight.flight.autopilot.pymavlink_dialect import dialect
+from alight.flight.autopilot.dialect import mavlink
 
-_V1, _V2 = 0xFE, 0xFD
-_SIGNED, _SIGNATURE, _CHECKSUM = 1, 13, 2
-_COPIES = 100  # messages of a sender among which a copy is looked for: less than the sequence numbers take to wrap
-_REMEMBERED_NS = 1_000_000_000  # after this long without a newer one, an old sequence number is a new start
+_MARKER = re.compile(bytes([mavlink.PROTOCOL_MARKER_V1]) + b"|" + bytes([mavlink.PROTOCOL_MARKER_V2]))
 
 
-@dataclass
-class FrameCounts:
-    """Counts of a link since it was opened."""
-
-    messages: int = 0
-    damaged: int = 0  # bytes that belong to no whole message
-    unknown: int = 0  # messages that the dialect does not have
-
-
-@dataclass(frozen=True)
-class Heard:
+class ReceivedMessage(NamedTuple):
     """A message with its sender, and two flags that mark one overtaken by newer messages."""
 
     message: Any
@@ -35,25 +22,28 @@ class Heard:
     overtaken: bool  # by a newer one of any kind
 
 
-class _Order:
+class _Sequence:
     """Sequence numbers of one sender, unwrapped."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
         self._newest_ns = 0
         self._of_kind: dict[str, int] = {}
-        self._recent: deque[tuple[int, str, int]] = deque(maxlen=_COPIES)
+        self._recent: deque[tuple[int, str, int]] = deque(maxlen=100)  # fewer than numbers until they wrap
 
     def is_copy(self, sequence: int, name: str, checksum: int) -> bool:
-        """Remember a message; True: a copy of it is among the last `_COPIES` messages."""
+        """Remember a message; True: a copy of it is among the recent ones."""
         entry = (sequence, name, checksum)
-        known = entry in self._recent
+        repeated = entry in self._recent
         self._recent.append(entry)
-        return known
+        return repeated
 
-    def place(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
-        """Sort in a message; return whether a newer one of its kind, and whether any newer one, came before it."""
-        if self._newest is None or now_ns - self._newest_ns > _REMEMBERED_NS:
+    def overtaken(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
+        """Sort in a message; return whether a newer one of its kind, and whether any newer one, came before it.
+
+        After a second without a newer number, an old one is a new start.
+        """
+        if self._newest is None or now_ns - self._newest_ns > 1_000_000_000:
             self._newest, self._newest_ns = sequence, now_ns
             self._of_kind = {name: sequence}
             return False, False
@@ -73,14 +63,13 @@ class Framing:
     """
 
     def __init__(self, system: int, component: int) -> None:
-        self.counts = FrameCounts()
-        self._mavlink = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
+        self.messages = 0  # received since the link was opened
+        self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         self._buffer = bytearray()
-        self._unknown_left = 0  # bytes left of an unknown message, which may be no message at all
-        self._orders: dict[tuple[int, int], _Order] = {}
+        self._senders: dict[tuple[int, int], _Sequence] = {}
 
-    def speak_as(self, system: int, component: int) -> None:
-        """Use another address from now on."""
+    def set_sender(self, system: int, component: int) -> None:
+        """Send with another address from now on."""
         self._mavlink.srcSystem, self._mavlink.srcComponent = system, component
 
     def encode(self, message: Any) -> bytes:
@@ -89,67 +78,46 @@ class Framing:
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return data
 
-    def decode(self, data: bytes, now_ns: int) -> list[Heard]:
+    def decode(self, data: bytes, now_ns: int) -> list[ReceivedMessage]:
         """Take bytes as they come, in pieces of any length; return the whole messages, without copies."""
         self._buffer += data
         out = []
         while (message := self._next()) is not None:
-            self.counts.messages += 1
+            self.messages += 1
             sender, name = (message.get_srcSystem(), message.get_srcComponent()), message.get_type()
-            order = self._orders.setdefault(sender, _Order())
-            if order.is_copy(message.get_seq(), name, message.get_crc()):
-                continue
-            out.append(Heard(message, name, *sender, *order.place(name, message.get_seq(), now_ns)))
+            sequence = self._senders.setdefault(sender, _Sequence())
+            if not sequence.is_copy(message.get_seq(), name, message.get_crc()):
+                flags = sequence.overtaken(name, message.get_seq(), now_ns)
+                out.append(ReceivedMessage(message, name, *sender, *flags))
         return out
 
     def _next(self) -> Any | None:
-        while True:
-            self._skip_to_marker()
-            length = self._frame_length()
-            if length is None or len(self._buffer) < length:
+        """The next message, removed from the buffer; None: no whole one is there. A false marker costs one byte."""
+        while (marker := _MARKER.search(self._buffer)) is not None:
+            del self._buffer[: marker.start()]
+            if len(self._buffer) < 3 or len(self._buffer) < (length := self._frame_length()):
                 return None
-            message = self._parsed(length)
+            message = self._parsed(self._buffer[:length])
+            del self._buffer[: 1 if message is None else length]
             if message is not None:
                 return message
+        self._buffer.clear()
+        return None
 
-    def _skip_to_marker(self) -> None:
-        found = (i for i in (self._buffer.find(_V1), self._buffer.find(_V2)) if i >= 0)
-        start = min(found, default=len(self._buffer))
-        self._drop(start)
+    def _frame_length(self) -> int:
+        """Length in bytes of the frame that the buffer seems to start with: header, payload, checksum, signature."""
+        version, payload, flags = self._buffer[:3]
+        if version == mavlink.PROTOCOL_MARKER_V1:
+            return int(mavlink.HEADER_LEN_V1) + payload + 2
+        signature = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if flags & mavlink.MAVLINK_IFLAG_SIGNED else 0
+        return int(mavlink.HEADER_LEN_V2) + payload + 2 + int(signature)
 
-    def _frame_length(self) -> int | None:
-        """Length in bytes of the frame that the buffer seems to start with; None: not enough of it yet."""
-        if len(self._buffer) < 3:
+    def _parsed(self, frame: bytearray) -> Any | None:
+        """The message of a frame; None: it is damaged, or unknown, so that its checksum cannot be tested."""
+        if frame[0] == mavlink.PROTOCOL_MARKER_V2 and frame[2] & ~mavlink.MAVLINK_IFLAG_SIGNED:
             return None
-        if self._buffer[0] == _V1:
-            return 6 + self._buffer[1] + _CHECKSUM
-        signed = _SIGNATURE if self._buffer[2] & _SIGNED else 0
-        return 10 + self._buffer[1] + _CHECKSUM + signed
-
-    def _parsed(self, length: int) -> Any | None:
-        """Take the message of the buffer's first `length` bytes; if it is invalid, drop one byte and return None."""
-        module = dialect()
-        frame = self._buffer[:length]
         try:
-            if frame[0] == _V2 and frame[2] & ~_SIGNED:
-                raise module.MAVError("incompatible")
-            message = self._mavlink.decode(bytearray(frame))
-        except module.MAVError:
-            self._drop(1)
+            message = self._mavlink.decode(frame)
+        except mavlink.MAVError:
             return None
-        if message.get_type().startswith("UNKNOWN_"):  # its checksum cannot be tested
-            following = self._buffer[length : length + 1]
-            if not following or following[0] in (_V1, _V2):  # it may be random bytes that contain good messages
-                self.counts.unknown += not self._unknown_left
-                self._unknown_left = max(self._unknown_left, length)
-            self._drop(1)
-            return None
-        del self._buffer[:length]
-        self._unknown_left = max(self._unknown_left - length, 0)
-        return message
-
-    def _drop(self, count: int) -> None:
-        unknown = min(self._unknown_left, count)
-        self._unknown_left -= unknown
-        self.counts.damaged += count - unknown
-        del self._buffer[:count]
+        return None if message.get_type().startswith("UNKNOWN_") else message

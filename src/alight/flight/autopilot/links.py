@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import select
 import socket
 import threading
 import time
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
 from alight.records import AlightError, InputError, MissingExtraError, OutputError
 
 log = logging.getLogger(__name__)
 
 _CHUNK = 65_535
-_AGAIN = 1.0  # s between attempts to open a broken link
-_FIRST, _LATER = 2.0, 0.5  # s that a TCP server may take to answer, before a flight and in it: nobody listens meanwhile
-_PEER = 10.0  # s for which a sender of datagrams is answered
 _BROKEN = (OSError, ValueError, TypeError)  # the last two: of a socket or a port that another thread has just closed
 NAMES = (
     "udp:HOST:PORT (listen, as a companion of a ground station), udpout:HOST:PORT (send to), tcp:HOST:PORT, "
@@ -27,39 +25,42 @@ NAMES = (
 )
 
 
-class Link(ABC):
+class Port(Protocol):
+    """An open socket or serial port. Everything may raise OSError."""
+
+    def fileno(self) -> int:
+        """Its file descriptor, to wait for bytes."""
+
+    def receive(self) -> list[bytes]:
+        """Return the waiting bytes, one entry a datagram or chunk."""
+
+    def send(self, data: bytes) -> None:
+        """Send without waiting; raises BlockingIOError if it is full."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+class Link:
     """Bytes in and out. A broken link is opened again by itself; `broken` holds the reason while it is not open.
 
     One thread reads, and it alone reopens a broken link: no other thread closes a socket that it waits on, except by
     `close` at the end. Any thread may write.
+
+    Args:
+        connect: opens its port, for the first time and after a break; raises OSError.
+        patient: a connection that is refused at first is tried again later.
+        retry: s between attempts to open a broken link.
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, connect: Callable[[], Port], patient: bool = False, retry: float = 1.0) -> None:
+        self.name, self._connect, self._retry = name, connect, retry
         self.broken = ""  # reason why the link is not open now; empty: it is open
         self._again, self._closed = 0.0, False
-        self._lock = threading.Lock()  # guards the socket or port against closing and exchange; not held for reading
-
-    @abstractmethod
-    def _open(self) -> None:
-        """Open; raises OSError. The lock is held."""
-
-    @abstractmethod
-    def _read(self, timeout: float) -> list[bytes]:
-        """Wait for bytes; raises OSError."""
-
-    @abstractmethod
-    def _write(self, data: bytes) -> None:
-        """Send without waiting; raises OSError. The lock is held."""
-
-    @abstractmethod
-    def _shut(self) -> None:
-        """Close the socket or port, if it is open. The lock is held."""
-
-    def open(self, patient: bool = False) -> None:
-        """Open it for the first time; raises OSError. Patient: a refused connection is tried again later."""
+        self._lock = threading.Lock()  # guards the port against closing and exchange; not held for reading
+        self._port: Port | None = None
         try:
-            self._open()
+            self._port = connect()
         except ConnectionRefusedError as e:
             if not patient:
                 raise
@@ -68,10 +69,11 @@ class Link(ABC):
     def read(self, timeout: float = 0.0) -> list[bytes]:
         """Return the received bytes, one entry a datagram or chunk; wait for them at most `timeout` seconds."""
         if self.broken and not self._reopened():
-            time.sleep(min(timeout, _AGAIN))
+            time.sleep(min(timeout, self._retry))
             return []
+        port = self._port
         try:
-            return self._read(timeout)
+            return port.receive() if port is not None and select.select([port], [], [], timeout)[0] else []
         except _BROKEN as e:
             self._break(e)
             self._let_go()
@@ -83,7 +85,8 @@ class Link(ABC):
             return False
         with self._lock:
             try:
-                self._write(data)
+                if self._port is not None:
+                    self._port.send(data)
             except BlockingIOError:
                 return False
             except _BROKEN as e:
@@ -98,7 +101,8 @@ class Link(ABC):
 
     def _let_go(self) -> None:
         with self._lock, suppress(*_BROKEN):
-            self._shut()
+            if self._port is not None:
+                self._port.close()
 
     def _break(self, error: Exception) -> None:
         if not self.broken and not self._closed:
@@ -108,7 +112,7 @@ class Link(ABC):
     def _wait(self, error: Exception) -> None:
         """Note the reason why it is not open, and the time of the next attempt."""
         self.broken = str(error) or type(error).__name__
-        self._again = time.monotonic() + _AGAIN
+        self._again = time.monotonic() + self._retry
 
     def _reopened(self) -> bool:
         self._let_go()  # at once: a device that is still held comes back under another name
@@ -118,7 +122,7 @@ class Link(ABC):
             if self._closed:
                 return False
             try:
-                self._open()
+                self._port = self._connect()
             except OSError as e:
                 self._break(e)
                 return False
@@ -127,91 +131,87 @@ class Link(ABC):
         return True
 
 
-class UdpLink(Link):
-    """Datagrams. A listening link answers every recent sender; a sending link writes to one address."""
+class _UdpPort:
+    """Datagrams. A listening port answers every sender of the last ten seconds; another one writes to one address."""
 
-    def __init__(self, name: str, host: str, port: int, listen: bool) -> None:
-        super().__init__(name)
-        self._address, self._listen = (host, port), listen
-        self._peers: dict[Any, float] = {}
-
-    @property
-    def port(self) -> int:
-        """The port of this machine that the link is bound to."""
-        return int(self._socket.getsockname()[1])
-
-    def _open(self) -> None:
+    def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        if self._listen:
-            try:
+        self.fileno, self.close = self._socket.fileno, self._socket.close
+        self._listen, self._peers = listen, dict[Any, float]()  # s, their newest datagram
+        try:
+            self._address = (host if listen else socket.gethostbyname(host), port)
+            if listen:
                 self._socket.bind(self._address)
-            except OSError:
-                self._socket.close()
-                raise
-        else:
-            self._address = (socket.gethostbyname(self._address[0]), self._address[1])
+        except OSError:
+            self._socket.close()
+            raise
 
-    def _read(self, timeout: float) -> list[bytes]:
-        if not select.select([self._socket], [], [], timeout)[0]:
-            return []
+    def receive(self) -> list[bytes]:
         out = []
         with suppress(BlockingIOError, ConnectionRefusedError):  # refused: nobody listens there yet
             while True:
                 data, sender = self._socket.recvfrom(_CHUNK)
                 if self._listen or sender == self._address:
-                    with self._lock:
-                        self._peers[sender] = time.monotonic()
+                    self._peers = {**self._peers, sender: time.monotonic()}
                     out.append(data)
         return out
 
-    def _write(self, data: bytes) -> None:
-        now = time.monotonic()
-        self._peers = {peer: t for peer, t in self._peers.items() if now - t < _PEER}
-        for peer in self._peers if self._listen else [self._address]:
+    def send(self, data: bytes) -> None:
+        since = time.monotonic() - 10.0
+        for peer in [p for p, t in self._peers.items() if t > since] if self._listen else [self._address]:
             with suppress(ConnectionRefusedError):
                 self._socket.sendto(data, peer)
 
-    def _shut(self) -> None:
-        self._socket.close()
 
-
-class _StreamLink(Link):
+class _StreamPort:
     """Bytes in order. The rest of a message that was sent in part goes first; until then no other message is sent."""
 
-    _unsent = b""
+    def __init__(self, port: Any, receive: Callable[[int], bytes], send: Callable[[bytes], int], gone: str) -> None:
+        self._port, self._receive, self._send, self._gone = port, receive, send, gone
+        self.fileno, self._unsent = port.fileno, b""
 
-    @abstractmethod
-    def _send(self, data: bytes) -> int:
-        """Send as much as fits now; return the number of bytes. Raises BlockingIOError if none fits."""
+    def receive(self) -> list[bytes]:
+        try:
+            data = self._receive(_CHUNK)
+        except BlockingIOError:
+            return []
+        if not data:
+            raise ConnectionResetError(self._gone)
+        return [data]
 
-    def _write(self, data: bytes) -> None:
-        """Send; raises BlockingIOError, and drops the message, while an earlier one is not sent completely."""
+    def send(self, data: bytes) -> None:
         if self._unsent:
             self._unsent = self._unsent[self._send(self._unsent) :]
         if self._unsent:
             raise BlockingIOError
         self._unsent = data[self._send(data) :]
 
+    def close(self) -> None:
+        with suppress(Exception):  # only a serial port has it; termios has an error of its own
+            self._port.reset_output_buffer()  # else closing waits until all is sent
+        self._port.close()
 
-class TcpLink(_StreamLink):
-    """A stream to a server (ArduPilot's SITL, a telemetry bridge)."""
 
-    def __init__(self, name: str, host: str, port: int) -> None:
-        super().__init__(name)
+class _TcpServer:
+    """A server (ArduPilot's SITL, a telemetry bridge), whose name is resolved once: its name server may be lost, too.
+
+    Nobody listens to the link while it is connected, so an attempt takes two seconds at first and half a second later.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
-        self._resolved: list[tuple[str, int]] = []  # once: a name server that is lost with the link is not waited for
-        self._socket: socket.socket | None = None  # not connected yet
+        self._resolved: list[tuple[str, int]] = []
 
-    def _open(self) -> None:
+    def connect(self) -> Port:
         first = not self._resolved
         if first:
             found = socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM)
             self._resolved = list(dict.fromkeys((str(a[4][0]), int(a[4][1])) for a in found))
-        self._socket = self._connected(_FIRST if first else _LATER)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.setblocking(False)
-        self._unsent = b""
+        opened = self._connected(2.0 if first else 0.5)
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        opened.setblocking(False)
+        return _StreamPort(opened, opened.recv, opened.send, "the other side has closed the connection")
 
     def _connected(self, timeout: float) -> socket.socket:
         """Connect to the first address that answers, the only one from then on; all of them share the time-out."""
@@ -226,96 +226,52 @@ class TcpLink(_StreamLink):
                 return found
         raise error or ConnectionRefusedError
 
-    def _read(self, timeout: float) -> list[bytes]:
-        assert self._socket is not None
-        if not select.select([self._socket], [], [], timeout)[0]:
-            return []
-        with suppress(BlockingIOError):
-            data = self._socket.recv(_CHUNK)
-            if not data:
-                raise ConnectionResetError("the other side has closed the connection")
-            return [data]
-        return []
 
-    def _send(self, data: bytes) -> int:
-        assert self._socket is not None
-        return self._socket.send(data)
+def _serial_port(device: str, baud: int) -> Port:
+    """Open a serial port, as a telemetry radio or the autopilot's own USB.
 
-    def _shut(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
+    It is written by the system call: pyserial's write without a time-out tries again until there is room.
+    """
+    try:
+        import serial
+    except ImportError as e:
+        raise MissingExtraError("pyserial", "fly") from e
+    try:
+        port = serial.Serial(device, baud, timeout=0, write_timeout=0)
+    except ValueError as e:  # a speed that the port cannot do
+        raise OSError(str(e)) from e
+    return _StreamPort(port, port.read, lambda data: os.write(port.fileno(), data), "the device is gone")
 
 
-class SerialLink(_StreamLink):
-    """A serial port, as a telemetry radio or the autopilot's own USB."""
-
-    def __init__(self, name: str, device: str, baud: int) -> None:
-        super().__init__(name)
-        self._device, self._baud = device, baud
-
-    def _open(self) -> None:
-        try:
-            import serial
-        except ImportError as e:
-            raise MissingExtraError("pyserial", "fly") from e
-        try:
-            self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
-        except ValueError as e:  # a speed that the port cannot do
-            raise OSError(str(e)) from e
-        self._unsent = b""
-
-    def _read(self, timeout: float) -> list[bytes]:
-        if not select.select([self._port.fileno()], [], [], timeout)[0]:
-            return []
-        data = self._port.read(_CHUNK)
-        if not data:
-            raise OSError("the device is gone")
-        return [data]
-
-    def _send(self, data: bytes) -> int:
-        """Send by the system call: pyserial's write without a time-out tries again until there is room."""
-        return os.write(self._port.fileno(), data)
-
-    def _shut(self) -> None:
-        with suppress(Exception):  # termios has an error of its own
-            self._port.reset_output_buffer()  # else closing waits until all is sent
-        self._port.close()
-
-
-def _host_port(name: str, rest: str) -> tuple[str, int]:
-    host, _, port = rest.rpartition(":")
-    if not host or not port.isdigit() or not int(port) < 65536:
-        raise InputError(f"{name}: no address; write {NAMES}")
-    return host, int(port)
-
-
-def _closed_link(name: str, kind: str, rest: str) -> Link:
-    if kind in ("udp", "udpin", "udpout"):
-        return UdpLink(name, *_host_port(name, rest), listen=kind != "udpout")
-    if kind == "tcp":
-        return TcpLink(name, *_host_port(name, rest))
-    device, _, baud = rest.rpartition(":")
-    if kind != "serial" or not device or not baud.isdigit():
+def _connector(name: str) -> Callable[[], Port]:
+    """How to open a link by its name."""
+    kind, _, rest = name.partition(":")
+    where, _, number = rest.rpartition(":")
+    is_complete = bool(where) and number.isdigit()
+    if kind == "serial" and is_complete:
+        return lambda: _serial_port(where, int(number))
+    if kind not in ("udp", "udpin", "udpout", "tcp") or not is_complete or not int(number) < 65536:
         raise InputError(f"{name}: no link; write {NAMES}")
-    return SerialLink(name, device, int(baud))
+    if kind == "tcp":
+        return _TcpServer(where, int(number)).connect
+    return lambda: _UdpPort(where, int(number), listen=kind != "udpout")
 
 
-def open_link(name: str, patient: bool = False) -> Link:
+def open_link(name: str, patient: bool = False, retry: float = 1.0) -> Link:
     """Open a link by its name.
 
     Args:
         name: `udp:0.0.0.0:14550`, `udpout:192.168.1.10:14555`, `tcp:127.0.0.1:5760` or `serial:/dev/ttyACM0:57600`.
         patient: try a TCP server that does not answer yet again and again, like a broken link.
+        retry: s between attempts to open a broken link.
 
     Raises:
         InputError: the name is malformed, or there is no such host or device.
         OutputError: the port is taken, or there is no permission for it.
         MissingExtraError: pyserial is not installed.
     """
-    kind, _, rest = name.partition(":")
-    link = _closed_link(name, kind, rest)
     try:
-        link.open(patient)
+        return Link(name, _connector(name), patient, retry)
     except AlightError:
         raise
     except PermissionError as e:
@@ -325,9 +281,8 @@ def open_link(name: str, patient: bool = False) -> Link:
     except (FileNotFoundError, socket.gaierror) as e:
         raise InputError(f"{name}: there is no such host or device") from e
     except OSError as e:
-        if e.errno in (98, 48, 10048):  # EADDRINUSE of Linux, macOS and Windows
+        if e.errno == errno.EADDRINUSE:
             raise OutputError(f"{name}: the port is taken; end the program that uses it, or name another") from e
         if "could not open port" in str(e) and "No such file" in str(e):
             raise InputError(f"{name}: there is no such host or device") from e
         raise InputError(f"{name}: {e}") from e
-    return link

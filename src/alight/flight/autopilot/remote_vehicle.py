@@ -3,80 +3,73 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot.border import EstimateTie
-from alight.flight.autopilot.clock import Pace, VehicleClock
+from alight.flight.autopilot.clock import LinkWatch, TimeoutClock, VehicleClock
 from alight.flight.autopilot.commands import CommandAnswer, CommandQueue
 from alight.flight.autopilot.control import ControlWatch
+from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.firmware import Firmware
-from alight.flight.autopilot.framing import Heard
-from alight.flight.autopilot.link_watch import LinkWatch
-from alight.flight.autopilot.pymavlink_dialect import message
-from alight.flight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
-from alight.flight.autopilot.speeds import SpeedKeeper
-from alight.flight.autopilot.status_text import SpokenText, TextJoiner
+from alight.flight.autopilot.framing import ReceivedMessage
+from alight.flight.autopilot.setpoints import Guidance, Setpoint, Target
+from alight.flight.autopilot.status_text import StatusText, TextJoiner
 from alight.flight.autopilot.streams import StreamKeeper, StreamRate
 from alight.flight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
-AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
-_TAKEOFF, _DO_SET_MODE, _ARM = 22, 176, 400  # MAV_CMD
-_SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 200_000_000, 100_000_000
-_FIRST_TIMESYNCS = 10
-_BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 accepts guided mode
-_HELICOPTER = 4  # MAV_TYPE
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a new start
 
 
+class Displacement(NamedTuple):
+    """Displacement of a vehicle by the autopilot's own estimate."""
+
+    vector: F64 | None  # (3,) metres; None: unknown, as its positions are late or have jumped
+    jumped: bool = False  # they contradict each other
+
+
 class RemoteVehicle:
-    """One vehicle that was heard; `Autopilot` makes it.
+    """A vehicle on the link; `Autopilot` makes it.
 
     Every order returns a ticket at once. Its outcome comes later as a notice with this ticket.
     `set_mode` and `take_off` take control. After a takeover, no message that moves the vehicle is sent until one of
     them is called again.
+
+    Args:
+        rates: Hz of further streams, or other rates of the firmware's; 0: not requested.
     """
 
     def __init__(
-        self, firmware: Firmware, system: int, us: tuple[int, int], rates: Mapping[str, float],
-        send: Callable[[Any], None], note: Callable[..., None], kind: int = 0,
+        self, heartbeat: ReceivedMessage, firmware: Firmware, us: tuple[int, int], rates: Mapping[str, float],
+        send: Callable[[Any], None], note: Callable[..., None],
     ) -> None:  # fmt: skip
-        self.firmware, self.system, self._us = firmware, system, us
-        self.helicopter = kind == _HELICOPTER
-        self._send, self._note = send, note
+        self.firmware, self.system, self._us, self._send, self._note = firmware, heartbeat.system, us, send, note
+        self.helicopter = heartbeat.message.type == mavlink.MAV_TYPE_HELICOPTER
         self._state, self._control = VehicleState(firmware), ControlWatch(firmware)
-        self.clock, self._pace = VehicleClock(), Pace()
-        self._commands = CommandQueue(send)
-        self._commands.target = (system, AUTOPILOT)
+        self.clock, self._timeouts, self._link, self._texts = VehicleClock(), TimeoutClock(), LinkWatch(), TextJoiner()
+        address = heartbeat.system, heartbeat.component
+        self._commands = CommandQueue(send, address)
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
-        self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
-        self._texts, self._link = TextJoiner(), LinkWatch()
-        self._ordered: dict[int, FlightMode] = {}  # by the newest command of each kind
-        self._target: Target | None = None
-        self._ahead: Target | None = None  # on the way to it, as it was sent last
-        self._target_ns = self._timesync_ns = self._now_ns = 0
-        self._timesyncs = 0
-        self._aiming_ns = 0  # since when set-points have been sent without a pause
+        self._streams = StreamKeeper(wanted, self._commands)
+        self._guidance = Guidance(firmware, address, send, self._commands)
+        self._now_ns = 0
         self.starts = 1  # counted up by each reboot
-        self._handshakes: dict[str, Callable[[Any], None]] = {
-            "COMMAND_ACK": self._command_ack,
-            "TIMESYNC": self._timesync,
-            "STATUSTEXT": lambda m: self._said(self._texts.take(m, self._now_ns)),
-        }
 
     # reports
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest report of everything heard from the vehicle; it does not change later."""
+        """The newest report of everything received from the vehicle; it does not change later."""
         return self._state.telemetry(self._now_ns)
 
     @property
     def alive(self) -> bool:
-        """True if its heartbeat is heard, and a thread listens for it."""
+        """True if its heartbeat comes, and a thread listens for it."""
         return self._link.alive
 
     @property
@@ -84,44 +77,30 @@ class RemoteVehicle:
         """True from our first order to a takeover: we fly."""
         return self._control.in_control
 
-    @property
-    def patience_ns(self) -> int:
-        """Clock of the time-outs, ns: the autopilot's own, or ours while it is silent."""
-        return self._pace.t_ns
-
     def place_at(self, t_ns: int) -> Place | None:
-        """Return the autopilot's estimate of its position.
+        """Return the autopilot's estimate of its position at an instant of our clock, extrapolated by its velocity.
 
-        Args:
-            t_ns: instant of our clock.
-
-        Returns:
-            Degrees, and metres above sea level and home; None: no report near that instant, or clocks not tied.
+        None: no report near that instant, its reports have jumped, or the clocks are not tied.
         """
-        return self._state.place_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
+        return self._state.positions.at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
 
     @property
-    def doubts_place(self) -> bool:
-        """True if its newest positions contradict the accepted ones: it has jumped."""
-        return self._state.places.doubted
+    def place_jumped(self) -> bool:
+        """True if its newest positions contradict the accepted ones."""
+        return self._state.positions.doubted
 
     @property
     def place_age(self) -> float:
         """Age of its newest position, seconds; inf: there is none."""
-        return self._state.places.age(self.clock.theirs_ns(self._now_ns)) if self.clock.known else math.inf
+        return self._state.positions.age(self.clock.theirs_ns(self._now_ns)) if self.clock.known else math.inf
 
     @property
     def oldest_place(self) -> float:
         """Greatest age of its newest position during the last five seconds, in seconds; inf: there is none."""
-        return self._state.places.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
+        return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position to the autopilot's of the same instant.
-
-        Args:
-            local: our world.
-            position_world: (3,) metres, ours.
-            t_ns: the instant, of our clock.
 
         Returns:
             The tie; None: the autopilot has no position near that instant.
@@ -129,51 +108,69 @@ class RemoteVehicle:
         place = self.place_at(t_ns)
         return None if place is None else EstimateTie(local, position_world, place)
 
+    def displacement(self, local: LocalFrame, since_ns: int, now_ns: int) -> Displacement:
+        """Return its displacement between two instants of our clock, by its own estimate, in the axes of `local`."""
+        if self.place_jumped:
+            return Displacement(None, jumped=True)
+        then, now = self.place_at(since_ns), self.place_at(now_ns)
+        if then is None or now is None:
+            return Displacement(None)
+        a, b = (local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
+        vector = np.asarray(b - a)
+        farthest = 5.0 + 25.0 * (now_ns - since_ns) * 1e-9  # m: beyond that it was not flown
+        jumped = not float(np.linalg.norm(vector)) <= farthest
+        return Displacement(None if jumped else vector, jumped)
+
     @property
     def missing_streams(self) -> list[str]:
         """Names of messages that were requested and do not come."""
-        return self._streams.dry(self._pace.t_ns)
+        return self._streams.missing(self._timeouts.t_ns)
 
     @property
     def stream_rates(self) -> dict[str, StreamRate]:
         """Rates of the messages that come, by name."""
-        return self._streams.rates(self._pace.t_ns)
+        return self._streams.rates(self._timeouts.t_ns)
 
     # orders
 
     def set_mode(self, mode: FlightMode) -> int:
         """Fly in this mode from now on; the newest order counts. Guided flight begins where the vehicle is."""
-        now = self.telemetry
-        begins = mode is FlightMode.GUIDED and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED
-        if mode is not FlightMode.GUIDED:
-            self._target = None
+        number, now = mavlink.MAV_CMD_DO_SET_MODE, self._state.newest
+        guided = mode is FlightMode.GUIDED
+        begins = guided and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED
+        if not guided:
+            self._guidance.target = None
         elif begins and now.place is not None:
-            self._aim(hold_at(now.place))  # the mode is refused without a set-point, and an old one must not be flown
-        self._take_control(_DO_SET_MODE, mode)
-        wait_ns = max(_BEFORE_GUIDED_NS - (self._now_ns - self._aiming_ns), 0) if begins else 0
-        parameters = self.firmware.mode_parameters(mode)
-        return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns, wait_ns)
+            self._aim(Target(now.place))  # the mode is refused without a set-point, and an old one must not be flown
+        self._control.ordered(mode, self._timeouts.t_ns)
+        # PX4 accepts guided mode after a second of set-points
+        wait_ns = max(1_000_000_000 - self._guidance.sent_for_ns(self._now_ns), 0) if begins else 0
+        parameters = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *self.firmware.parameters[mode])
+        self._commands.give_up(number)
+        t_ns = self._timeouts.t_ns
+        return self._commands.submit(f"mode {mode.value}", number, parameters, t_ns, mode=mode, wait_ns=wait_ns)
 
     def arm(self) -> int:
         """Start the motors; refused by the autopilot while its own checks fail."""
-        return self._commands.submit("arm", _ARM, (1.0,), self._pace.t_ns)
+        return self._commands.submit("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), self._timeouts.t_ns)
 
     def disarm(self) -> int:
         """Stop the motors; refused in the air."""
-        return self._commands.submit("disarm", _ARM, (0.0,), self._pace.t_ns)
+        return self._commands.submit("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), self._timeouts.t_ns)
 
     def take_off(self, height: float) -> int:
         """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
-        self._take_control(_TAKEOFF, FlightMode.TAKE_OFF)
-        self._speeds.forget()
-        self._target = None
-        parameters = self.firmware.take_off_parameters(height, self.telemetry)
-        return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
+        mode, t_ns = FlightMode.TAKE_OFF, self._timeouts.t_ns
+        self._control.ordered(mode, t_ns)
+        self._guidance.forget_speeds()
+        self._guidance.target = None
+        parameters = (0.0, 0.0, 0.0, *self.firmware.take_off_altitude(height, self._state.newest))
+        return self._commands.submit("take off", mavlink.MAV_CMD_NAV_TAKEOFF, parameters, t_ns, mode=mode)
 
     def release(self) -> None:
         """Give control away: no message that moves the vehicle is sent until control is taken again."""
         self._control.released()
-        self._target = None
+        self._guidance.target = None
         self._commands.drop()
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
@@ -185,7 +182,7 @@ class RemoteVehicle:
         Raises:
             ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
         """
-        target = target_of(setpoint, tie)
+        target = Target.of(setpoint, tie)
         if self._control.in_control:
             self._aim(target)
         return self._control.in_control
@@ -206,137 +203,110 @@ class RemoteVehicle:
             self._send(sent)
         return sent is not None
 
-    def _take_control(self, number: int, mode: FlightMode) -> None:
-        self._control.ordered(mode, self._pace.t_ns)
-        self._ordered[number] = mode
-
     def _aim(self, target: Target) -> None:
-        """Send a set-point near the vehicle towards a target; the target itself while its place is unknown."""
-        if self._target is None:
-            self._aiming_ns, self._ahead = self._now_ns, None
-        elif (target.place is None) is not (self._target.place is None):
-            self._speeds.forget()  # ArduPilot changes its controller
-        self._target, self._target_ns = target, self._now_ns
-        here = self.place_at(self._now_ns) or self._state.place
-        if here is not None:
-            self._ahead = target.near(here, self.firmware.reach)
-        elif target.place is None or self._ahead is None or self._ahead.place is None:
-            self._ahead = target  # else the last one again while the place is unknown: the whole way is too far
-        self._send(self._ahead.message(self._now_ns, self.system, AUTOPILOT))
-        if self.firmware.takes_speeds and self._state.mode is FlightMode.GUIDED:
-            self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
+        self._guidance.aim(target, self.place_at(self._now_ns) or self._state.newest.place, self._now_ns)
+        if self._state.newest.mode is FlightMode.GUIDED:
+            self._guidance.keep_speeds(self._timeouts.t_ns)
 
     # time
 
     def tick(self, now_ns: int) -> None:
         """Let time pass: requests, retries, set-points."""
         self._now_ns = now_ns
-        self._pace.tick(now_ns)
-        self._lost(self._link.tick(now_ns, self._pace.t_ns))
-        self._said(self._texts.overdue(now_ns))
+        self._timeouts.tick(now_ns)
+        self._note_lost(self._link.tick(now_ns, self._timeouts.t_ns))
+        self._note_texts(self._texts.overdue(now_ns))
         if not self.alive:
             return
-        self._ask_time()
-        self._streams.tick(self._pace.t_ns)
-        for answer in self._commands.tick(self._pace.t_ns):
-            self._answered(answer)
-        if self._target is not None and self.firmware.repeats_setpoints and now_ns - self._target_ns >= _SETPOINT_NS:
-            self._aim(self._target)
+        if self.clock.is_request_due(now_ns):
+            self._send(mavlink.MAVLink_timesync_message(0, self.clock.request(now_ns)))
+        self._streams.tick(self._timeouts.t_ns)
+        self._on_answers(self._commands.tick(self._timeouts.t_ns))
+        if self._guidance.target is not None and self._guidance.is_due(now_ns):
+            self._aim(self._guidance.target)
 
-    def look(self, now_ns: int) -> bool:
-        """As `Autopilot.look`."""
+    def has_listener(self, now_ns: int) -> bool:
+        """As `Autopilot.has_listener`."""
         self._now_ns = max(now_ns, self._now_ns)  # so that the last messages grow old
-        self._lost(self._link.look(now_ns))
-        return not self._link.is_deaf(now_ns)
+        self._note_lost(self._link.check(now_ns))
+        return self._link.has_ticks(now_ns)
 
-    def _lost(self, why: str) -> None:
+    def _note_lost(self, why: str) -> None:
         if why:
             self._note(NoticeKind.LINK_LOST, why, ok=False)
 
-    def _ask_time(self) -> None:
-        period = _TIMESYNC_NS if self._timesyncs >= _FIRST_TIMESYNCS else _FIRST_TIMESYNC_NS
-        if self._now_ns - self._timesync_ns >= period or not self._timesyncs:
-            self._timesync_ns = self._now_ns
-            self._timesyncs += 1
-            self._send(message("TIMESYNC", tc1=0, ts1=self.clock.question(self._now_ns)))
+    # messages
 
-    # hearing
-
-    def hear(self, heard: Heard, now_ns: int) -> bool:
+    def on_message(self, received: ReceivedMessage, now_ns: int) -> bool:
         """Take a message of the vehicle; False: it is no telemetry, not accepted, or overtaken by a newer one."""
         self._now_ns = max(now_ns, self._now_ns)
-        m, name = heard.message, heard.name
-        handshake = self._handshakes.get(name)
-        if handshake is not None:
-            handshake(m)
-        if handshake is not None or heard.late:
+        m, name = received.message, received.name
+        if name in ("COMMAND_ACK", "TIMESYNC", "STATUSTEXT"):
+            self._on_handshake(name, m)
+            return False
+        if received.late:
             return False
         boot_ns = boot_time_ns(m)
-        if boot_ns is not None and not heard.overtaken:
-            self._keep_pace(boot_ns)
-        self._streams.hear(name, self._pace.t_ns)
-        believed = self._state.hear(name, m, self._now_ns)
+        if boot_ns is not None and not received.overtaken:
+            self._on_stamp(boot_ns)
+        self._streams.on_message(name, self._timeouts.t_ns)
+        accepted = self._state.on_message(name, m, self._now_ns)
         if name == "HEARTBEAT":
-            self._heartbeat()
+            self._on_heartbeat()
         elif name == "RC_CHANNELS" and self._state.sticks is not None:
-            self._watch(self._control.sticks(self._state.sticks))
-        return believed
+            self._on_takeover(self._control.sticks(self._state.sticks))
+        return accepted
 
-    def _keep_pace(self, boot_ns: int) -> None:
-        if self._pace.heard(boot_ns, self._now_ns):
-            self._rebooted()
+    def _on_handshake(self, name: str, m: Any) -> None:
+        if name == "COMMAND_ACK":
+            for_us = getattr(m, "target_system", 0), getattr(m, "target_component", 0)  # 0: all
+            if all(to in (0, us) for to, us in zip(for_us, self._us, strict=True)):
+                self._on_answers(self._commands.on_ack(m.command, m.result, self._timeouts.t_ns))
+        elif name == "STATUSTEXT":
+            self._note_texts(self._texts.add(m, self._now_ns))
+        elif m.tc1 == 0:  # a request; its stamp goes back with ours
+            self._send(mavlink.MAVLink_timesync_message(self._now_ns, m.ts1))
+        elif self.clock.add_answer(m.ts1, m.tc1, self._now_ns) and self._now_ns - m.ts1 < _FRESH_NS:
+            self._on_stamp(m.tc1)
 
-    def _heartbeat(self) -> None:
-        if self._link.hear(self._now_ns, self._pace.t_ns):
-            self._note(NoticeKind.LINK_BACK, "the vehicle is heard again")
-        now, before = self._state.telemetry(self._now_ns), self._control.mode_name
-        unanswered = {mode for number, mode in self._ordered.items() if self._commands.waiting(number)}
-        on_ground = self._state.is_on_ground(self._now_ns)
-        reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns, unanswered, on_ground, now.armed)
-        self._watch(reason)
-        if before != now.mode_name:
-            self._speeds.forget()
-        if reason is None and before != now.mode_name:
-            self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
-
-    def _watch(self, takeover: str | None) -> None:
-        if takeover is None:
+    def _on_stamp(self, boot_ns: int) -> None:
+        """Take a stamp of the autopilot's clock, which shows if it was started again."""
+        if not self._timeouts.add_stamp(boot_ns, self._now_ns):
             return
-        self.release()
-        self._note(NoticeKind.TAKEOVER, takeover, ok=False, mode=self._state.telemetry(self._now_ns).mode)
-
-    def _rebooted(self) -> None:
         self.starts += 1
         self._state.rebooted()
         self._control.rebooted()
-        self._target = None
-        self.clock.forget()
-        self._timesyncs = 0
+        self._guidance.target = None
+        self.clock.restart()
         self._commands.drop(everything=True)
         self._streams.rebooted()
         self._note(NoticeKind.REBOOT, "the autopilot has started again", ok=False)
 
-    def _is_for_us(self, m: Any) -> bool:
-        system, component = getattr(m, "target_system", 0), getattr(m, "target_component", 0)
-        return system in (0, self._us[0]) and component in (0, self._us[1])  # 0: all
+    def _on_heartbeat(self) -> None:
+        if self._link.on_heartbeat(self._now_ns, self._timeouts.t_ns):
+            self._note(NoticeKind.LINK_BACK, "the vehicle is back")
+        now, before = self._state.newest, self._control.mode_name
+        unanswered, on_ground = self._commands.waiting_modes(), self._state.is_on_ground(self._now_ns)
+        why = self._control.mode(now.mode, now.mode_name, self._timeouts.t_ns, unanswered, on_ground, now.armed)
+        self._on_takeover(why)
+        if before != now.mode_name:
+            self._guidance.forget_speeds()
+            if not why:
+                self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
 
-    def _command_ack(self, m: Any) -> None:
-        if self._is_for_us(m) and (answer := self._commands.hear(m.command, m.result, self._pace.t_ns)) is not None:
-            self._answered(answer)
+    def _on_takeover(self, why: str) -> None:
+        if why:
+            self.release()
+            self._note(NoticeKind.TAKEOVER, why, ok=False, mode=self._state.newest.mode)
 
-    def _answered(self, answer: CommandAnswer) -> None:
-        if answer.ok and answer.number in self._ordered:
-            self._control.accepted(self._ordered[answer.number], self._pace.t_ns)
-        streams = self._streams.answered(answer.ticket, answer.refused)  # missing streams are requested again
-        if not (streams or self._speeds.is_quiet(answer.ticket, answer.ok)):
-            self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
+    def _on_answers(self, answers: Iterable[CommandAnswer]) -> None:
+        for answer in answers:
+            if answer.ok and answer.mode is not None:
+                self._control.accepted(answer.mode, self._timeouts.t_ns)
+            of_stream = self._streams.on_answer(answer.ticket, answer.refused)  # missing streams are requested again
+            if not (of_stream or self._guidance.is_quiet(answer.ticket, answer.ok)):
+                self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 
-    def _timesync(self, m: Any) -> None:
-        if m.tc1 == 0:  # a question; its stamp comes back with ours
-            self._send(message("TIMESYNC", tc1=self._now_ns, ts1=m.ts1))
-        elif self.clock.answer(m.ts1, m.tc1, self._now_ns) and self._now_ns - m.ts1 < _FRESH_NS:
-            self._keep_pace(m.tc1)
-
-    def _said(self, texts: list[SpokenText]) -> None:
-        for said in texts:
-            self._note(NoticeKind.TEXT, said.text, ok=said.ok)
+    def _note_texts(self, texts: list[StatusText]) -> None:
+        for text in texts:
+            self._note(NoticeKind.TEXT, text.text, ok=text.ok)

@@ -1,4 +1,4 @@
-"""Guided set-points in the autopilot's coordinates."""
+"""Guided flight: set-points and speeds in the autopilot's coordinates."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot.border import EstimateTie, metres_between, ned, scaled_degrees, signed_angle
-from alight.flight.autopilot.pymavlink_dialect import message
+from alight.flight.autopilot.border import EstimateTie, metres_between, ned
+from alight.flight.autopilot.commands import CommandQueue
+from alight.flight.autopilot.dialect import mavlink
+from alight.flight.autopilot.firmware import Firmware
 from alight.records import Place
 
-_GLOBAL_MSL, _LOCAL_NED = 5, 1  # MAV_FRAME_GLOBAL_INT, MAV_FRAME_LOCAL_NED
 CLIMB = 3.0  # m/s upwards, which no set-point contains
+_SPEED_AGAIN_NS = 2_000_000_000  # until its speeds are
 Reach = Callable[[float, bool], float]  # metres, of a speed in m/s, over the ground or upright
-_NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION, _NO_YAW, _NO_YAW_RATE = 7, 56, 448, 1024, 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +37,30 @@ class Target:
     """A set-point in the autopilot's own estimate of position: it can be sent again and means the same."""
 
     place: Place | None
-    velocity_ned: F64 | None
-    heading: float | None
+    velocity_ned: F64 | None = None
+    heading: float | None = None
     speed: float = math.inf
     sink: float = math.inf
+
+    @classmethod
+    def of(cls, setpoint: Setpoint, tie: EstimateTie | None) -> Target:
+        """Tie a set-point to the autopilot's estimate.
+
+        Raises:
+            ValueError: it has neither position nor velocity, or a number is not finite, or a position has no tie.
+        """
+        position, velocity = setpoint.position_world, setpoint.velocity_world
+        given = [v for v in (position, velocity) if v is not None]
+        if not given or not np.isfinite([*np.concatenate(given), setpoint.heading or 0.0]).all():
+            raise ValueError("a set-point needs a position or a velocity, of finite numbers")
+        if not min(setpoint.speed, setpoint.sink) > 0:
+            raise ValueError("a set-point needs speeds above 0")
+        velocity_ned = None if velocity is None else ned(velocity)
+        if position is None:
+            return cls(None, velocity_ned, setpoint.heading)
+        if tie is None:
+            raise ValueError("a position needs our position and the autopilot's of one instant")
+        return cls(tie.place_of(position), velocity_ned, setpoint.heading, setpoint.speed, setpoint.sink)
 
     def near(self, here: Place, reach: Reach) -> Target:
         """The set-point of now on the way to the same place: short, but so far that the vehicle does not slow down.
@@ -48,7 +69,6 @@ class Target:
         program, so that one is near.
 
         Args:
-            here: the vehicle.
             reach: distance at which the autopilot still flies at a speed.
         """
         if self.place is None:
@@ -65,52 +85,85 @@ class Target:
         ))  # fmt: skip
 
     def message(self, t_ns: int, system: int, component: int) -> Any:
-        """Make the message: a place above sea level, or a velocity in the local frame.
-
-        Args:
-            t_ns: now, our clock.
-            system, component: of the vehicle.
-        """
-        mask = _NO_ACCELERATION | _NO_YAW_RATE
-        mask |= (_NO_VELOCITY if self.velocity_ned is None else 0) | (_NO_YAW if self.heading is None else 0)
-        vx, vy, vz = (float(v) for v in (np.zeros(3) if self.velocity_ned is None else self.velocity_ned))
-        common = {
-            "time_boot_ms": t_ns // 1_000_000 % 2**32, "target_system": system, "target_component": component,
-            "vx": vx, "vy": vy, "vz": vz, "afx": 0.0, "afy": 0.0, "afz": 0.0,
-            "yaw": 0.0 if self.heading is None else signed_angle(self.heading), "yaw_rate": 0.0,
-        }  # fmt: skip
+        """Make the message: a place above sea level, or a velocity in the local frame."""
+        ignored = ["AX", "AY", "AZ", "YAW_RATE"]
+        ignored += [] if self.place is not None else ["X", "Y", "Z"]
+        ignored += [] if self.velocity_ned is not None else ["VX", "VY", "VZ"]
+        ignored += [] if self.heading is not None else ["YAW"]
+        mask = sum(getattr(mavlink, f"POSITION_TARGET_TYPEMASK_{field}_IGNORE") for field in ignored)
+        velocity = [0.0] * 3 if self.velocity_ned is None else [float(v) for v in self.velocity_ned]
+        yaw = math.remainder(self.heading or 0.0, 2 * math.pi)
+        head, tail = (t_ns // 1_000_000 % 2**32, system, component), (*velocity, 0.0, 0.0, 0.0, yaw, 0.0)
         if self.place is None:
-            return message(
-                "SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=_LOCAL_NED, type_mask=mask | _NO_POSITION,
-                x=0.0, y=0.0, z=0.0, **common,
-            )  # fmt: skip
-        return message(
-            "SET_POSITION_TARGET_GLOBAL_INT", coordinate_frame=_GLOBAL_MSL, type_mask=mask,
-            lat_int=scaled_degrees(self.place.latitude), lon_int=scaled_degrees(self.place.longitude),
-            alt=self.place.altitude_msl, **common,
-        )  # fmt: skip
+            kind, frame = mavlink.MAVLink_set_position_target_local_ned_message, mavlink.MAV_FRAME_LOCAL_NED
+            return kind(*head, frame, mask, 0.0, 0.0, 0.0, *tail)
+        kind, frame = mavlink.MAVLink_set_position_target_global_int_message, mavlink.MAV_FRAME_GLOBAL_INT
+        at = (round(self.place.latitude * 1e7), round(self.place.longitude * 1e7), self.place.altitude_msl)
+        return kind(*head, frame, mask, *at, *tail)
 
 
-def target_of(setpoint: Setpoint, tie: EstimateTie | None) -> Target:
-    """Tie a set-point to the autopilot's estimate.
+class Guidance:
+    """Sends the set-points of a target, each near the vehicle, and its speeds as commands where the firmware needs it.
 
-    Raises:
-        ValueError: it has neither position nor velocity, or a number is not finite, or a position has no tie.
+    ArduPilot goes back to its own speeds whenever it starts its guided controller anew (a change of mode, the end of a
+    take-off, a position after a velocity), and does not report it: they are sent again and again.
     """
-    position, velocity, heading = setpoint.position_world, setpoint.velocity_world, setpoint.heading
-    given = [v for v in (position, velocity) if v is not None]
-    limits = setpoint.speed, setpoint.sink
-    if not given or not all(np.isfinite(v).all() for v in given) or not math.isfinite(heading or 0.0):
-        raise ValueError("a set-point needs a position or a velocity, of finite numbers")
-    if not min(limits) > 0:
-        raise ValueError("a set-point needs speeds above 0")
-    if position is None:
-        return Target(None, ned(given[0]), heading)
-    if tie is None:
-        raise ValueError("a position needs our position and the autopilot's of one instant")
-    return Target(tie.place_of(position), None if velocity is None else ned(velocity), heading, *limits)
 
+    def __init__(
+        self, firmware: Firmware, address: tuple[int, int], send: Callable[[Any], None], commands: CommandQueue
+    ) -> None:
+        self._firmware, self._address, self._send, self._commands = firmware, address, send, commands
+        self.target: Target | None = None
+        self._ahead: Target | None = None  # on the way to it, as it was sent last
+        self._sent_ns = self._since_ns = 0  # the newest set-point; since when they have been sent without a pause
+        self._speeds, self._speeds_ns = (math.inf, math.inf), -_SPEED_AGAIN_NS
+        self._tickets: set[int] = set()  # of speeds
+        self._refused = False
 
-def hold_at(place: Place) -> Target:
-    """Return the set-point that keeps the vehicle at a place, with any heading."""
-    return Target(place, None, None)
+    def aim(self, target: Target, here: Place | None, now_ns: int) -> None:
+        """Send a set-point near the vehicle towards a target; the target itself while its place is unknown."""
+        if self.target is None:
+            self._since_ns, self._ahead = now_ns, None
+        elif (target.place is None) is not (self.target.place is None):
+            self.forget_speeds()  # ArduPilot changes its controller
+        self.target, self._sent_ns = target, now_ns
+        if here is not None:
+            self._ahead = target.near(here, self._firmware.reach)
+        elif target.place is None or self._ahead is None or self._ahead.place is None:
+            self._ahead = target  # else the last one again while the place is unknown: the whole way is too far
+        self._send(self._ahead.message(now_ns, *self._address))
+
+    def is_due(self, now_ns: int) -> bool:
+        """True if the set-point must be sent again: five times a second, where the firmware needs that."""
+        repeated = self.target is not None and self._firmware.repeats_setpoints
+        return repeated and now_ns - self._sent_ns >= 200_000_000
+
+    def sent_for_ns(self, now_ns: int) -> int:
+        """Time in ns for which set-points have been sent without a pause."""
+        return now_ns - self._since_ns
+
+    def forget_speeds(self) -> None:
+        """Send the speeds again with the next set-point, as the controller was started anew."""
+        self._speeds_ns = -_SPEED_AGAIN_NS
+
+    def keep_speeds(self, t_ns: int) -> None:
+        """Send the speeds of the target, if they are new or were sent a while ago; infinite: the autopilot's own."""
+        if self.target is None or not self._firmware.takes_speeds:
+            return
+        speeds, number = (self.target.speed, self.target.sink), mavlink.MAV_CMD_DO_CHANGE_SPEED
+        same = all(math.isclose(a, b, abs_tol=0.1) for a, b in zip(speeds, self._speeds, strict=True))
+        if (same and t_ns - self._speeds_ns < _SPEED_AGAIN_NS) or self._commands.waiting(number):
+            return
+        self._speeds, self._speeds_ns = speeds, t_ns
+        kinds = mavlink.SPEED_TYPE_GROUNDSPEED, mavlink.SPEED_TYPE_DESCENT_SPEED
+        for kind, speed in zip(kinds, speeds, strict=True):
+            if math.isfinite(speed):
+                self._tickets.add(self._commands.submit("speed", number, (kind, speed, -1.0), t_ns))
+
+    def is_quiet(self, ticket: int, ok: bool) -> bool:
+        """Take an answer; True: it is one to a speed and not the first refusal, so that it need not be reported."""
+        if ticket not in self._tickets:
+            return False
+        self._tickets.discard(ticket)
+        reported, self._refused = self._refused, not ok
+        return ok or reported

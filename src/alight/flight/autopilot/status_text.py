@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-_PIECE = 50  # characters; a shorter piece is the last one
-_PATIENCE_NS = 1_000_000_000  # for the next piece
+from alight.flight.autopilot.dialect import mavlink
 
 
-class SpokenText(NamedTuple):
-    """A text, and whether it is mere information (severity above 3)."""
+class StatusText(NamedTuple):
+    """A text, and whether it is mere information."""
 
     text: str
     ok: bool
@@ -20,21 +19,24 @@ class TextJoiner:
 
     def __init__(self) -> None:
         self._number = self._next = self._since_ns = 0  # of the text that is being joined, of its next piece
-        self._pieces: list[SpokenText] = []
+        self._pieces: list[StatusText] = []
 
-    def take(self, message: Any, now_ns: int) -> list[SpokenText]:
-        """Take a STATUSTEXT; return the texts that it completes: one, two, or none if a piece is to come."""
+    def add(self, message: Any, now_ns: int) -> list[StatusText]:
+        """Take a STATUSTEXT; return the texts that it completes: one, two, or none if a piece is to come.
+
+        A piece of less than 50 characters is the last one.
+        """
         over = self._joined() if message.id != self._number else []
         if self._pieces and message.chunk_seq < self._next:
             return over  # it came twice
         self._number, self._next, self._since_ns = message.id, message.chunk_seq + 1, now_ns
-        self._pieces.append(SpokenText(str(message.text), message.severity > 3))
-        return over + (self._joined() if not message.id or len(message.text) < _PIECE else [])
+        self._pieces.append(StatusText(str(message.text), message.severity > mavlink.MAV_SEVERITY_ERROR))
+        return over + (self._joined() if not message.id or len(message.text) < 50 else [])
 
-    def overdue(self, now_ns: int) -> list[SpokenText]:
-        """Return the text whose next piece does not come in time, as far as it came."""
-        return self._joined() if now_ns - self._since_ns > _PATIENCE_NS else []
+    def overdue(self, now_ns: int) -> list[StatusText]:
+        """Return the text whose next piece does not come within a second, as far as it came."""
+        return self._joined() if now_ns - self._since_ns > 1_000_000_000 else []
 
-    def _joined(self) -> list[SpokenText]:
+    def _joined(self) -> list[StatusText]:
         pieces, self._pieces = self._pieces, []
-        return [SpokenText("".join(p.text for p in pieces), all(p.ok for p in pieces))] if pieces else []
+        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces))] if pieces else []

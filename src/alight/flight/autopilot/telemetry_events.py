@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.constants import g, milli
 
 from alight.arrays import F64
 from alight.flight.autopilot import border
 from alight.flight.autopilot.clock import VehicleClock
-from alight.flight.autopilot.place_watch import report_of
-from alight.flight.autopilot.vehicle_state import gps_quality
+from alight.flight.autopilot.positions import report_of
+from alight.flight.autopilot.vehicle_state import attitude_of, gps_quality
 from alight.geometry import LocalFrame, slerp, so3_exp
 from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, is_absolute
 
-_MILLI = 1e-3
 _GAP_NS = 300_000_000  # between two attitudes, at most, to turn from one to the other
 _REACH_NS = 100_000_000  # from an attitude, at most, to turn on at its rate
-_IMU = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")  # the best first
-_WAITING = 20  # positions that wait for an attitude
+_IMU = {  # units of the rates, rad/s, and of the force, m/s^2; the best first
+    "HIGHRES_IMU": (1.0, 1.0),
+    "RAW_IMU": (milli, milli * g),
+    "SCALED_IMU": (milli, milli * g),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +32,6 @@ class _Attitude:
     boot_ns: int
     world_from_body: F64
     rates: F64  # FLU
-
-
-@dataclass(frozen=True)
-class _Fix:
-    boot_ns: int
-    message: Any
 
 
 class TelemetryEvents:
@@ -52,13 +50,19 @@ class TelemetryEvents:
 
     def __init__(self, local: LocalFrame | None = None, separation: float | None = None) -> None:
         self.local = local
-        self._given_separation = separation
+        self._given_separation = math.nan if separation is None else separation
+        self._attitudes: deque[_Attitude] = deque(maxlen=10)
+        self._waiting: deque[Any] = deque()  # GLOBAL_POSITION_INT, of which 20 wait for an attitude
+        self.restart(1)
+
+    def restart(self, starts: int) -> None:
+        """Begin anew after a restart of the autopilot, whose starts are counted; the world stays."""
+        self.starts = starts  # number of the autopilot's start that these events belong to
         self._gps: GpsQuality | None = None
         self._flags: int | None = None
-        self._attitudes: deque[_Attitude] = deque(maxlen=10)
-        self._waiting: deque[_Fix] = deque()
         self._imu_rank = len(_IMU)  # of the best kind that has come
-        self.starts = 1  # number of the autopilot's start that these events belong to
+        self._attitudes.clear()
+        self._waiting.clear()
 
     @property
     def missing(self) -> str:
@@ -67,99 +71,61 @@ class TelemetryEvents:
             return "the autopilot's GPS has no 3D fix"
         if self._flags is not None and not is_absolute(self._flags):
             return "the autopilot's estimator has no absolute position"
-        if self._separation is None:
+        if not math.isfinite(self._separation):
             return "height above the ellipsoid: GPS_RAW_INT has no alt_ellipsoid; give the geoid's separation"
         return ""
 
     @property
-    def _separation(self) -> float | None:
-        if self._given_separation is not None:
-            return self._given_separation
-        found = self._gps.separation if self._gps is not None else float("nan")
-        return found if np.isfinite(found) else None
-
-    def forget(self, starts: int) -> None:
-        """Begin anew after a restart of the autopilot; the world stays.
-
-        Args:
-            starts: number of the autopilot's starts so far.
-        """
-        self.starts = starts
-        self._gps = self._flags = None
-        self._imu_rank = len(_IMU)
-        self._attitudes.clear()
-        self._waiting.clear()
+    def _separation(self) -> float:
+        given, gps = self._given_separation, self._gps
+        return given if not math.isnan(given) else math.nan if gps is None else gps.separation
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> list[NavSample | ImuSample]:
         """Take a message of the vehicle; return the samples that are complete now, in order."""
-        if name in _IMU:
-            rank = _IMU.index(name)
-            if rank > self._imu_rank:
-                return []
-            self._imu_rank = rank
-        take = getattr(self, f"_{name.lower()}", None)
-        found: ImuSample | None = None if take is None else take(message, clock)
-        return [*self._complete(clock), *([] if found is None else [found])]
+        if name == "GPS_RAW_INT":
+            self._gps = gps_quality(message)
+        elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
+            self._flags = int(message.flags)
+        elif name == "GLOBAL_POSITION_INT":
+            self._waiting.append(message)
+        elif name in ("ATTITUDE", "ATTITUDE_QUATERNION"):
+            self._add_attitude(message)
+        return [*self._complete(clock), *self._imu(name, message, clock)]
 
-    def _gps_raw_int(self, m: Any, clock: VehicleClock) -> None:
-        self._gps = gps_quality(m)
-
-    def _ekf_status_report(self, m: Any, clock: VehicleClock) -> None:
-        self._flags = int(m.flags)
-
-    def _estimator_status(self, m: Any, clock: VehicleClock) -> None:
-        self._flags = int(m.flags)
-
-    def _global_position_int(self, m: Any, clock: VehicleClock) -> None:
-        self._waiting.append(_Fix(m.time_boot_ms * 1_000_000, m))
-
-    def _attitude_quaternion(self, m: Any, clock: VehicleClock) -> None:
-        self._turn(m, border.world_from_body_of_quaternion([m.q1, m.q2, m.q3, m.q4]))
-
-    def _attitude(self, m: Any, clock: VehicleClock) -> None:
-        self._turn(m, border.world_from_body_of_angles(m.roll, m.pitch, m.yaw))
-
-    def _turn(self, m: Any, world_from_body: F64 | None) -> None:
-        rates = border.flu(m.rollspeed, m.pitchspeed, m.yawspeed)
+    def _add_attitude(self, m: Any) -> None:
+        (world_from_body, rates), boot_ns = attitude_of(m), m.time_boot_ms * 1_000_000
         if world_from_body is None or not np.isfinite(rates).all():
             return
-        new = _Attitude(m.time_boot_ms * 1_000_000, world_from_body, rates)
-        if not self._attitudes or new.boot_ns > self._attitudes[-1].boot_ns:
-            self._attitudes.append(new)
+        if not self._attitudes or boot_ns > self._attitudes[-1].boot_ns:
+            self._attitudes.append(_Attitude(boot_ns, world_from_body, rates))
 
-    def _highres_imu(self, m: Any, clock: VehicleClock) -> ImuSample | None:
+    def _imu(self, name: str, m: Any, clock: VehicleClock) -> list[ImuSample]:
+        """The sample of a message, if it is one of the best kind that comes."""
+        rank = list(_IMU).index(name) if name in _IMU else len(_IMU)
+        if rank == len(_IMU) or rank > self._imu_rank:
+            return []
+        self._imu_rank = rank
+        boot_ns = m.time_boot_ms * 1_000_000 if name == "SCALED_IMU" else m.time_usec * 1000
+        rate_unit, force_unit = _IMU[name]
         rates, force = border.flu(m.xgyro, m.ygyro, m.zgyro), border.flu(m.xacc, m.yacc, m.zacc)
-        return self._imu(m.time_usec * 1000, rates, force, clock)
-
-    def _scaled_imu(self, m: Any, clock: VehicleClock) -> ImuSample | None:
-        return self._milli_imu(m.time_boot_ms * 1_000_000, m, clock)
-
-    def _raw_imu(self, m: Any, clock: VehicleClock) -> ImuSample | None:
-        return self._milli_imu(m.time_usec * 1000, m, clock)
-
-    def _milli_imu(self, boot_ns: int, m: Any, clock: VehicleClock) -> ImuSample | None:
-        rates = border.flu(m.xgyro, m.ygyro, m.zgyro) * _MILLI
-        return self._imu(boot_ns, rates, border.flu(m.xacc, m.yacc, m.zacc) * (_MILLI * border.GRAVITY), clock)
-
-    def _imu(self, boot_ns: int, rates: F64, force: F64, clock: VehicleClock) -> ImuSample | None:
         if not (clock.known and np.isfinite(rates).all() and np.isfinite(force).all()):
-            return None
-        return ImuSample(clock.ours_ns(boot_ns), rates, force)
+            return []
+        return [ImuSample(clock.ours_ns(boot_ns), rates * rate_unit, force * force_unit)]
 
     def _complete(self, clock: VehicleClock) -> list[NavSample]:
         newest = self._attitudes[-1].boot_ns if self._attitudes else -1
         out = []
-        while self._waiting and (self._waiting[0].boot_ns <= newest or len(self._waiting) > _WAITING):
-            fix = self._waiting.popleft()
+        while self._waiting and (self._waiting[0].time_boot_ms * 1_000_000 <= newest or len(self._waiting) > 20):
+            m = self._waiting.popleft()
             if clock.known:
-                out.append(self._sample(fix, clock))
+                out.append(self._sample(m, clock))
         return out
 
-    def _sample(self, fix: _Fix, clock: VehicleClock) -> NavSample:
-        m, gps = fix.message, self._gps or GpsQuality()
-        attitude = self._attitude_at(fix.boot_ns)
+    def _sample(self, m: Any, clock: VehicleClock) -> NavSample:
+        boot_ns, gps = m.time_boot_ms * 1_000_000, self._gps or GpsQuality()
+        attitude = self._attitude_at(boot_ns)
         return NavSample(
-            clock.ours_ns(fix.boot_ns),
+            clock.ours_ns(boot_ns),
             self._position(m),
             None if attitude is None else attitude.world_from_body,
             border.enu(m.vx, m.vy, m.vz) * 1e-2,
@@ -169,10 +135,10 @@ class TelemetryEvents:
         )
 
     def _position(self, m: Any) -> F64 | None:
-        separation, report = self._separation, report_of(m)
-        if self.missing or separation is None or report is None:
+        report = report_of(m)
+        if self.missing or report is None:
             return None
-        at = (report.place.latitude, report.place.longitude, report.place.altitude_msl + separation)
+        at = (report.place.latitude, report.place.longitude, report.place.altitude_msl + self._separation)
         if self.local is None:
             self.local = LocalFrame(*at)
         return self.local.to_enu(*at)

@@ -8,14 +8,10 @@ from statistics import median
 
 import numpy as np
 
-from alight.flight.executive.opinion import Opinion, Standing
+from alight.flight.executive.places import Opinion, Standing
 from alight.records import Site
 from alight.records.executive import Order, Situation
 from alight.settings import ExecutiveSettings, StageSettings
-
-HEARD = 2.0  # m of descent in which enough verdicts come: nearer than this to the height of the last verdicts it waits
-CLIMB = 0.3  # m, up to which it goes back to the height that it keeps; what is more was an error of the estimate
-LAST = 0.5  # of the sideways speed, once a landing is not broken off any more: it must not drift as it touches down
 
 
 def is_too_low_to_abort(left: float, keys: ExecutiveSettings) -> bool:
@@ -32,11 +28,7 @@ def is_near_ground(left: float, keys: ExecutiveSettings) -> bool:
 
 
 class Descent:
-    """Orders of a landing: over the place first, then slowly down; back over it while it may still be broken off.
-
-    Args:
-        settings: of all stages; `executive` and `route` are used.
-    """
+    """Orders of a landing: over the place first, then slowly down; back over it while it may still be broken off."""
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._cruise = settings.executive, settings.route.cruise_speed
@@ -55,7 +47,7 @@ class Descent:
         self._unseen = 0  # verdicts in a row that do not see the place whole
         self._p = deque[float](maxlen=self._keys.last_verdicts)  # P(safe) of the last ones that do
 
-    def judged(self, taken: float, said: Opinion, left: float) -> bool:
+    def judged(self, taken: float, found: Opinion, left: float) -> bool:
         """Take a new verdict; True: the last ones together refuse the place.
 
         They do if several in a row see too little of it, or if it has come into doubt and stays there: one low
@@ -63,18 +55,16 @@ class Descent:
 
         Args:
             taken: s, the newest exposure that the verdict holds.
-            said: opinion on the place.
-            left: metres above it.
         """
         self._taken.append(taken)
         if is_near_ground(left, self._keys):
             self._unseen = 0
             return False
-        if said.standing is Standing.NOT_SEEN:
+        if found.standing is Standing.NOT_SEEN:
             self._unseen += 1
             return self._unseen >= self._keys.unseen
         self._unseen = 0
-        self._p.append(said.p_safe)
+        self._p.append(found.p_safe)
         return len(self._p) == self._p.maxlen and median(self._p) < self._keys.abort_median
 
     def too_long(self, t: float, left: float) -> str:
@@ -101,9 +91,9 @@ class Descent:
             self._flown.popleft()
         return not self._keys.look_again or self._flown[0][1] - left < self._keys.unchecked
 
-    def _has_heard(self, left: float) -> bool:
+    def _has_enough_verdicts(self, left: float) -> bool:
         """True if enough verdicts to break the landing off have come, or will come on the way down."""
-        waits = left - self._keys.degraded_height < HEARD and not is_near_ground(left, self._keys)
+        waits = left - self._keys.degraded_height < 2.0 and not is_near_ground(left, self._keys)
         return not (waits and self._keys.look_again) or len(self._p) == self._p.maxlen
 
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
@@ -117,17 +107,17 @@ class Descent:
         self._flown.append((now.t, left))
         self._high = max(self._high, left)
         self._low_at = now.t if low and self._low_at is None else self._low_at
-        speed = self._keys.aside_speed * (LAST if low else 1.0)
+        speed = self._keys.aside_speed * (0.5 if low else 1.0)  # at last it must not drift
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
         within = self._keys.off_site if self._over else self._keys.over_site
-        heard = self._over or self._has_heard(left)
-        self._over = low or (beside <= within and heard and self._is_checked(left))
+        enough = self._over or self._has_enough_verdicts(left)
+        self._over = low or (beside <= within and enough and self._is_checked(left))
         at = np.array([place.east, place.north, place.up])
         if self._over:
             self._kept = None
             return Order("land", at, speed, sink, down=True)
         up = float(now.position[2])
-        self._kept = up if self._kept is None else min(self._kept, up + CLIMB)
+        self._kept = up if self._kept is None else min(self._kept, up + 0.3)  # more was an error of the estimate
         return Order("land", at, self._cruise, sink, down=False, height=self._kept)

@@ -38,15 +38,3 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
 
 
 TABLE = _rows()
-
-
-def as_markdown() -> str:
-    """The table as docs/method/executive.md has it: a row an event, with where it leads from each state."""
-    lines = ["| event | from | to |", "| --- | --- | --- |"]
-    for event in E:
-        leads: dict[FlightState, list[str]] = {}
-        for (before, e), after in TABLE.items():
-            if e is event:
-                leads.setdefault(after, []).append(before.value)
-        lines += [f"| {event.value} | {', '.join(froms)} | {to.value} |" for to, froms in leads.items()]
-    return "\n".join(lines) + "\n"

@@ -76,7 +76,7 @@ class TelemetryFeed:
         If it does not, the vehicle counts as lost and nothing is sent: a pilot's takeover could not be noticed.
         """
         with self.lock:
-            deaf = not self.autopilot.look(time.monotonic_ns())
+            deaf = not self.autopilot.has_listener(time.monotonic_ns())
             if deaf:
                 self.autopilot.pending()
         if not deaf:

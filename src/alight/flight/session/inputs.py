@@ -2,28 +2,74 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from alight.arrays import F64
+from alight.arrays import F64, U8
 from alight.flight.autopilot import RemoteVehicle
-from alight.flight.session.battery import BatteryWatch
-from alight.flight.session.near import own_way
-from alight.flight.session.pictures import PictureWatch
-from alight.flight.session.verdicts import for_executive
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
-from alight.records import Frame, Motion, MotionState
+from alight.records import Frame, Motion, MotionState, Telemetry
 from alight.records.executive import MapVerdict, Situation
+
+SILENT = 20.0  # s without a report, after which a battery that was reported counts as not known
+
+
+class PictureWatch:
+    """Detects frozen cameras: a picture that repeats its camera's last one bit for bit is left out.
+
+    The noise of a sensor makes every picture a little different, so one that is the same to the bit comes from a
+    camera or a driver that hangs. A motion that is estimated from it stands still while the vehicle flies.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[int, U8] = {}  # every fourth pixel
+        self.newest_ns: int | None = None  # arrival of the last picture that was new
+        self.frozen = 0  # exposures in a row without a new picture
+        self.stuck: tuple[int, ...] = ()  # cameras whose newest picture repeats the one before
+
+    def fresh(self, frame: Frame, now_ns: int) -> Frame | None:
+        """Take an exposure; return it with its new pictures only, or None if there is none."""
+        small = {cam: np.asarray(i)[::4, ::4].copy() for cam, i in enumerate(frame.images) if i is not None}
+        repeated = {cam for cam, i in small.items() if cam in self._last and np.array_equal(i, self._last[cam])}
+        self._last.update(small)
+        self.stuck = tuple(sorted((set(self.stuck) - set(small)) | repeated))
+        if len(repeated) == len(small):
+            self.frozen += bool(small)
+            return None
+        self.newest_ns, self.frozen = now_ns, 0
+        if not repeated:
+            return frame
+        return replace(frame, images=tuple(None if cam in repeated else i for cam, i in enumerate(frame.images)))
+
+    def age(self, now_ns: int) -> float:
+        """Seconds since the last picture that was new."""
+        return math.inf if self.newest_ns is None else (now_ns - self.newest_ns) * 1e-9
+
+
+class BatteryWatch:
+    """The last reported share of the battery: silence about it is no full battery."""
+
+    def __init__(self) -> None:
+        self._share, self._at = math.nan, math.inf  # and s, when it was reported
+
+    def share(self, reports: Telemetry, now: float) -> float:
+        """Return the share, 0 to 1; 1: it was never reported; NaN: it was, and is not any more."""
+        age = reports.ages.get("SYS_STATUS", math.inf)
+        if not math.isnan(reports.battery.share) and age < SILENT:
+            self._share, self._at = reports.battery.share, now - age
+        if math.isnan(self._share):
+            return 1.0
+        return self._share if now - self._at < SILENT else math.nan
 
 
 class LandingInputs:
     """The newest of everything that a landing decides by. Its inputs may come from any thread.
 
     Args:
-        vehicle: the autopilot's reports.
-        local: the world.
         stale: s, age from which a motion or a position is not used.
         note: called with the lane and a note in words.
     """
@@ -61,35 +107,31 @@ class LandingInputs:
         """Take a verdict; before the landing begins it is left out.
 
         Args:
-            verdict: in the frame of its map.
             t_ns: the newest exposure that its map holds.
         """
-        if self._begin_ns is not None:
-            number = 1 + (0 if self.verdict is None else self.verdict.number)
-            self.add_map_verdict(for_executive(verdict, number, (t_ns - self._begin_ns) * 1e-9), t_ns)
+        if self._begin_ns is None:
+            return
+        number, elevation = 1 + (0 if self.verdict is None else self.verdict.number), verdict.elevation
+        heights, t = elevation.height[elevation.trusted], (t_ns - self._begin_ns) * 1e-9
+        ground, frame_id = float(np.median(heights)) if heights.size else 0.0, verdict.frame.frame_id
+        found = MapVerdict(number, t, frame_id, verdict.sites, verdict.hazards, elevation, ground)
+        self.add_map_verdict(found, t_ns)
 
     def add_map_verdict(self, verdict: MapVerdict, t_ns: int) -> None:
         """Take a verdict whose number is larger than that of the one before."""
         self.verdict, self.verdict_ns, self.is_new = verdict, t_ns, True
 
     def situation(self, now_ns: int, in_control: bool) -> tuple[Situation, Motion | None]:
-        """The situation at `now_ns`, and the motion that its position is of; None: the position is not known.
-
-        Args:
-            now_ns: our clock.
-            in_control: we fly.
-        """
+        """The situation at `now_ns`, and the motion that its position is of; None: the position is not known."""
         assert self._begin_ns is not None
         m, reports = self.motion, self._vehicle.telemetry
-        state = MotionState.LOST if m is None or self._lags(m) else m.state
-        if not reports.has_position:  # it cannot follow a set-point
-            state = MotionState.LOST
-        if reports.has_position is not self._had_position:
-            self._note("autopilot", f"its estimator has {'no' if self._had_position else 'a'} position on Earth")
-        self._had_position = reports.has_position
-        known = state in (MotionState.GOOD, MotionState.DEGRADED)
-        wind = reports.wind_world
+        located = reports.has_position  # else it cannot follow a set-point
+        state = MotionState.LOST if m is None or self._lags(m) or not located else m.state
+        if located is not self._had_position:
+            self._note("autopilot", f"its estimator has {'a' if located else 'no'} position on Earth")
+        self._had_position = located
         self._flying |= in_control
+        known, wind = state in (MotionState.GOOD, MotionState.DEGRADED), reports.wind_world
         rebooted = self._vehicle.starts != self._starts
         position = self._position(m, now_ns) if m is not None and known else None
         now = Situation(
@@ -105,7 +147,7 @@ class LandingInputs:
             standing=reports.is_down,
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=wind if np.isfinite(wind[:2]).all() else None,
-            holds=reports.has_position,
+            holds=located,
         )
         return now, m if position is not None else None
 
@@ -116,8 +158,8 @@ class LandingInputs:
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """(3,) metres in the map's frame now: the newest motion plus the autopilot's own displacement since then."""
-        way = own_way(self._vehicle, self._local, motion.t_ns, now_ns).way
-        if way is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
+        flown = self._vehicle.displacement(self._local, motion.t_ns, now_ns).vector
+        if flown is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
             return None
-        here = motion.world_from_body.translation + (0.0 if way is None else way)
+        here = motion.world_from_body.translation + (0.0 if flown is None else flown)
         return here if np.isfinite(here).all() else None

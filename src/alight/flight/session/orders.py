@@ -10,17 +10,13 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
-from alight.flight.session.contact import Contact
-from alight.flight.session.near import own_way
-from alight.flight.session.order_taker import OrderTaker, words_of
+from alight.flight.session.dry_run import VehicleCommands, place_text
+from alight.flight.session.touchdown import Contact
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, Motion, Place
 from alight.records.executive import FlightState, Order
 
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is ordered again
-OFTEN = 3  # refusals in a row, after which a person is warned
-BELOW = 1.5  # m below a high site, the target of guidance
-STAYS, STAY_SPEED, STAY_SINK = 5.0, 1.0, 0.5  # m and m/s: the way back to the held place is short, and slow
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
 
 
@@ -40,20 +36,17 @@ class OrderSender:
     A place is sent relative to the autopilot's own estimate at the instant of the motion that it is relative to.
 
     Args:
-        vehicle: the autopilot's reports.
-        hand: takes the orders.
         local: the world, for degrees.
         farthest: metres over the ground and upwards to a target: beyond that a position has jumped.
         stale: s, age of the autopilot's position beyond which it is ordered to hold by itself.
-        tell: called with warnings to a person, in words.
     """
 
     def __init__(
-        self, vehicle: RemoteVehicle, hand: OrderTaker, local: LocalFrame,
+        self, vehicle: RemoteVehicle, commands: VehicleCommands, local: LocalFrame,
         farthest: tuple[float, float] = (math.inf, math.inf), stale: float = 1.5,
-        tell: Callable[[str], None] = lambda words: None,
+        warn: Callable[[str], None] = lambda text: None,
     ) -> None:  # fmt: skip
-        self._vehicle, self.hand, self._local, self._tell = vehicle, hand, local, tell
+        self._vehicle, self._commands, self._local, self._warn = vehicle, commands, local, warn
         self._farthest, self._stale = farthest, stale
         self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
@@ -68,15 +61,13 @@ class OrderSender:
 
         Args:
             order: in the frame of the motion.
-            state: of the executive.
             motion: the newest one; None: unknown. An order to land then leads straight down.
-            now_ns: our clock.
         """
         if order.what == "nothing":
-            self.hand.release()
+            self._commands.release()
             return "nothing"
         if order.what == "return":
-            self._fly_as(FlightMode.RETURN, now_ns)
+            self.order_mode(FlightMode.RETURN, now_ns)
             return "return"
         lands, known = order.what == "land", order.position is not None and motion is not None
         if not (lands and order.down):
@@ -92,9 +83,9 @@ class OrderSender:
 
     def stop(self, now_ns: int) -> bool:
         """Order the autopilot to hold by itself; False: not ordered yet, call it again."""
-        return self._fly_as(FlightMode.HOLD, now_ns)
+        return self.order_mode(FlightMode.HOLD, now_ns)
 
-    def answered(self, ticket: int | None, ok: bool, now_ns: int) -> None:
+    def on_answer(self, ticket: int | None, ok: bool, now_ns: int) -> None:
         """Take the answer to a command: a mode that was refused is ordered again, a little later."""
         if ticket != self._ticket:
             return
@@ -103,15 +94,15 @@ class OrderSender:
             self._refusals = 0
             return
         self._refusals += 1
-        if self._refusals == OFTEN and self._mode is not None:
-            self._tell(f"{self._mode.value} was refused {OFTEN} times: be ready to take over")
+        if self._refusals == 3 and self._mode is not None:
+            self._warn(f"{self._mode.value} was refused {self._refusals} times: be ready to take over")
         self._mode, self._refused_ns = None, now_ns
 
     def _heartbeat_ns(self, now_ns: int) -> int:
         """Arrival of the newest heartbeat, our clock."""
         return now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
 
-    def _fly_as(self, mode: FlightMode, now_ns: int) -> bool:
+    def order_mode(self, mode: FlightMode, now_ns: int) -> bool:
         """Order a mode, once; False: not yet.
 
         Once we fly, the order waits for the next heartbeat: a pilot's switch since the last one is not undone.
@@ -121,12 +112,12 @@ class OrderSender:
             return True
         if self._wanted is None or self._wanted[0] is not mode:
             self._wanted = mode, now_ns
-        stale = self.hand.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
+        stale = self._commands.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
         if stale or now_ns - self._refused_ns < AGAIN_NS:
             return False
         self._wanted = self._heading = None
         self._mode = mode
-        self._ticket = self.hand.set_mode(mode)
+        self._ticket = self._commands.set_mode(mode)
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
@@ -134,21 +125,21 @@ class OrderSender:
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
             self._held = None  # else it would fly to a place of an estimate that has jumped since
-            self._fly_as(FlightMode.HOLD, now_ns)
+            self.order_mode(FlightMode.HOLD, now_ns)
             return "hold"
-        self._fly_as(FlightMode.GUIDED, now_ns)
+        self.order_mode(FlightMode.GUIDED, now_ns)
         kept = self._kept(here, now_ns)
         self._held = kept, now_ns
-        stay = Setpoint(np.zeros(3), None, self._nose(), STAY_SPEED, STAY_SINK)
-        self.hand.guide(stay, EstimateTie(self._local, np.zeros(3), kept))
+        stay = Setpoint(np.zeros(3), None, self._nose(), speed=1.0, sink=0.5)
+        self._commands.guide(stay, EstimateTie(self._local, np.zeros(3), kept))
         return "stay"
 
     def _kept(self, here: Place, now_ns: int) -> Place:
         """Return the place that was held so far, or `here` after a jump of the autopilot's estimate."""
-        if self._held is None or metres_between(self._held[0], here) > STAYS:
+        if self._held is None or metres_between(self._held[0], here) > 5.0:
             return here
-        flown = own_way(self._vehicle, self._local, self._held[1], now_ns)
-        return here if flown.way is None else self._held[0]
+        flown = self._vehicle.displacement(self._local, self._held[1], now_ns).vector
+        return here if flown is None else self._held[0]
 
     def _nose(self) -> float | None:
         """The heading at which guidance began: without one ArduPilot turns the nose, and the pictures, on every leg."""
@@ -161,12 +152,12 @@ class OrderSender:
         leg = self._leg(to, motion, now_ns)
         if leg is None:
             return self._lost(motion, now_ns)
-        self._fly_as(FlightMode.GUIDED, now_ns)
+        self.order_mode(FlightMode.GUIDED, now_ns)
         return self._guide(leg, order)
 
     def _lost(self, motion: Motion, now_ns: int) -> str:
         """Hold, as no target can be made now; wait a little if positions are only late, as the last target is near."""
-        missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.doubts_place
+        missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.place_jumped
         if missing and self._vehicle.place_age <= self._stale:
             return "wait: the autopilot's position is late"
         self._contact.forget()
@@ -176,8 +167,8 @@ class OrderSender:
         """Send the target, whatever mode is flown."""
         self._held = None
         speed, sink = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
-        self.hand.guide(Setpoint(leg.here + leg.way, None, self._nose(), speed, sink), leg.tie)
-        return f"fly to {words_of(leg.goal)}"
+        self._commands.guide(Setpoint(leg.here + leg.way, None, self._nose(), speed, sink), leg.tie)
+        return f"fly to {place_text(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
         """Fly over the place, or land with the target reported; an autopilot without targets goes straight down."""
@@ -186,35 +177,34 @@ class OrderSender:
         over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
         lands = self._mode is FlightMode.LAND
         if site is None:
-            stays = lands and order.down and self._fly_as(FlightMode.LAND, now_ns)
+            stays = lands and order.down and self.order_mode(FlightMode.LAND, now_ns)
             return "land" if stays else self._lost(motion, now_ns)
         self._site_above = site.goal.above_home
         if not order.down:
             return self._go(over, order, motion, now_ns)
         if self._is_high and not lands:
-            over = np.array([*place[:2], place[2] - BELOW])
-            if not self._contact.felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
+            over = np.array([*place[:2], place[2] - 1.5])  # below the site
+            if not self._contact.is_felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
                 return self._go(over, order, motion, now_ns)
             over[:2] = site.here[:2]  # no push to the side on the ground
-        if not self._fly_as(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be ordered (again)
+        if not self.order_mode(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be ordered (again)
             leg = self._leg(over, motion, now_ns)
             return "land: not yet" if leg is None else self._guide(leg, order)
-        return "land" if goal is None else f"land on {words_of(goal)}"
+        return "land" if goal is None else f"land on {place_text(goal)}"
 
     def _down(self, order: Order, now_ns: int) -> str:
         """Go straight down without a reported target: the vehicle is low, and our position is unknown."""
-        heard = self._vehicle.telemetry
         self._held = None
         guided = self._is_high and self._mode is not FlightMode.LAND
-        if guided and not self._contact.felt(None, order.sink, heard, now_ns):
-            self._fly_as(FlightMode.GUIDED, now_ns)
+        if guided and not self._contact.is_felt(None, order.sink, self._vehicle.telemetry, now_ns):
+            self.order_mode(FlightMode.GUIDED, now_ns)
             return self._sink(order)
-        return "land: straight down" if self._fly_as(FlightMode.LAND, now_ns) else self._sink(order)
+        return "land: straight down" if self.order_mode(FlightMode.LAND, now_ns) else self._sink(order)
 
     def _sink(self, order: Order) -> str:
         """Order a velocity straight down, whatever mode is flown."""
         sink = max(order.sink, LEAST_SPEED)
-        self.hand.guide(Setpoint(None, np.array([0.0, 0.0, -sink]), self._nose()))
+        self._commands.guide(Setpoint(None, np.array([0.0, 0.0, -sink]), self._nose()))
         return f"straight down at {sink:.1f} m/s"
 
     @property
@@ -235,7 +225,7 @@ class OrderSender:
         attitude = self._vehicle.telemetry.world_from_body
         if site is None or attitude is None:
             return None
-        return site.goal if self.hand.land_on(now_ns, site.way, attitude) else None
+        return site.goal if self._commands.land_on(now_ns, site.way, attitude) else None
 
     def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
         """The way to a target; None: the autopilot's place is unknown, or one of the positions is impossible.
@@ -243,11 +233,11 @@ class OrderSender:
         If its newest positions are late, the way begins at the vehicle's position of the exposure.
         """
         tie = self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
-        flown = own_way(self._vehicle, self._local, motion.t_ns, now_ns)
-        late = flown.way is None and self._vehicle.place_age > self._stale
+        flown = self._vehicle.displacement(self._local, motion.t_ns, now_ns)
+        late = flown.vector is None and self._vehicle.place_age > self._stale
         if tie is None or flown.jumped or late:
             return None
-        here = motion.world_from_body.translation + (0.0 if flown.way is None else flown.way)
+        here = motion.world_from_body.translation + (0.0 if flown.vector is None else flown.vector)
         way = np.asarray(to - here)
         over, up = self._farthest
         if not (np.isfinite(way).all() and math.hypot(way[0], way[1]) <= over and way[2] <= up):

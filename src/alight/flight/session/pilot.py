@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.executive import Executive
-from alight.flight.session.delays import OrderDelays
+from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.inputs import LandingInputs
-from alight.flight.session.motor_stop import MotorStop
-from alight.flight.session.order_taker import OrderTaker
 from alight.flight.session.orders import OrderSender
-from alight.flight.session.verdicts import look_picture
-from alight.geometry import LocalFrame
+from alight.flight.session.touchdown import MotorStop
+from alight.geometry import Grid, LocalFrame
 from alight.pipeline import FlightPolicy
-from alight.records import Motion, Notice, NoticeKind
-from alight.records.executive import FlightDiary, FlightState, LookRecord, Situation, Transition
+from alight.records import Motion, Notice, NoticeKind, Site
+from alight.records.executive import (
+    FlightDiary,
+    FlightState,
+    LookPicture,
+    LookRecord,
+    MapVerdict,
+    Situation,
+    Transition,
+)
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
-FAR, FAR_UP = 2.0, 60.0  # of the searched side, and m above the height of the search: no target lies beyond
 
 
 class LandingLog(Protocol):
@@ -37,6 +43,28 @@ class LandingLog(Protocol):
         """Write a note on the cameras, the autopilot or a lane."""
 
 
+class OrderDelays:
+    """Delays from an exposure to the first order of its verdict, and to the first set-point relative to its motion."""
+
+    def __init__(self) -> None:
+        self._verdict_ns = self._motion_ns = 0  # newest exposures that led to an order
+        self.of_verdicts, self.of_motions = deque[float](maxlen=20_000), deque[float](maxlen=20_000)  # s
+
+    def add_order(self, now_ns: int, verdict_ns: int, motion: Motion | None) -> None:
+        """Take an order at `now_ns`.
+
+        Args:
+            verdict_ns: newest exposure of the newest verdict.
+            motion: that its set-point is relative to; None: it has none.
+        """
+        if verdict_ns > self._verdict_ns:
+            self._verdict_ns = verdict_ns
+            self.of_verdicts.append((now_ns - verdict_ns) * 1e-9)
+        if motion is not None and motion.t_ns > self._motion_ns:
+            self._motion_ns = motion.t_ns
+            self.of_motions.append((now_ns - motion.t_ns) * 1e-9)
+
+
 @dataclass(frozen=True, eq=False)
 class PilotView:
     """A landing at one moment, for a display."""
@@ -45,9 +73,7 @@ class PilotView:
     state: FlightState
     order: str
     situation: Situation
-    kind: str = ""  # of the place that it is about: site, candidate
-    place: tuple[float, float, float] | None = None  # of it, metres in the map's frame
-    p_safe: float | None = None
+    target: Site | None = None  # the place that it is about, in the map's frame
     height: float | None = None  # metres above that place, or above the ground
 
 
@@ -55,25 +81,22 @@ class LandingPilot:
     """One landing. Feed its `inputs` pictures, motions and verdicts; after `begin`, call `tick` twenty times a second.
 
     Args:
-        settings: all settings.
-        local: the world.
-        vehicle: the autopilot's reports.
-        hand: takes the orders: the vehicle itself, or a `SpokenVehicle`.
+        commands: takes the orders: the vehicle itself, or a `DryRunVehicle`.
         policy: of the lanes; it is given the verdicts that are needed, at every decision.
         log: takes orders, entries of the diary and notes.
     """
 
     def __init__(
-        self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, hand: OrderTaker,
+        self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, commands: VehicleCommands,
         policy: FlightPolicy, log: LandingLog,
     ) -> None:  # fmt: skip
-        self._vehicle, self._policy, self._log = vehicle, policy, log
+        self._vehicle, self._commands, self._policy, self._log = vehicle, commands, policy, log
         stages = settings.stages()
         self.executive, k = Executive(stages), stages.executive
         self.inputs, self.delays = LandingInputs(vehicle, local, k.stale, log.note), OrderDelays()
-        farthest = FAR * k.search_side, k.search_height + FAR_UP
-        self._sender = OrderSender(vehicle, hand, local, farthest, k.stale, lambda words: log.note("autopilot", words))
-        self._motor_stop = MotorStop(hand, lambda words: log.note("autopilot", words))
+        farthest = 2.0 * k.search_side, k.search_height + 60.0  # m: no target lies beyond
+        self.orders = OrderSender(vehicle, commands, local, farthest, k.stale, lambda text: log.note("autopilot", text))
+        self._motor_stop = MotorStop(commands, lambda text: log.note("autopilot", text))
         self._decided_ns: int | None = None
         self._written = 0, 0  # looks and transitions
         self._order = ""
@@ -89,14 +112,19 @@ class LandingPilot:
         return self.executive.diary
 
     @property
+    def in_control(self) -> bool:
+        """True from our first order to a takeover: we fly."""
+        return self._commands.in_control
+
+    @property
     def over(self) -> bool:
         """True if the vehicle has landed or was handed over."""
         return self.state in ENDS
 
-    def noticed(self, notice: Notice) -> None:
+    def on_notice(self, notice: Notice) -> None:
         """Take a notice of the autopilot; answers to commands are passed on."""
         if notice.kind is NoticeKind.COMMAND:
-            self._sender.answered(notice.ticket, notice.ok, notice.t_ns)
+            self.orders.on_answer(notice.ticket, notice.ok, notice.t_ns)
 
     def begin(self, now_ns: int, flying: bool = False) -> None:
         """Begin the landing.
@@ -110,7 +138,7 @@ class LandingPilot:
     def tick(self, now_ns: int) -> PilotView:
         """Decide ten times a second; on the last metres, and after a new verdict, at every call."""
         is_new, self.inputs.is_new = self.inputs.is_new, False  # before the situation: a verdict may come any time
-        now, located = self.inputs.situation(now_ns, self._sender.hand.in_control)
+        now, located = self.inputs.situation(now_ns, self.in_control)
         waits = self._decided_ns is not None and now_ns - self._decided_ns < TICK_NS
         if is_new or not waits or self.state is FlightState.COMMIT:
             self._decided_ns = now_ns
@@ -119,12 +147,12 @@ class LandingPilot:
 
     def stop(self, now_ns: int) -> bool:
         """Order the autopilot to hold by itself, after a stop by the user. False: not ordered yet, call it again."""
-        return self._sender.hand.in_control and self._sender.stop(now_ns)
+        return self.in_control and self.orders.stop(now_ns)
 
     def _decide(self, now: Situation, located: Motion | None, now_ns: int) -> None:
         order = self.executive.tick(now)
         self._policy.need = self.executive.need
-        self._order = self._sender.obey(order, self.state, located, now_ns)
+        self._order = self.orders.obey(order, self.state, located, now_ns)
         self._motor_stop.tick(self._vehicle.telemetry, now_ns)
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
@@ -145,7 +173,13 @@ class LandingPilot:
         place, verdict = self.executive.target, self.inputs.verdict
         ground = place.up if place is not None else None if verdict is None else verdict.ground
         height = None if now.position is None or ground is None else float(now.position[2]) - ground
-        if place is None:
-            return PilotView(now.t, self.state, self._order, now, height=height)
-        at = (place.east, place.north, place.up)
-        return PilotView(now.t, self.state, self._order, now, place.kind, at, place.p_safe, height)
+        return PilotView(now.t, self.state, self._order, now, place, height)
+
+
+def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
+    """The ground about the place of a look, `reach` metres each way, on `size` pixels a side."""
+    cell, (east, north, _) = 2 * reach / size, look.place
+    edge = reach - cell / 2  # the middle of the first pixel
+    shown = Grid(east - edge, north + edge, cell, size, size)
+    photo = seen.elevation.grid.nearest_on(shown, seen.elevation.rgb)
+    return LookPicture(look, photo, seen.hazards.grid.nearest_on(shown, seen.hazards.p_safe), reach)

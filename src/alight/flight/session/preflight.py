@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate
-from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
+from alight.records import FIX_3D, Frame, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures a second
 MOST_AGE = 1.0  # s between an exposure and its arrival
 OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
 MOST_SIGMA = 0.02  # s, of the autopilot's clock
-LEAST_MB, SPARE = 200.0, 1.5  # free on the disk; and factor on the expected size of the recording
-LOW = 2.0  # times the height to commit from, above home: a search that begins lower gives a warning
-BATTERY_MARGIN = 0.1
 LEAST_IMU = 25.0  # samples a second; more than 0.05 s between two are a gap
 FASTER = "use a faster link, or one without a ground station that asks for less (MAVProxy: set streamrate -1)"
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
@@ -36,14 +34,40 @@ class CameraFacts:
     frozen: int = 0  # in a row that repeat the one before
 
 
+@dataclass
+class Arrivals:
+    """Exposures as they arrive: their number, times and delay."""
+
+    times: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))  # s
+    frames: int = 0
+    delay: float = math.nan  # s from the stamp of the newest to its arrival
+    begun: bool = False  # one has come that is of now
+
+    def add(self, frame: Frame, now_ns: int) -> bool:
+        """Take an exposure that came at `now_ns` of our clock; False: it is of an earlier flight, as all before it.
+
+        A folder that was filled before still has its pictures. They come all at once: a gap between them would look
+        like a jump of the camera's clock.
+        """
+        self.frames += 1
+        self.delay = (now_ns - frame.t_ns) * 1e-9
+        self.times.append(now_ns * 1e-9)
+        self.begun = self.begun or self.delay < MOST_AGE
+        return self.begun
+
+    def facts(self, now_ns: int, frozen: int) -> CameraFacts:
+        """Facts about the cameras for the checks; `frozen`: number of the last pictures that are the same."""
+        seconds = 3.0
+        recent = sum(now_ns * 1e-9 - t < seconds for t in tuple(self.times))
+        return CameraFacts(self.frames, recent / seconds, self.delay, frozen)
+
+
 def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
     """Check the link, and the autopilot at its other end.
 
     Args:
-        name: of the link.
-        messages: number of messages that were read from it.
         vehicle: that was found; None: none.
-        refused: reason why a sender that was heard is not the vehicle; empty: none was heard.
+        refused: reason why a sender that was heard is not the vehicle; empty: none was now.
     """
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
@@ -67,25 +91,20 @@ def judge_vehicle(
     """Check the autopilot by its telemetry: clock, streams, position, home, battery, wind, and whether it flies.
 
     Args:
-        vehicle: that was found.
         missing: reason why it gives no GPS/INS; empty: it does.
-        settings: limits of battery and wind.
-        take_off: it is to take off first.
-        dry: no message will be sent to it.
-        home_given: the user has named the home.
     """
-    heard = vehicle.telemetry
+    now = vehicle.telemetry
     return [
         _clock(vehicle), _streams(vehicle.missing_streams, vehicle.stream_rates), _estimator(vehicle, missing),
-        _home(heard, home_given),
-        _battery(heard, settings.executive.least_battery), _wind(heard, settings.executive.most_wind),
-        _place(heard, take_off, dry, LOW * settings.executive.commit_height),
+        _home(now, home_given),
+        _battery(now, settings.executive.least_battery), _wind(now, settings.executive.most_wind),
+        _place(now, take_off, dry, 2.0 * settings.executive.commit_height),
     ]  # fmt: skip
 
 
 def _clock(vehicle: RemoteVehicle) -> CheckResult:
     if not vehicle.clock.known:
-        return bad("clock", "no answer to TIMESYNC yet", "see that the autopilot hears this computer on the link")
+        return bad("clock", "no answer to TIMESYNC yet", "see that messages of this computer reach the autopilot")
     if vehicle.clock.sigma > MOST_SIGMA:
         late = f"the autopilot's clock is known to {1e3 * vehicle.clock.sigma:.0f} ms"
         return warning("clock", late, "use a faster link: motion and pictures are tied by it")
@@ -111,12 +130,7 @@ def _rates(rates: Mapping[str, StreamRate]) -> str:
 
 
 def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
-    """Check that IMU samples come, and often enough to be used.
-
-    Args:
-        vehicle: that was found.
-        wanted: samples a second that were requested; 0: none.
-    """
+    """Check that IMU samples come, and often enough to be used."""
     if wanted <= 0.0:
         why = "none is requested: where this was tried, no height was measured"
         return warning("IMU", why, "leave out --imu 0")
@@ -134,39 +148,39 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
 
 
 def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:
-    heard = vehicle.telemetry
-    if missing or not heard.has_position or heard.gps.fix < FIX_3D:
+    now = vehicle.telemetry
+    if missing or not now.has_position or now.gps.fix < FIX_3D:
         why = missing or "the autopilot's estimator has no absolute position"
         return bad("position", why, "wait for GPS under an open sky, or mend what is named")
-    if heard.gps.horizontal > 5.0:
-        return warning("position", f"GPS is known to {heard.gps.horizontal:.1f} m", "wait for more satellites")
+    if now.gps.horizontal > 5.0:
+        return warning("position", f"GPS is known to {now.gps.horizontal:.1f} m", "wait for more satellites")
     if (oldest := vehicle.oldest_place) > OLD_PLACE:
         mend = "GLOBAL_POSITION_INT ten times a second, over a link with less delay; after 1.5 s the vehicle holds"
         return warning("position", f"the newest is up to {oldest:.1f} s old", mend)
-    sigma = "not reported" if math.isnan(heard.gps.horizontal) else f"{heard.gps.horizontal:.1f} m"
-    return good("position", f"{heard.gps.satellites} satellites, 1-sigma {sigma}")
+    sigma = "not reported" if math.isnan(now.gps.horizontal) else f"{now.gps.horizontal:.1f} m"
+    return good("position", f"{now.gps.satellites} satellites, 1-sigma {sigma}")
 
 
-def _home(heard: Telemetry, given: bool) -> CheckResult:
-    if heard.home is None:
+def _home(now: Telemetry, given: bool) -> CheckResult:
+    if now.home is None:
         why = "the autopilot reports none" + ("; yours is used for route.plan" if given else "")
         return warning("home", why, "it is set at arming; a return leads there")
-    return good("home", f"{heard.home.latitude:.6f} {heard.home.longitude:.6f}, {heard.home.altitude_msl:.0f} m MSL")
+    return good("home", f"{now.home.latitude:.6f} {now.home.longitude:.6f}, {now.home.altitude_msl:.0f} m MSL")
 
 
-def _battery(heard: Telemetry, least: float) -> CheckResult:
-    share = heard.battery.share
+def _battery(now: Telemetry, least: float) -> CheckResult:
+    share = now.battery.share
     if math.isnan(share):
         return unknown("battery", "the autopilot does not report what is left: watch it yourself")
     if share < least:
         return bad("battery", f"{100 * share:.0f} %, a landing is given up below {100 * least:.0f} %", "charge it")
-    if share < least + BATTERY_MARGIN:
+    if share < least + 0.1:
         return warning("battery", f"{100 * share:.0f} %, given up below {100 * least:.0f} %", "charge it")
     return good("battery", f"{100 * share:.0f} %")
 
 
-def _wind(heard: Telemetry, most: float) -> CheckResult:
-    speed = math.hypot(*heard.wind_world[:2])
+def _wind(now: Telemetry, most: float) -> CheckResult:
+    speed = math.hypot(*now.wind_world[:2])
     if math.isnan(speed):
         return unknown("wind", "the autopilot does not report it (ArduPilot: EK3_DRAG_...): judge it yourself")
     if speed > most:
@@ -174,15 +188,15 @@ def _wind(heard: Telemetry, most: float) -> CheckResult:
     return good("wind", f"{speed:.1f} m/s, limit {most:.1f}")
 
 
-def _place(heard: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
+def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
     """Check that it is ready to take off, or flies at least `least` metres above home."""
-    above = "" if heard.place is None else f", {heard.place.above_home:.0f} m above home"
-    if heard.landed is Landed.GROUND or not heard.armed:
-        if take_off and heard.ready and heard.checks_off:
+    above = "" if now.place is None else f", {now.place.above_home:.0f} m above home"
+    if now.landed is Landed.GROUND or not now.armed:
+        if take_off and now.ready and now.checks_off:
             return warning(
                 "ready", "the autopilot's own checks before arming are off", "switch them on (ARMING_CHECK 1)"
             )
-        if take_off and heard.ready:
+        if take_off and now.ready:
             return good("ready", "on the ground, and may be armed")
         if take_off:
             read = "read what it says; its ground station shows it, and PX4 may want one (NAV_DLL_ACT)"
@@ -192,7 +206,7 @@ def _place(heard: Telemetry, take_off: bool, dry: bool, least: float) -> CheckRe
         return bad("in the air", "it stands on the ground", "take off and hover, or give --take-off 30")
     if take_off:
         return bad("on the ground", f"it flies{above}", "leave out --take-off")
-    if heard.place is not None and heard.place.above_home < least:
+    if now.place is not None and now.place.above_home < least:
         why = f"it flies{above}: the search begins at that height, before a map tells what stands there"
         return warning("in the air", why, "climb clear of everything about, unless home lies higher than that")
     return good("in the air", f"it flies{above}")
@@ -215,22 +229,13 @@ def judge_cameras(facts: CameraFacts) -> CheckResult:
 
 
 def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, record: bool) -> list[CheckResult]:
-    """Check that the loops are compiled, and that the disk has room for the recording.
-
-    Args:
-        warm: all loops are compiled.
-        out: folder of the results.
-        rig: the cameras.
-        rate: exposures a second that are expected.
-        seconds: of flight that are expected.
-        record: a recording will be made.
-    """
+    """Check that the loops are compiled, and that the disk has room for the recording."""
     mend = "run 'alight warmup' once; it takes minutes"
     loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)
     free = shutil.disk_usage(out).free * 1e-6
     size = sum(c.camera.width * c.camera.height for c in rig.cameras) * 3e-6
-    need = size * rate * seconds * SPARE if record else 0.0
-    if free < LEAST_MB:
+    need = size * rate * seconds * 1.5 if record else 0.0
+    if free < 200.0:
         disk = bad("disk", f"{free:.0f} MB are free in {out}", "free some space, or choose another folder with --out")
     elif free < need:
         disk = warning(
@@ -242,12 +247,7 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:
-    """Check that the motion is known.
-
-    Args:
-        motion: the newest; None: none yet.
-        age: s of its exposure.
-    """
+    """Check that the motion is known."""
     if motion is None or age > MOST_AGE:
         return bad("motion", "none is known yet", "see that pictures show ground, and that the calibration fits")
     if motion.state in (MotionState.LOST, MotionState.INITIALISING):

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from alight.flight.autopilot import RemoteVehicle
-from alight.flight.session.order_taker import OrderTaker
 from alight.records import FlightMode, Landed, Telemetry
 
-NEAR = 0.95  # share of the height that counts as all of it
-LIFTED = 1.0  # m above home, from which it is on its way
 AGAIN_NS = 3_000_000_000  # until an order that shows no effect is given again
 LONGEST_NS = 120_000_000_000
 
@@ -16,14 +13,11 @@ class TakeOff:
     """A take-off. Call `tick` until `done`, or until `failed` gives the reason in words.
 
     Args:
-        vehicle: the autopilot's reports.
-        hand: takes the orders.
         height: metres above home.
-        begin_ns: now.
     """
 
-    def __init__(self, vehicle: RemoteVehicle, hand: OrderTaker, height: float, begin_ns: int) -> None:
-        self._vehicle, self._hand, self._height, self._begin_ns = vehicle, hand, height, begin_ns
+    def __init__(self, vehicle: RemoteVehicle, height: float, begin_ns: int) -> None:
+        self._vehicle, self._height, self._begin_ns = vehicle, height, begin_ns
         self._step, self._ordered_ns = "", begin_ns
         self._took = self._armed = False
         self.done, self.failed = False, ""
@@ -44,13 +38,13 @@ class TakeOff:
     def _lifted(self) -> bool:
         """True if it has lifted off, by its report; by its height only without one, which may be wrong by a metre."""
         landed = self._vehicle.telemetry.landed
-        return self._above > LIFTED if landed is Landed.UNKNOWN else landed is not Landed.GROUND
+        return self._above > 1.0 if landed is Landed.UNKNOWN else landed is not Landed.GROUND
 
     def tick(self, now_ns: int) -> None:
         """Give the next order that is due."""
         if self.done or self.failed:
             return
-        if self._took and not self._hand.in_control:
+        if self._took and not self._vehicle.in_control:
             self.failed = "somebody else flies now"
         elif not self._vehicle.alive:
             self.failed = "no heartbeat of the vehicle any more"
@@ -59,23 +53,23 @@ class TakeOff:
         else:
             self._go_on(self._vehicle.telemetry, now_ns)
 
-    def _go_on(self, heard: Telemetry, now_ns: int) -> None:
-        self.done = heard.armed and self._above > NEAR * self._height
+    def _go_on(self, reports: Telemetry, now_ns: int) -> None:
+        self.done = reports.armed and self._above > 0.95 * self._height
         if self.done:
             return
-        if self._armed and not heard.armed:  # somebody stopped the motors on purpose
+        if self._armed and not reports.armed:  # somebody stopped the motors on purpose
             self.failed = "the motors were stopped again"
             return
-        self._armed = heard.armed
-        step = "take off" if heard.armed else "arm" if heard.mode is FlightMode.GUIDED else "guided mode"
+        self._armed = reports.armed
+        step = "take off" if reports.armed else "arm" if reports.mode is FlightMode.GUIDED else "guided mode"
         if step == "take off" and self._step == step and self._lifted:
             return  # on its way
         if step == self._step and now_ns - self._ordered_ns < AGAIN_NS:
             return
         self._step, self._ordered_ns, self._took = step, now_ns, True
         if step == "guided mode":
-            self._hand.set_mode(FlightMode.GUIDED)
+            self._vehicle.set_mode(FlightMode.GUIDED)
         elif step == "arm":
-            self._hand.arm()
+            self._vehicle.arm()
         else:
-            self._hand.take_off(self._height)
+            self._vehicle.take_off(self._height)

@@ -1,0 +1,205 @@
+"""Ways: those free of obstacles, the next point on the present one, and the lanes of a search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.landing.route import Obstructions, along_way, way_below
+from alight.records import Site
+from alight.records.executive import FlightState, MapVerdict
+from alight.settings import ExecutiveSettings, StageSettings
+
+LOW = 0.5  # of its height: most clearance of a look leg above obstacles beside it
+NEARER = 0.5  # m, least progress towards a point
+
+
+class ClearWay:
+    """Ways over the newest map.
+
+    A way over obstacles of doubtful height is flown at the height of the search: the map had 3 m for most of a tree
+    of 10 m, and a landing flew into it. So is a long way over ground that is not all mapped. A place is not crossed
+    low down beside anything tall, whatever its height in the map.
+    """
+
+    def __init__(self, settings: StageSettings) -> None:
+        self._keys, self._clearance, lander = settings.executive, settings.route.clearance, settings.lander
+        self._beside = max(self._clearance, 2.0 * max(lander.radius, lander.rotor_radius or 0.0))  # m
+        self._number = -1  # of the verdict
+        self._obstructions: Obstructions | None = None  # on its map
+
+    def level(self, start: F64, to: F64, seen: MapVerdict, at_a_place: bool = False) -> float:
+        """Metres up at which the way from above one point (3,) to above another is clear.
+
+        `at_a_place`: it leads from one look at a place to the next, and only mapped obstacles count.
+        """
+        grid, k = seen.elevation.grid, self._keys
+        below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
+        is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > k.long_way
+        unsure = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
+        return max(below.clear, seen.ground + k.search_height) if unsure and not at_a_place else below.clear
+
+    def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
+        """True if a level way (3,) near a place may be flown: no obstacle beside it is tall, or reaches up to the way.
+
+        "Tall" means a rise by more than `executive.rise`. "Beside" means within `route.clearance`, or twice the
+        lander's radius if that is more, times `times`.
+        """
+        grid, width = seen.elevation.grid, times * self._beside
+        reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
+        middle = 0.5 * (start + to)
+        k = math.ceil(reach / grid.cell) + 1
+        at = (int(i) for i in grid.index(middle[0], middle[1]))
+        rows, cols = (slice(max(i - k, 0), max(i + k + 1, 0)) for i in at)
+        top = self._obstructions_of(seen).top[rows, cols]
+        _, near = along_way(start, to, grid.window(rows.start, cols.start, *top.shape), width)
+        spare = min(self._clearance, LOW * (float(start[2]) - ground))
+        highest = float(np.max(top[near & np.isfinite(top)], initial=-math.inf))
+        return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
+
+    def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
+        """True if nothing tall stands beside the way down on a place, as beside the lowest look at it."""
+        above = np.array([place.east, place.north, place.up + self._keys.commit_height])
+        return self.is_free(above, above, place.up, seen)
+
+    def _obstructions_of(self, seen: MapVerdict) -> Obstructions:
+        if self._obstructions is None or seen.number != self._number:
+            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation)
+        return self._obstructions
+
+
+class Course:
+    """The way that is flown now."""
+
+    def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
+        self._keys, self._clear_way = settings.executive, clear_way
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin another way, and forget the one before."""
+        self._rises: F64 | None = None  # (2,) metres, place where it climbs to be clear
+        self._from: F64 | None = None  # (2,) metres, start of the way
+        self._to = np.full(2, np.nan)  # and its end
+        self._level: float | None = None  # metres up, kept while the vehicle is beside it
+        self._next = np.full(3, np.inf)  # metres, last point that it was ordered to
+        self._nearest = math.inf  # m, least distance from there
+        self._nearer_at: float | None = None  # s, when it last came nearer; None: it was not ordered anywhere yet
+
+    def next_point(self, position: F64, to: F64, seen: MapVerdict | None, state: FlightState) -> F64:
+        """Next point to fly to, (3,) metres.
+
+        Args:
+            to: (3,) metres, end of the way.
+            seen: the newest verdict on a map of this frame; None: no obstacles are known.
+        """
+        point = self._next_point(position, to, seen, state)
+        if not float(np.linalg.norm(point - self._next)) < NEARER:
+            self._next, self._nearest = point, math.inf
+        return point
+
+    def _next_point(self, position: F64, to: F64, seen: MapVerdict | None, state: FlightState) -> F64:
+        """(3,) metres; no obstacle stands beside a look leg or about its start, but one may at the end of a lane."""
+        if state in (FlightState.APPROACH, FlightState.DESCEND):
+            to = self._downwards(position, to)
+        near = math.hypot(*(to[:2] - position[:2])) < 2 * self._keys.arrived
+        if state is FlightState.LOOK or (near and state is not FlightState.SEARCH):
+            return to
+        return self._upwards(position, to, seen, state is FlightState.DESCEND)
+
+    def is_stuck(self, t: float, position: F64) -> bool:
+        """True if the vehicle has come no nearer to the ordered point for `executive.hold` seconds."""
+        left = float(np.linalg.norm(self._next - position))
+        if self._nearer_at is None or left < self._nearest - NEARER:
+            self._nearest, self._nearer_at = left, t
+        return t - self._nearer_at > self._keys.hold
+
+    def _upwards(self, position: F64, to: F64, seen: MapVerdict | None, at_a_place: bool) -> F64:
+        """Next point, up first where a mapped obstacle is in the way: above the start of the climb, against any wind.
+
+        `at_a_place`: it leads from one look at a place to the next.
+        """
+        level = float(to[2])
+        if seen is not None:
+            level = max(level, self._clear_way.level(position, to, seen, at_a_place))
+        if position[2] < level - self._keys.arrived:
+            self._rises = position[:2].copy() if self._rises is None else self._rises
+            return np.array([*self._rises, level])
+        self._rises = None
+        return np.array([*to[:2], level])
+
+    def _downwards(self, position: F64, to: F64) -> F64:
+        """Next point on a way down to a place: level to its end, while the vehicle is beside the way.
+
+        Obstacles beside the way were looked for within a few metres, and a gust may carry the vehicle as far.
+        """
+        if self._from is None or not np.array_equal(to[:2], self._to):
+            self._from, self._to, self._level = position[:2].copy(), to[:2].copy(), None
+        way, flown = self._to - self._from, position[:2] - self._from
+        share = float(np.clip((flown @ way) / max(float(way @ way), 1e-12), 0.0, 1.0))
+        within = self._keys.off_way if self._level is None else self._keys.on_way
+        at_the_end = math.hypot(*(way - flown)) < self._keys.arrived
+        if at_the_end or math.hypot(*(flown - share * way)) <= within:
+            self._level = None
+            return to
+        self._level = max(float(position[2]), -math.inf if self._level is None else self._level)
+        return np.array([*to[:2], max(float(to[2]), self._level)])
+
+
+class SearchLanes:
+    """The lanes of a search, one after the other.
+
+    The outermost lies so far inside that its pictures reach the rim of the searched square.
+
+    Args:
+        home: (3,) metres, the middle of the square; at the search height above the ground, as far as known.
+    """
+
+    def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
+        shown = 0.75 * keys.search_height  # m, shorter side of the ground in a picture
+        self._corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        self._arrived = keys.arrived
+        self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
+        self._corner = next(self._corners)
+        self.over = False  # True: all was searched
+
+    def end(self, ground: float | None) -> F64:
+        """(3,) metres, the end of this lane, at the search height above the known ground."""
+        return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
+
+    def fly(self, position: F64 | None, ground: float | None) -> None:
+        """Begin the next lane where the end of this one is reached, or end the search.
+
+        The end counts from above it as well: a tall obstacle may stand beside it.
+
+        Args:
+            position: (3,) metres, of the vehicle; None: not known.
+            ground: metres up, as far as known.
+        """
+        if position is None:
+            return
+        left, near = self.end(ground) - position, self._arrived
+        if math.hypot(left[0], left[1]) < near and left[2] < near:
+            corner = next(self._corners, None)
+            self._corner, self.over = corner or self._corner, corner is None
+
+
+def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:
+    """Corners of a square spiral outwards, to the rim of a square: ground near the start comes first.
+
+    Args:
+        centre: (2,) or (3,) metres, of the square.
+        side: metres, of the square.
+        lane: metres between neighbouring turns, at most: they are spread evenly.
+    """
+    turns = max(1, math.ceil(side / lane - 1e-9))
+    lane = side / turns
+    begin = -0.5 * lane if turns % 2 else 0.0  # an odd number of turns ends half a lane off its beginning
+    east, north = float(centre[0]) + begin, float(centre[1]) + begin
+    yield east, north
+    steps = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)]
+    for k, length in enumerate([lane * n for n in range(1, turns + 1) for _ in range(2)] + [side]):
+        east, north = east + steps[k % 4][0] * length, north + steps[k % 4][1] * length
+        yield east, north

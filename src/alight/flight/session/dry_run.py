@@ -1,0 +1,92 @@
+"""Where the commands of a landing go: to the vehicle, or in a dry run to a printer of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.flight.autopilot import EstimateTie, Setpoint, metres_between
+from alight.records import FlightMode, Place
+
+
+class VehicleCommands(Protocol):
+    """Commands of a landing, as `RemoteVehicle` carries them out and `DryRunVehicle` prints them."""
+
+    @property
+    def in_control(self) -> bool: ...
+    def set_mode(self, mode: FlightMode) -> int: ...
+    def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool: ...
+    def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool: ...
+    def disarm(self) -> int: ...
+    def release(self) -> None: ...
+
+
+class DryRunVehicle:
+    """Prints the commands of a landing; nothing is sent.
+
+    Args:
+        on_line: called with each command in words; with a set-point again when it has moved by half a metre.
+    """
+
+    def __init__(self, on_line: Callable[[str], None]) -> None:
+        self._on_line, self._last = on_line, ""
+        self._place: Place | None = None
+        self._speed = math.inf
+        self.in_control = False
+
+    def set_mode(self, mode: FlightMode) -> int:
+        """Print the mode."""
+        self.in_control, self._place = True, None
+        return self._print(f"mode: {mode.value}")
+
+    def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
+        """Print the set-point, and its speed if it changed by 0.1 m/s."""
+        if setpoint.velocity_world is not None:
+            self._place = None
+            return self._print_new(f"straight down at {-setpoint.velocity_world[2]:.1f} m/s")
+        assert tie is not None
+        assert setpoint.position_world is not None
+        if math.isfinite(setpoint.speed) and not abs(setpoint.speed - self._speed) < 0.1:
+            self._speed = setpoint.speed
+            self._print(f"speed: {setpoint.speed:.1f} m/s")
+        place = tie.place_of(setpoint.position_world)
+        if self._place is None or metres_between(place, self._place) > 0.5:
+            self._place = place
+            self._print(f"fly to {place_text(place)}")
+        return self.in_control
+
+    def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
+        """Print the position of the target, whenever it has changed by half a metre."""
+        east, north, up = np.round(2 * target_world) / 2 + 0.0
+        text = f"landing target {-up:.1f} m below, {east:+.1f} m east, {north:+.1f} m north of the vehicle"
+        return self._print_new(text)
+
+    def disarm(self) -> int:
+        """Print the order to stop the motors."""
+        return self._print("disarm")
+
+    def release(self) -> None:
+        """Print that control is given away."""
+        if self.in_control:
+            self._print("control is given away")
+        self.in_control = False
+
+    def _print_new(self, text: str) -> bool:
+        if text != self._last:
+            self._print(text)
+        return self.in_control
+
+    def _print(self, text: str) -> int:
+        self._last = text
+        self._on_line(text)
+        return 0
+
+
+def place_text(place: Place) -> str:
+    """Return a place in words: degrees, metres above the sea, and above home if known."""
+    above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
+    return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"

@@ -1,0 +1,256 @@
+"""The checks before a flight: each finds its fault, and no fault where there is none."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_ground import Ground
+from pilot_rig import PilotRig, seldom
+
+from alight.checks.result import CheckResult, Judged
+from alight.flight.autopilot import StreamRate
+from alight.flight.session import FlightRequest, fly_vehicle
+from alight.flight.session import preflight as p
+from alight.geometry import Pose
+from alight.records import Frame, InputError, Motion, MotionState
+from alight.settings import Settings
+from alight_sim import default_rig
+
+GOOD, BAD, WARNING, UNKNOWN = Judged.GOOD, Judged.BAD, Judged.WARNING, Judged.UNKNOWN
+
+
+def rig(**more: Any) -> PilotRig:
+    """The streams are checked as well: their messages must come as often as they are asked for."""
+    return PilotRig(Ground({}).seen, step=0.05, **more)
+
+
+def hovering(seconds: float = 6.0, silent: frozenset[str] = frozenset()) -> PilotRig:
+    r = rig()
+    r.sim.reports.silent |= silent
+    r.up_and_flying(20.0)
+    r.run(seconds)
+    return r
+
+
+def vehicle_checks(r: PilotRig, missing: str = "", take_off: bool = False, dry: bool = False) -> dict[str, CheckResult]:
+    found = p.judge_vehicle(r.vehicle, missing, Settings(), take_off, dry, False)
+    return {c.name: c for c in found}
+
+
+def test_all_is_well_in_the_air() -> None:
+    r = hovering()
+    assert {c.verdict for c in vehicle_checks(r).values()} == {GOOD}
+    link = p.judge_link("udp:x", r.ours.messages, r.vehicle, "")
+    assert [c.verdict for c in link] == [GOOD, GOOD]
+    assert "ArduPilot" in link[1].evidence
+
+
+def test_a_copter_that_does_not_estimate_the_wind_may_be_flown() -> None:
+    """The autopilot accepts the request for WIND, but sends none."""
+    found = vehicle_checks(hovering(silent=frozenset({"WIND"})))
+    assert found["wind"].verdict is UNKNOWN
+    assert "EK3_DRAG" in found["wind"].evidence
+    assert found["streams"].verdict is WARNING
+
+
+def test_checks_before_arming_that_are_off_are_told() -> None:
+    r = rig()
+    r.sim.checks = False
+    r.run(10.0)
+    found = vehicle_checks(r, take_off=True)["ready"]
+    assert found.verdict is WARNING
+    assert "ARMING_CHECK" in found.mend
+
+
+def test_each_fault_is_found() -> None:
+    r = hovering()
+    r.sim.healthy = False
+    r.sim.vehicle.battery = 1.0 - 1100.0 / 1200.0
+    r.sim.vehicle.wind_world = np.array([12.0, 0.0, 0.0])
+    r.run(4.0)
+    found = vehicle_checks(r, missing="the autopilot's GPS has no 3D fix")
+    assert {n for n, c in found.items() if c.verdict is BAD} == {"position", "battery", "wind"}
+    assert all(c.mend for c in found.values() if c.verdict is BAD)
+    assert "no 3D fix" in found["position"].evidence
+
+
+@pytest.mark.parametrize("link", [{"delay": 0.55}, {"delay": 0.1, "jitter": 0.7}])
+def test_positions_that_are_late_are_told(link: dict[str, float]) -> None:
+    r = rig(link=link)
+    r.up_and_flying(20.0)
+    r.run(6.0)
+    found = vehicle_checks(r)["position"]
+    assert found.verdict is WARNING
+    assert "s old" in found.evidence
+
+
+def test_positions_that_are_rare_are_told() -> None:
+    r = hovering()
+    seldom(r, 1.0)
+    r.run(4.0)
+    assert vehicle_checks(r)["position"].verdict is WARNING
+
+
+def test_a_stream_that_dries_up_is_named() -> None:
+    r = hovering()
+    r.sim.reports.request = lambda message, interval: False  # type: ignore[method-assign]
+    for message in ("GLOBAL_POSITION_INT", "WIND"):
+        del r.sim.reports.intervals[message]
+    r.run(8.0)
+    streams = vehicle_checks(r)["streams"]
+    assert streams.verdict is BAD
+    assert "GLOBAL_POSITION_INT" in streams.evidence
+
+
+def test_a_stream_that_somebody_else_slows_down_is_requested_again_and_named() -> None:
+    """MAVProxy asks for all streams at 4 Hz, time and again; what we ask for is obeyed until then."""
+    r = rig(rates={"HIGHRES_IMU": 50.0})
+    r.up_and_flying(20.0)
+    r.run(6.0)
+    assert not r.vehicle.stream_rates["HIGHRES_IMU"].slow  # 20 a second come: a message a step of this rig
+    reports, slowed = r.sim.reports, {"ATTITUDE_QUATERNION": 0.25, "HIGHRES_IMU": 0.25}
+    reports.intervals |= slowed
+    r.run(4.0)
+    assert reports.intervals["HIGHRES_IMU"] == pytest.approx(1 / 50)
+    assert reports.intervals["ATTITUDE_QUATERNION"] == pytest.approx(1 / 20)
+    request, since = reports.request, r.t
+    reports.request = lambda message, interval: request(message, 250_000.0)  # type: ignore[method-assign]
+    reports.intervals |= slowed
+    r.run(40.0)
+    sent = [(t, m) for t, m in r.wire if t > since and m.get_type() == "COMMAND_LONG"]
+    times = [t for t, m in sent if m.command == 511 and m.param1 == 105]
+    assert 3 <= len(times) <= 5  # at growing intervals
+    assert times[-1] - times[-2] > 10.0
+    imu = p.judge_imu(r.vehicle, 50.0)
+    assert imu.verdict is BAD
+    assert "HIGHRES_IMU: 4.0 a second, 50 wanted" in imu.evidence
+    streams = vehicle_checks(r)["streams"]
+    assert streams.verdict is WARNING
+    assert "ATTITUDE_QUATERNION: 4.0 a second, 20 wanted" in streams.evidence
+    assert "MAVProxy" in streams.mend
+
+
+@pytest.mark.parametrize(("rate", "verdict"), [(24.0, BAD), (27.0, GOOD)])
+def test_samples_that_come_too_seldom_to_be_used_are_told(rate: float, verdict: Judged) -> None:
+    """Half of the 50 that are wanted is no reason to ask again, but no motion is made of fewer than 25."""
+    vehicle: Any = SimpleNamespace(missing_streams=[], stream_rates={"HIGHRES_IMU": StreamRate(rate, 50.0)})
+    assert p.judge_imu(vehicle, 50.0).verdict is verdict
+
+
+def test_a_flight_without_imu_is_told_what_it_costs() -> None:
+    r = rig(rates={"HIGHRES_IMU": 50.0})
+    r.sim.reports.silent |= {"HIGHRES_IMU", "RAW_IMU"}
+    r.up_and_flying(20.0)
+    r.run(6.0)
+    assert p.judge_imu(r.vehicle, 50.0).verdict is BAD
+    assert vehicle_checks(r)["streams"].verdict is GOOD
+    none = p.judge_imu(r.vehicle, 0.0)
+    assert none.verdict is WARNING
+    assert "no height was measured" in none.evidence
+    assert p.judge_imu(r.vehicle, 10.0).verdict is BAD
+
+
+def test_pictures_of_an_earlier_flight_are_not_used() -> None:
+    """They come all at once, and a gap between them would look like a jump of the camera's clock."""
+    s, pixels = 1_000_000_000, np.zeros((2, 2), np.uint8)
+    arrivals, now = p.Arrivals(), 1_000 * s
+    stamps = [now - 60 * s, now - 59 * s, now - 40 * s, now - s // 10]
+    assert [arrivals.add(Frame(t, (pixels,), "x"), now) for t in stamps] == [False, False, False, True]
+    assert arrivals.add(Frame(now - 3 * s, (pixels,), "x"), now)  # one that is late is for the clocks to judge
+    assert arrivals.facts(now, 0).frames == 5
+
+
+def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
+    r = rig()
+    r.run(10.0)
+    assert vehicle_checks(r)["in the air"].verdict is BAD
+    assert "--take-off" in vehicle_checks(r)["in the air"].mend
+    assert vehicle_checks(r, dry=True)["in the air"].verdict is WARNING
+    assert vehicle_checks(r, take_off=True)["ready"].verdict is GOOD
+    r.sim.healthy = False
+    r.run(3.0)
+    assert vehicle_checks(r, take_off=True)["ready"].verdict is BAD
+    assert vehicle_checks(hovering(), take_off=True)["on the ground"].verdict is BAD
+
+
+def test_silence_and_strangers_are_told_apart() -> None:
+    assert "nothing has come over udp:x" in p.judge_link("udp:x", 0, None, "")[0].evidence
+    assert "no heartbeat" in p.judge_link("udp:x", 5, None, "")[1].evidence
+    assert "not supported" in p.judge_link("udp:x", 5, None, "system 3: this autopilot is not supported")[1].evidence
+    r = hovering()
+    r.down.loss = 1.0
+    r.run(6.0)
+    assert p.judge_link("udp:x", 5, r.vehicle, "")[1].verdict is BAD
+
+
+@pytest.mark.parametrize(
+    ("facts", "verdict"),
+    [
+        (p.CameraFacts(30, 10.0, 0.05), GOOD),
+        (p.CameraFacts(30, 3.0, 0.05), WARNING),
+        (p.CameraFacts(), BAD),
+        (p.CameraFacts(30, 1.0, 0.05), BAD),
+        (p.CameraFacts(30, 10.0, 3e6), BAD),  # of another clock
+        (p.CameraFacts(30, 10.0, -5.0), BAD),  # in the future
+        (p.CameraFacts(30, 10.0, math.nan), BAD),
+        (p.CameraFacts(30, 10.0, 0.05, frozen=9), BAD),
+    ],
+)
+def test_cameras(facts: p.CameraFacts, verdict: Judged) -> None:
+    assert p.judge_cameras(facts).verdict is verdict
+
+
+@pytest.mark.parametrize(
+    ("state", "age", "verdict"),
+    [
+        (MotionState.GOOD, 0.2, GOOD),
+        (MotionState.DEGRADED, 0.2, WARNING),
+        (MotionState.INITIALISING, 0.2, BAD),
+        (MotionState.LOST, 0.2, BAD),
+        (MotionState.GOOD, 2.0, BAD),
+    ],
+)
+def test_motion(state: MotionState, age: float, verdict: Judged) -> None:
+    motion = Motion(0, Pose(), (), np.eye(6), state=state, why="a reason")
+    assert p.judge_motion(motion, age).verdict is verdict
+    assert p.judge_motion(None, age).verdict is BAD
+
+
+def test_the_machine(tmp_path: Path) -> None:
+    rig = default_rig()
+    assert [c.verdict for c in p.judge_machine(True, tmp_path, rig, 5.0, 1.0, True)] == [GOOD, GOOD]
+    cold, disk = p.judge_machine(False, tmp_path, rig, 5.0, 1e9, True)
+    assert (cold.verdict, disk.verdict) == (BAD, WARNING)
+    assert "alight warmup" in cold.mend
+
+
+def test_a_search_that_would_begin_low_is_told_of(tmp_path: Path) -> None:
+    """Before the first verdict the surroundings are unknown: once it flew 13 m aside, 2 m above the ground."""
+    request = FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", Settings(), take_off=20.0)
+    with pytest.raises(InputError, match="search_height"):
+        fly_vehicle(request)
+    assert not (tmp_path / "out").exists()
+    low = rig()
+    low.up_and_flying(8.0)
+    low.run(6.0)
+    found = vehicle_checks(low)["in the air"]
+    assert found.verdict is WARNING
+    assert "8 m above home" in found.evidence
+
+
+def test_a_dry_run_takes_nothing_off(tmp_path: Path) -> None:
+    request = FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", Settings(), dry_run=True, take_off=9.0)
+    with pytest.raises(InputError, match="--take-off"):
+        fly_vehicle(request)
+
+
+def test_nothing_is_landed_blind(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"executive": {"look_again": False}})
+    with pytest.raises(InputError, match="look_again"):
+        fly_vehicle(FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", settings))
+    assert not (tmp_path / "out").exists()
