@@ -79,7 +79,7 @@ def test_no_bytes_raise_and_nothing_is_believed(data: bytes) -> None:
 def test_damage_during_a_flight_harms_nothing(dialect: str) -> None:
     rig = Rig(dialect, seed=4, link={"damage": 0.3, "jitter": 0.05, "double": 0.2})
     rig.up_and_flying(10.0)
-    assert rig.down.damaged > 1000
+    assert rig.down.damaged > 250  # datagrams
     assert not rig.of(NoticeKind.TAKEOVER)
     assert not rig.of(NoticeKind.REBOOT)
     errors = [np.abs(s.position_world).max() for s in rig.samples if s.position_world is not None]

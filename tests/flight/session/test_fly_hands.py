@@ -22,7 +22,7 @@ from alight.cli.fly import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
 from alight.flight.live.live import NAVIGATION
 from alight.flight.session import FlightRequest, FlightStatus
-from alight.flight.session.flight import FlightLog, FlightSession
+from alight.flight.session.flight import FlightSession, SessionLog
 from alight.flight.session.loop import TAKEN, UNCONFIRMED, FlightLoop
 from alight.flight.session.pilot import PilotView
 from alight.geometry import Pose
@@ -98,7 +98,7 @@ def session_of(loop: FlightLoop, lines: list[str], on_status: Any, take_off: flo
     run: Any = SimpleNamespace(live=live, finish=some_run)
     plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
     checks: Any = Checks([bad("motion", "none is known yet", "wait")])
-    return FlightSession(plan, iter(()), run, loop, checks, FlightLog(lines.append), on_status), live
+    return FlightSession(plan, iter(()), run, loop, checks, SessionLog(lines.append), on_status), live
 
 
 # -- unplanned ends

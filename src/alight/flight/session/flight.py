@@ -187,7 +187,7 @@ class FlightChecks:
         return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
 
 
-class FlightLog:
+class SessionLog:
     """Log of a landing (`LandingLog`): into the recording, where one is made, and as lines of text."""
 
     def __init__(self, on_line: OnLine) -> None:
@@ -225,7 +225,7 @@ def open_session(
     commands: VehicleCommands = vehicle
     if plan.dry_run:
         commands = DryRunVehicle(lambda text: on_line(f"order, not sent: {text}"))
-    log, policy = FlightLog(on_line), FlightPolicy(every=0)  # judged as the executive needs it
+    log, policy = SessionLog(on_line), FlightPolicy(every=0)  # judged as the executive needs it
     pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log)
     listener = Listener(pilot.inputs.add_motion, pilot.inputs.add_verdict)
     request = LiveRequest(plan.out, plan.settings, plan.record, True, plan.overwrite)
@@ -244,7 +244,7 @@ class FlightSession:
 
     def __init__(
         self, plan: FlightRequest, events: Iterator[Event], run: LiveRun, loop: FlightLoop, checks: FlightChecks,
-        log: FlightLog, on_status: OnStatus,
+        log: SessionLog, on_status: OnStatus,
     ) -> None:  # fmt: skip
         self._plan, self._events, self._run, self._loop = plan, events, run, loop
         self._checks, self._log, self._on_status = checks, log, on_status
