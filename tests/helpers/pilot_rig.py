@@ -183,7 +183,7 @@ class PilotRig(Rig):
         pose = Pose(np.eye(3), self.truth())
         motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
         self._later.append((self.t + LATE, lambda: self.pilot.inputs.add_motion(motion)))
-        if self.policy.due_verdict(Navigation(frame, motion), None, self.judges):
+        if self.policy.due_verdict(Navigation(frame, motion), 0, self.judges):
             self._judge()
 
     def _judge(self) -> None:

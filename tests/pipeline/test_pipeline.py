@@ -322,7 +322,7 @@ def test_a_map_is_judged_when_the_need_calls_for_it_and_the_lane_is_free() -> No
     assert judged(range(11, 15), free=False) == []
     assert judged(range(15, 20)) == [15, 18]
     assert judged([17, 12, 20]) == []  # those that come late
-    due = policy.due_verdict(Navigation(Frame(2_100_000_000, ()), None), None)
+    due = policy.due_verdict(Navigation(Frame(2_100_000_000, ()), None), 0)
     assert due is not None
     assert due.about is place
     policy.need = None

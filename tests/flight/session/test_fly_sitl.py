@@ -61,7 +61,7 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:
                 pilot.inputs.add_frame(frame, now)
                 motion = Motion(row.t_ns, Pose(np.eye(3), row.position_world), (), np.eye(6))
                 pilot.inputs.add_motion(motion)
-                if policy.due_verdict(Navigation(frame, motion), None):
+                if policy.due_verdict(Navigation(frame, motion), 0):
                     number += 1
                     pilot.inputs.add_map_verdict(ground.seen(number, (now - begin) * 1e-9, row.position_world), now)
         for notice in ours.notices():
