@@ -39,7 +39,7 @@ class TelemetryFeed:
         rates: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self.name = link
-        self._link = open_link(link)
+        self.link = open_link(link)
         self.events_of = TelemetryEvents(local, separation)
         self.autopilot = Autopilot(rates, self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
@@ -88,7 +88,7 @@ class TelemetryFeed:
             with self.lock:
                 out = self.autopilot.pending()
             for datagram in out:
-                self._link.write(datagram)
+                self.link.write(datagram)
 
     def events(self) -> Iterator[Event]:
         """Rows of GPS/INS and IMU samples as they come, until `close`."""
@@ -101,7 +101,7 @@ class TelemetryFeed:
     def close(self) -> None:
         """Stop listening, and close the link."""
         self._ended.set()
-        self._link.close()
+        self.link.close()
 
     def _listen(self) -> None:
         """Listen until `close`, whatever happens: a flight must not go on without telemetry."""
@@ -123,7 +123,7 @@ class TelemetryFeed:
         time.sleep(READ)
 
     def _hear(self) -> None:
-        heard = self._link.read(READ)
+        heard = self.link.read(READ)
         with self.lock:
             for data in heard:
                 self.autopilot.receive(data, time.monotonic_ns())

@@ -51,7 +51,7 @@ def test_the_listener_outlives_errors(
     pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     feed, server = pair
-    read, left = feed._link.read, [5]
+    read, left = feed.link.read, [5]
 
     def faulty(timeout: float = 0.0) -> list[bytes]:
         left[0] -= 1
@@ -60,7 +60,7 @@ def test_the_listener_outlives_errors(
         return read(timeout)
 
     with caplog.at_level(logging.ERROR):
-        monkeypatch.setattr(feed._link, "read", faulty)
+        monkeypatch.setattr(feed.link, "read", faulty)
         assert wait(3.0, feed, lambda: left[0] < -5)
     assert vehicle(feed).alive
     assert len(caplog.records) == 1  # the same error is logged once
@@ -83,7 +83,7 @@ def test_a_flight_knows_when_nobody_listens(
         go_on.wait(20.0)
         return []
 
-    monkeypatch.setattr(feed._link, "read", stuck)
+    monkeypatch.setattr(feed.link, "read", stuck)
     begun = time.monotonic()
     assert wait(4.0, feed, lambda: not vehicle(feed).alive)
     assert 0.8 < time.monotonic() - begun < 3.0
@@ -104,15 +104,15 @@ def test_a_listener_that_comes_back_hears_the_vehicle_again(
     pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     feed, _ = pair
-    read, go_on = feed._link.read, threading.Event()
+    read, go_on = feed.link.read, threading.Event()
 
     def stuck(timeout: float = 0.0) -> list[bytes]:
         go_on.wait(20.0)
         return []
 
-    monkeypatch.setattr(feed._link, "read", stuck)
+    monkeypatch.setattr(feed.link, "read", stuck)
     assert wait(4.0, feed, lambda: not vehicle(feed).alive)
-    monkeypatch.setattr(feed._link, "read", read)
+    monkeypatch.setattr(feed.link, "read", read)
     go_on.set()
     assert wait(3.0, feed, lambda: vehicle(feed).alive)
 
