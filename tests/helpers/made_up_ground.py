@@ -103,11 +103,11 @@ class Flight:
             )  # fmt: skip
             order = self.executive.tick(self.change(now, self.executive))
             self.orders.append((self.executive.state, order, self.position.copy()))
-            self._obey(order)
+            self.obey(order)
             self.t += STEP
         return self.executive.state
 
-    def _obey(self, order: Order) -> None:
+    def obey(self, order: Order) -> None:
         if order.what == "land" and order.position is None:
             self.position[2] -= order.sink * STEP
         if order.position is None or order.what not in ("fly", "land"):

@@ -186,8 +186,8 @@ def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -
 
 def done_to(vehicle: SteeredFlight) -> str:
     """Text of everything that a fault may change."""
-    sensors = vehicle._sensors.imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
-    return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.bodies), *sensors))
+    sensors = vehicle.sensors.imu_lost, vehicle.sensors.nav.errors, vehicle.cameras.commanded
+    return repr((vehicle.battery, vehicle.air, len(vehicle.bodies), *sensors))
 
 
 @pytest.mark.parametrize("what", FAULTS)

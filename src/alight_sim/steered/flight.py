@@ -44,7 +44,7 @@ class TrueBattery:
 
 
 @dataclass
-class _Air:
+class MovingAir:
     """Wind and gusts on command, and the part of them that the autopilot has learned."""
 
     velocity: F64  # (3,) m/s
@@ -113,20 +113,20 @@ class SteeredFlight:
         faults = faults or self.world.faults
         self.true_rig = sized_rig(self.world.rig, size, stereo)
         self.rig = faults.claimed(self.true_rig)
-        self._cameras = SteeredCameras(self.world, self.true_rig, faults, rate_hz, self._seeds, self.bodies)
+        self.cameras = SteeredCameras(self.world, self.true_rig, faults, rate_hz, self._seeds, self.bodies)
         self._imu_errors = imu or self.world.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
         imu_stream = ImuStream(self._imu_errors, self._seeds(IMU_NOISE))
         biases = BiasWalk(self._imu_errors, self._seeds(IMU_BIAS))
         nav_stream = NavStream(nav or self.world.sensors.nav, self._seeds(NAV))
-        self._sensors = SteeredSensors(imu_stream, biases, nav_stream, self._cameras)
+        self.sensors = SteeredSensors(imu_stream, biases, nav_stream, self.cameras)
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
-        self._air = _Air(np.array(wind, float), np.array(wind, float))
+        self.air = MovingAir(np.array(wind, float), np.array(wind, float))
         below = GroundBelow(self.world, self.bodies, radius)
         east, north, up = (float(v) for v in start)
         place = np.array([east, north, ground_at(self.world, np.array(start, float)) + up + standing])
         self._vehicle = PointMass(
-            limits or NIMBLE, lambda east, north: below.height(east, north) + standing, self._air.velocity, gusts,
+            limits or NIMBLE, lambda east, north: below.height(east, north) + standing, self.air.velocity, gusts,
             seed=int(self._seeds(WIND).generate_state(1)[0]), position=place, heading=heading,
         )  # fmt: skip
         self._contacts = ContactWatch(below, standing, self._vehicle)
@@ -161,7 +161,7 @@ class SteeredFlight:
     @property
     def counts(self) -> dict[str, int]:
         """Exposures so far, the lost ones included."""
-        return {"exposures": self._cameras.next}
+        return {"exposures": self.cameras.next}
 
     # -- truth
 
@@ -203,17 +203,17 @@ class SteeredFlight:
     @property
     def wind_world(self) -> F64:
         """(3,) m/s: velocity of the air as the autopilot has learned it."""
-        return self._air.learned.copy()
+        return self.air.learned.copy()
 
     @property
     def wind_speed(self) -> float:
         """Horizontal speed of `wind_world`, m/s."""
-        return math.hypot(self._air.learned[0], self._air.learned[1])
+        return math.hypot(self.air.learned[0], self.air.learned[1])
 
     @property
     def imu(self) -> tuple[F64, F64] | None:
         """(3,) rad/s and (3,) m/s^2 in the body, as measured; None: for 30 ms there was no sample."""
-        sample = self._sensors.newest_imu
+        sample = self.sensors.newest_imu
         if sample is None or self.time_ns - sample.t_ns > 30_000_000:
             return None
         return sample.angular_velocity_body, sample.specific_force_body
@@ -227,7 +227,7 @@ class SteeredFlight:
     def navigation(self) -> NavigationError:
         """Errors of the navigation solution now; that of the position is smoothed, as an autopilot's estimate is."""
         seconds = self._steps / self._imu_errors.rate_hz - LEAD
-        nav = self._sensors.nav
+        nav = self.sensors.nav
         return NavigationError(
             self._settled, so3_exp(nav.attitude_error), nav.heading_error(seconds), nav.velocity_error,
             nav.sigma_position, max(seconds - nav.located_at, 0.0),
@@ -245,7 +245,7 @@ class SteeredFlight:
 
     def poses(self, t_ns: I64) -> list[Pose]:
         """True `world_from_body` at times (N,) of the last three seconds."""
-        turns, places = self._sensors.track.poses(1e-9 * np.asarray(t_ns - START_NS, np.float64))
+        turns, places = self.sensors.track.poses(1e-9 * np.asarray(t_ns - START_NS, np.float64))
         return [Pose(R, p) for R, p in zip(turns, places, strict=True)]
 
     # -- time
@@ -255,7 +255,7 @@ class SteeredFlight:
         self._elapsed_ns += round(dt * 1e9)
         while (self._steps + 1) / self._imu_errors.rate_hz <= self._elapsed_ns * 1e-9 + 1e-9:
             self._advance(wanted)
-        return self._sensors.arrived(self.time_ns)
+        return self.sensors.arrived(self.time_ns)
 
     def _advance(self, wanted: Wanted | None) -> None:
         """Advance by one sample of the IMU."""
@@ -267,17 +267,17 @@ class SteeredFlight:
         before = TrueMotion(place.translation, vehicle.velocity.copy(), place.rotation, np.zeros(3))
         up = float(vehicle.position[2])
         flown = wanted if self.battery > 0 else None
-        vehicle.push_world = self._air.push(start, h, vehicle.limits.drag)
+        vehicle.push_world = self.air.push(start, h, vehicle.limits.drag)
         vehicle.step(h, flown)
         self._settled += max(1.0 - math.exp(-h / _SETTLE), 1.0 / self._steps) * (
-            self._sensors.nav.offset - self._settled
+            self.sensors.nav.offset - self._settled
         )
         self._contacts.observe(START_NS + round((start + h) * 1e9), before.velocity_world)
         if flown is not None and not vehicle.stands:
             risen = max(float(vehicle.position[2]) - up, 0.0)
             self.drain(h / self._cost.endurance + risen * self._cost.climb)
-        motion = self._sensors.track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
-        self._sensors.measure(start, h, motion, vehicle.velocity)
+        motion = self.sensors.track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
+        self.sensors.measure(start, h, motion, vehicle.velocity)
 
     # -- disturbances and faults on command, from now on
 
@@ -302,11 +302,11 @@ class SteeredFlight:
 
     def gust(self, acceleration: Sequence[float], seconds: float) -> None:
         """Push the vehicle with (3,) m/s^2, world, for `seconds`."""
-        self._air.pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
+        self.air.pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
 
     def wind(self, east: float, north: float, up: float = 0.0) -> None:
         """Set the velocity of the air, m/s."""
-        self._air.velocity = self._vehicle.wind_world = np.array([east, north, up], float)
+        self.air.velocity = self._vehicle.wind_world = np.array([east, north, up], float)
 
     def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
         """Send the last picture again, with new stamps. `camera`: its number; None: all of them."""
@@ -325,26 +325,26 @@ class SteeredFlight:
         self._camera_fault("late", seconds, None, by)
 
     def _camera_fault(self, what: str, seconds: float, camera: int | None, amount: float = 0.0) -> None:
-        self._cameras.commanded.append(CameraFault(what, self.seconds, self.seconds + seconds, camera, amount))
+        self.cameras.commanded.append(CameraFault(what, self.seconds, self.seconds + seconds, camera, amount))
 
     def lose_gps(self, seconds: float, what: Literal["position", "rows"] = "position") -> None:
         """Lose positions or whole rows for `seconds`; the autopilot's own error goes on as before."""
         self._change_nav(
-            outages=(*self._sensors.nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what))
+            outages=(*self.sensors.nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what))
         )
 
     def jump_gps(self, offset: Sequence[float], seconds: float | None = None) -> None:
         """Shift all positions by (3,) metres, unclaimed, for a time (None: for good)."""
         east, north, up = (float(v) for v in offset)
         jump = Jump(at=self.seconds, seconds=seconds, offset=(east, north, up))
-        self._change_nav(jumps=(*self._sensors.nav.errors.jumps, jump))
+        self._change_nav(jumps=(*self.sensors.nav.errors.jumps, jump))
 
     def _change_nav(self, **what: Any) -> None:
-        self._sensors.nav.errors = self._sensors.nav.errors.model_copy(update=what)
+        self.sensors.nav.errors = self.sensors.nav.errors.model_copy(update=what)
 
     def lose_imu(self, seconds: float) -> None:
         """Lose the samples of the IMU for `seconds`."""
-        self._sensors.imu_lost.append((self.seconds, self.seconds + seconds))
+        self.sensors.imu_lost.append((self.seconds, self.seconds + seconds))
 
     def drain(self, share: float) -> None:
         """Take a share of the charge that is left away."""

@@ -761,9 +761,9 @@ def test_a_landing_that_does_not_come_down_is_broken_off() -> None:
     """An autopilot may refuse to land."""
 
     class Stubborn(Flight):
-        def _obey(self, order: Order) -> None:
+        def obey(self, order: Order) -> None:
             if order.what != "land":
-                super()._obey(order)
+                super().obey(order)
 
     f = Stubborn(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     f.fly(300.0)
@@ -805,10 +805,10 @@ def test_motion_that_begins_anew_near_the_ground_climbs_before_it_goes_aside(sta
         return replace(now, position=now.position + np.array([0.0, 0.0, up]), frame_id=1, seen=None)
 
     class Shifted(Flight):
-        def _obey(self, order: Order) -> None:
+        def obey(self, order: Order) -> None:
             if anew and order.position is not None:
                 order = replace(order, position=order.position - [0.0, 0.0, up])
-            super()._obey(order)
+            super().obey(order)
 
     f = Shifted(ground, Executive(settings("executive.search_height=30")), change)
     f.fly(120.0)
@@ -829,9 +829,9 @@ def test_a_vehicle_that_does_not_climb_out_of_a_landing_is_handed_over() -> None
     stuck = in_state(S.COMMIT, lambda now: replace(now, picture_age=3.0))
 
     class Heavy(Flight):
-        def _obey(self, order: Order) -> None:
+        def obey(self, order: Order) -> None:
             if self.executive.state is not S.ABORT:
-                super()._obey(order)
+                super().obey(order)
 
     f = Heavy(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), stuck)
     assert f.fly(300.0) is S.HANDED_OVER
