@@ -20,7 +20,6 @@ from alight.checks.result import CheckResult, bad
 from alight.cli import call
 from alight.cli.fly import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
-from alight.flight.live.live import NAVIGATION
 from alight.flight.session import FlightRequest, FlightStatus
 from alight.flight.session.flight import FlightSession, SessionLog
 from alight.flight.session.loop import TAKEN, UNCONFIRMED, FlightLoop
@@ -93,8 +92,7 @@ class Checks:
 
 def session_of(loop: FlightLoop, lines: list[str], on_status: Any, take_off: float | None = None) -> Any:
     """Return the session of `alight fly` around the rig's vehicle, without lanes and files; and its lanes."""
-    worker = SimpleNamespace(wait_until_ready=lambda: None)
-    live = SimpleNamespace(posts={NAVIGATION: SimpleNamespace(worker=worker)}, warnings=[], health=None)
+    live = SimpleNamespace(wait_until_ready=lambda: None, warnings=[], health=None)
     run: Any = SimpleNamespace(live=live, finish=some_run)
     plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
     checks: Any = Checks([bad("motion", "none is known yet", "wait")])
