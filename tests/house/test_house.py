@@ -17,7 +17,16 @@ import alight
 from alight.compiled import kernel_sources
 
 KERNELS = list(kernel_sources())
-AT_TOP = {".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md", "pyproject.toml"}
+AT_TOP = {
+    ".gitignore",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "LICENSE",
+    "Makefile",
+    "README.md",
+    "totals.json",
+    "pyproject.toml",
+}
 MAY_BE_AT_TOP = {"CITATION.cff", "CODE_OF_CONDUCT.md", "SECURITY.md", ".pre-commit-config.yaml", "mkdocs.yml"}
 KINDS = {
     "", ".py", ".md", ".jpg", ".yaml", ".yml", ".svg", ".npz", ".json", ".jsonl", ".j2", ".typed", ".sh", ".html",
