@@ -121,9 +121,9 @@ def test_a_site_in_reserve_is_moved_where_its_clearance_covers_the_tie() -> None
 
 def test_the_place_of_the_map_stands_in_the_files() -> None:
     covariance = np.diag([0.25, 0.04, 0.09])
-    tags = rasters.dem_raster(replace(elevation(), position_covariance=covariance), LOCAL).file_tags
+    tags = rasters.dem_raster(replace(elevation(), position_covariance=covariance), LOCAL, True).file_tags
     assert tags["POSITION_SIGMA_M"] == "0.5000,0.2000,0.3000"
-    assert "POSITION_SIGMA_M" not in rasters.dem_raster(elevation(), LOCAL).file_tags
+    assert "POSITION_SIGMA_M" not in rasters.dem_raster(elevation(), LOCAL, True).file_tags
     found: dict[str, Any] = vectors.sites_geojson(some_run().sites, LOCAL, covariance)
     assert found["accuracy"] == {"horizontal_m": 0.5, "vertical_m": 0.3}
     assert "accuracy" not in vectors.sites_geojson(some_run().sites, LOCAL)

@@ -275,7 +275,8 @@ class SteeredFlight:
         self._contacts.observe(START_NS + round((start + h) * 1e9), before.velocity_world)
         if flown is not None and not vehicle.stands:
             risen = max(float(vehicle.position[2]) - up, 0.0)
-            self.drain(h / self._cost.endurance + risen * self._cost.climb)
+            spent = h / self._cost.endurance + risen * self._cost.climb
+            self.battery = max(0.0, self.battery - spent)
         motion = self.sensors.track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
         self.sensors.measure(start, h, motion, vehicle.velocity)
 
