@@ -17,7 +17,7 @@ from alight.flight.autopilot import Setpoint
 from alight.geometry import Pose, so3_exp
 from alight.records import FlightMode
 from alight.settings import Settings
-from alight.sources.calibrated_folder import CalibratedFolder
+from alight.sources.growing import GrowingLog
 from alight.trials import rehearse
 from alight.trials.rehearse import VehicleFollower
 from alight_sim import rehearsal, steered
@@ -123,7 +123,7 @@ def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> N
     np.testing.assert_allclose([found.east, found.north], home[:2] + r.truth()[:2], atol=0.1)
     assert 0.1 < found.sink < 1.5
     folder.close()
-    log = CalibratedFolder(tmp_path, Settings())
+    log = GrowingLog(tmp_path, Settings())
     assert [c.name for c in log.rig.cameras] == [c.name for c in cameras.rig.cameras]
     assert len(list((tmp_path / "mav0" / "cam0" / "data").glob("*.png"))) == follower.exposures == len(written)
 
