@@ -15,27 +15,26 @@ import argparse
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from time import process_time
 from typing import Any
 
 import numpy as np
 from ground_domains import LEVELS, row_of
-from ground_maps import Judgeable
+from ground_maps import Judgeable, finished, shifted
 from ladder import rung
-from pydantic import BaseModel
 from tables import ROOT, kept
 
 from alight.arrays import F64
 from alight.evaluation.flight import FlightTruth
 from alight.geometry import so3_log
-from alight.pipeline import Pipeline
-from alight.pipeline.judging import as_judged
+from alight.pipeline import Pipeline, PipelineOptions
 from alight.records import ElevationMap, Event, Motion
 from alight.settings import Settings, load_settings
+from alight.settings.keys import walk
 from alight.settings.tuning import Tuning
 from alight.spread import nmad
 from alight_sim import SimulatedFlight
@@ -78,22 +77,20 @@ class Case:
 
     def fly(self, settings: Settings) -> tuple[Quantities, ElevationMap | None, F64, str]:
         """Map the flight; return its quantities, the map, the mean error of its path and a digest of its results."""
-        lane = Pipeline(self.flight.rig, "flight", settings, imu=self.flight.imu_noise)
+        lane = Pipeline(self.flight.rig, "flight", settings, PipelineOptions(imu=self.flight.imu_noise))
         begin = process_time()
         online = [m for e in self.events if (m := lane.feed(e)) is not None]
-        trajectory = lane._navigation.finish(lambda share: None)
-        snapshot = lane._mapping.finish(trajectory, lambda share: None).snapshot if trajectory.usable else None
+        motions, found = finished(lane, settings)
         took = process_time() - begin
-        (out, _), (smoothed, drift) = self._motion(online), self._motion(list(trajectory.motions))
+        (out, _), (smoothed, drift) = self._motion(online), self._motion(motions)
         out |= {"log path": smoothed["log position"]}
-        found = None if snapshot is None else snapshot.frame.elevation(as_judged(snapshot, settings.lander))
         out |= self._heights(found, drift) | {"log CPU": math.log(took)}
         digest = hashlib.sha256(str(sorted((k, v) for k, v in out.items() if k != "log CPU")).encode())
         if found is not None:
             digest.update(found.height.tobytes() + found.sigma.tobytes() + found.flags.tobytes())
         return out, found, drift, digest.hexdigest()
 
-    def _motion(self, motions: list[Motion]) -> tuple[Quantities, F64]:
+    def _motion(self, motions: Sequence[Motion]) -> tuple[Quantities, F64]:
         """Errors of position and attitude."""
         true = [self.flight.pose(m.t_ns) for m in motions]
         off = np.array([m.world_from_body.translation - t.translation for m, t in zip(motions, true, strict=True)])
@@ -122,9 +119,7 @@ class Case:
 
     def ground(self, settings: Settings, found: ElevationMap, drift: F64) -> tuple[Quantities, str]:
         """Judge the map; return the claims beside the truth, and a digest of the judgement."""
-        grid = replace(self.truth.grid, east=self.truth.grid.east + drift[0], north=self.truth.grid.north + drift[1])
-        moved = FlightTruth((self.truth.dem + drift[2]).astype(np.float32), self.truth.label, grid)
-        row = row_of(Judgeable(self.name, found, moved), settings)
+        row = row_of(Judgeable(self.name, found, shifted(self.truth, drift)), settings)
         claims, listed = row.claims, row.listed
         sure = claims.p >= LEVELS[0]
         out = {
@@ -167,30 +162,16 @@ def unchanged(name: str) -> tuple[Quantities, ElevationMap | None, F64, str]:
 
 
 def measure(change: str) -> dict[str, Any]:
-    """The quantities with one constant changed, flight by flight, and digests of the results."""
-    quantities, digests = [], []
-    ground = not change or change.split(".")[0] in GROUND
+    """The quantities of each flight with one constant changed, and digests of its map and of the judgement."""
+    out, ground = {}, not change or change.split(".")[0] in GROUND
     for name in list(FLIGHTS)[FLOWN if ground and change else 0 : None if ground else FLOWN]:
-        settings, (flown, found, drift, digest) = settings_of(name, change), unchanged(name)
-        if not ground:
-            flown, _, _, digest = case(name).fly(settings)
-        judged = ""
+        settings, judged = settings_of(name, change), ""
+        flown, found, drift, digest = unchanged(name) if ground else case(name).fly(settings)
         if ground and found is not None:
             claims, judged = case(name).ground(settings, found, drift)
             flown = flown | claims
-        quantities.append(flown)
-        digests.append({"map": digest, "ground": judged})
-    return {"quantities": quantities, "digests": digests}
-
-
-def leaves(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Names and values of all constants."""
-    for name in type(model).model_fields:
-        value = getattr(model, name)
-        if isinstance(value, BaseModel):
-            yield from leaves(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
+        out[name] = {"quantities": flown, "map": digest, "ground": judged}
+    return out
 
 
 def moved(value: Any, up: bool) -> Any:
@@ -219,14 +200,9 @@ def changes(key: str, value: Any) -> list[str]:
     return [c for c in out if c != f"{key}={json.dumps(value)}"]
 
 
-def matching(base: dict[str, Any], found: dict[str, Any], what: str) -> list[Any]:
-    """What was found without a change on the flights of `found`: the first, or the others."""
-    return base[what][:FLOWN] if len(found[what]) == FLOWN else base[what][FLOWN:]  # type: ignore[no-any-return]
-
-
 def effect(base: dict[str, Any], found: dict[str, Any]) -> Quantities:
     """The mean change of each quantity over the change that counts."""
-    pairs = list(zip(matching(base, found, "quantities"), found["quantities"], strict=True))
+    pairs = [(base[name]["quantities"], f["quantities"]) for name, f in found.items()]
     return {
         k: float(np.mean(off)) / scale
         for k, scale in COUNTS.items()
@@ -236,7 +212,8 @@ def effect(base: dict[str, Any], found: dict[str, Any]) -> Quantities:
 
 def kept_measure(change: str) -> dict[str, Any]:
     """Measure a change, or take it from the last run."""
-    return kept(f"constants {change or 'unchanged'}", partial(measure, change))  # type: ignore[no-any-return]
+    name = f"constants {change or 'unchanged'}"
+    return kept(name, partial(measure, change), ("src", "bench"))  # type: ignore[no-any-return]
 
 
 def row(key: str, value: Any, base: dict[str, Any], found: list[dict[str, Any]]) -> dict[str, Any]:
@@ -245,9 +222,7 @@ def row(key: str, value: Any, base: dict[str, Any], found: list[dict[str, Any]])
     worst = sorted(((abs(v), k, v) for e in effects for k, v in e.items() if k != "log CPU"), reverse=True)
     cpu = max((abs(e.get("log CPU", 0.0)) for e in effects), default=0.0)
     part = "ground" if key.split(".")[0] in GROUND else "map"
-    same = all(
-        b[part] == d[part] for f in found for b, d in zip(matching(base, f, "digests"), f["digests"], strict=True)
-    )
+    same = all(base[name][part] == flight[part] for f in found for name, flight in f.items())
     return {
         "key": key, "value": value, "effect": round(worst[0][0], 2) if worst else 0.0,
         "quantity": worst[0][1] if worst else "", "cpu": round(cpu, 2), "same": same,
@@ -261,8 +236,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--write", action="store_true", help=f"write {TABLE.name}")
     options = parser.parse_args()
-    keys = {k: v for k, v in leaves(Tuning()) if not options.groups or k.startswith(tuple(options.groups))}
-    keys = {k: v for k, v in keys.items() if not k.startswith(("executive", "route", "bundle"))}
+    keys = {k: f.default for k, f in walk(Tuning) if not k.startswith(("executive", "route", "bundle"))}
+    keys = {k: v for k, v in keys.items() if not options.groups or k.startswith(tuple(options.groups))}
     wanted = {k: changes(k, v) for k, v in keys.items()}
     base, rows = kept_measure(""), []
     with ProcessPoolExecutor(options.jobs) as pool:

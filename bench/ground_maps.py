@@ -115,6 +115,19 @@ def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:
     return np.mean(off, axis=0) if off else np.zeros(3)
 
 
+def finished(lane: Pipeline, settings: Settings) -> tuple[tuple[Motion, ...], ElevationMap | None]:
+    """The refined motions of a flight that has ended, and its map as it is judged; None: there is no map."""
+    trajectory = lane._navigation.finish(lambda _: None)
+    seen = lane._mapping.finish(trajectory, lambda _: None).snapshot if trajectory.usable else None
+    return trajectory.motions, None if seen is None else seen.frame.elevation(as_judged(seen, settings.lander))
+
+
+def shifted(truth: FlightTruth, off: F64) -> FlightTruth:
+    """The true ground moved by (3,) metres, the mean error of a path."""
+    grid = replace(truth.grid, east=truth.grid.east + off[0], north=truth.grid.north + off[1])
+    return FlightTruth((truth.dem + off[2]).astype(np.float32), truth.label, grid)
+
+
 def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
     """Draw a flight once and feed it to every way of mapping."""
     source = open_source(Path(name), load_settings("")) if Path(name).is_dir() else rung(name).fly()
@@ -127,15 +140,11 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
         assert isinstance(source, SimulatedFlight)
         true = FlightTruth(source.truth.height, source.truth.label, source.truth.grid)
     for how, lane in lanes.items():
-        trajectory = lane._navigation.finish(lambda _: None)
-        seen = lane._mapping.finish(trajectory, lambda _: None).snapshot if trajectory.usable else None
-        if seen is None:
+        motions, found = finished(lane, Settings())
+        if found is None:
             print(f"{name}, {how}: no map", flush=True)
             continue
-        off = _drift(list(trajectory.motions), source)
-        grid = replace(true.grid, east=true.grid.east + off[0], north=true.grid.north + off[1])
-        moved = FlightTruth((true.dem + off[2]).astype(np.float32), true.label, grid)
-        write_map(paths[how], seen.frame.elevation(as_judged(seen, Settings().lander)), moved)
+        write_map(paths[how], found, shifted(true, _drift(list(motions), source)))
 
 
 @cache

@@ -95,19 +95,19 @@ def recording(folder: Path, settings: Settings) -> Source | None:
 
 
 @cache
-def source_hash() -> str:
+def source_hash(sources: tuple[str, ...]) -> str:
     """Digest of the source that a number depends on."""
     digest = hashlib.sha256()
-    for name in SOURCES:
+    for name in sources:
         for file in [ROOT / name, *sorted((ROOT / name).rglob("*"))]:
             if file.suffix in (".py", ".yaml") and file.is_file():
                 digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
 
 
-def kept(name: str, work: Callable[[], Any]) -> Any:
+def kept(name: str, work: Callable[[], Any], sources: tuple[str, ...] = SOURCES) -> Any:
     """Result of `work`, from the last run if the source is the same; numbers and words only."""
-    path = KEPT / source_hash() / (name.replace("/", "-").replace(" ", "_") + ".json")
+    path = KEPT / source_hash(sources) / (name.replace("/", "-").replace(" ", "_") + ".json")
     if path.exists():
         return json.loads(path.read_text())
     found = json.loads(json.dumps(work()))

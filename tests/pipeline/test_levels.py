@@ -265,7 +265,7 @@ def test_a_hover_takes_nothing_away() -> None:
         lane.step([look(at + 0.02 * np.array([np.sin(k), np.cos(k), 0.3 * np.sin(0.3 * k)]), 100 + k, yaw=0.16 * k)])
     after = worth(lane, level()[-1])
     assert lane.estimator is not None
-    centres = np.array([exposure[0][0].centre for exposure in lane.estimator._kept])
+    centres = np.array([exposure[0].view.centre for exposure in lane.estimator._kept])
     assert np.linalg.norm(centres - at, axis=1).max() > 0.1 * UP
     assert after[0] > before[0] - 0.02
     assert after[1] < 1.2 * before[1]
@@ -355,7 +355,7 @@ def test_lost_late_and_repeated_keyframes() -> None:
     some.insert(7, some[6])
     lane = steps(lane_of(level()[:8]), some)
     assert lane.estimator is not None
-    times = [exposure[0][0].t_ns for exposure in lane.estimator._kept]
+    times = [exposure[0].view.t_ns for exposure in lane.estimator._kept]
     assert times == sorted(set(times))
     found = worth(lane, level()[-1])
     assert found[0] > whole[0] - 0.07

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from damage import STEP, T0, change_field, write_camera, write_flight
+from over_a_link import free_port
 from stereo_flight import STEREO
 
 import alight_sim
@@ -337,12 +337,6 @@ def slow(opened: LiveSource) -> LiveSource:
             yield e
 
     return LiveSource(opened.source, events(), True)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 def test_an_autopilot_that_is_not_there_says_so(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

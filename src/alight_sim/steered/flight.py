@@ -186,11 +186,6 @@ class SteeredFlight:
         return self._vehicle
 
     @property
-    def true_velocity(self) -> F64:
-        """(3,) m/s, world, at most one sample of the IMU ago."""
-        return self._vehicle.velocity.copy()
-
-    @property
     def height_above_ground(self) -> float:
         """Metres from the surface below to the plane of the feet."""
         return self._contacts.height
