@@ -236,7 +236,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--write", action="store_true", help=f"write {TABLE.name}")
     options = parser.parse_args()
-    keys = {k: f.default for k, f in walk(Tuning) if not k.startswith(("executive", "route", "bundle"))}
+    skipped = ("executive", "route", "bundle")
+    keys = {k: f.default for k, f in walk(Tuning) if f.default is not None and not k.startswith(skipped)}
     keys = {k: v for k, v in keys.items() if not options.groups or k.startswith(tuple(options.groups))}
     wanted = {k: changes(k, v) for k, v in keys.items()}
     base, rows = kept_measure(""), []
