@@ -27,7 +27,7 @@ from alight_sim import SimulatedFlight, default_rig, fly
 from alight_sim.patterns import FlightPlan
 
 LENSES = (Camera(240, 180, 180.0, 180.0, 119.8, 89.6), Camera(240, 180, 181.0, 180.8, 120.9, 88.4))
-SECONDS = 7.0
+SECONDS = 6.0
 FRD = np.diag([1.0, -1.0, -1.0])
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 

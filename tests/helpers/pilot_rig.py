@@ -196,10 +196,15 @@ class PilotRig(Rig):
 PLACE = (10.0, 5.0)  # of the site
 
 
-def flying(dialect: FirmwareName = "ardupilot", *settings: str, see: See | None = None, **more: Any) -> PilotRig:
-    """Return a vehicle at 30 m whose landing has begun; `see`: else there is a site at `PLACE`."""
+def flying(
+    dialect: FirmwareName = "ardupilot", *settings: str, see: See | None = None, height: float = 16.0, **more: Any
+) -> PilotRig:
+    """Return a vehicle whose landing has begun; `see`: else there is a site at `PLACE`.
+
+    From 16 m the place is in so little doubt that it is looked at at once; from 30 m all is searched first.
+    """
     found = PilotRig(see or Ground({PLACE: clearer_from_below}).seen, dialect, settings, **more)
-    found.up_and_flying(30.0)
+    found.up_and_flying(height)
     found.begin()
     return found
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from damage import campaign_line, write_campaign
-from length import first
+from damage import UNSMOOTHED, campaign_line, write_campaign
+from length import first, first_rows
 from some_run import some_run
 
 from alight.cli import call
@@ -264,10 +264,14 @@ def record(flight: Path, tmp_path: Path) -> Record:
     return write
 
 
-@pytest.mark.parametrize("topic", [SCHEDULE, NOTES, NAV, IMU, CAMERAS])
-@pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
+TOPICS = (SCHEDULE, NOTES, NAV, IMU, CAMERAS)
+# each damage in one message in turn, then in the others
+MESSAGES = [(TOPICS[(k + turn) % 5], data) for turn in range(5) for k, data in enumerate(DAMAGED.values())]
+
+
+@pytest.mark.parametrize(("topic", "data"), first_rows(len(DAMAGED), MESSAGES), ids=[*DAMAGED] * 5)
 def test_a_message_of_a_recording(topic: str, data: bytes, record: Record, tmp_path: Path, capsys: Told) -> None:
-    assert call(["run", str(record(topic, data)), "--out", str(tmp_path / "out")]) == 0
+    assert call(["run", str(record(topic, data)), "--out", str(tmp_path / "out"), *UNSMOOTHED]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("NO SITE")
     assert f"{topic[1:]} messages: 1 left out" in said.err

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import first, long
+from length import first, first_rows, long
 
 import alight
 from alight.cli import call
@@ -560,19 +560,20 @@ def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None
     assert again(campaign, out, 7, lands).not_compared == f"{out}: holds no line of landing 7"
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_real_flight_is_the_same_again() -> None:
-    """A flight of seven seconds, without a landing and with frozen cameras, has the same record again."""
-    fault = FaultRecord(what="cameras frozen", after=4.5, numbers={"seconds": 1.0})
+    """A flight of five seconds, without a landing and with frozen cameras, has the same record again."""
+    fault = FaultRecord(what="cameras frozen", after=3.0, numbers={"seconds": 1.0})
     given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
     one, two = (
-        fly_conditions(given, load_settings("", ["executive.time_budget=7", "executive.search_side=40"])).record
+        fly_conditions(given, load_settings("", ["executive.time_budget=5", "executive.search_side=40"])).record
         for _ in range(2)
     )
     assert one.repeatable() == two.repeatable()
     assert (one.outcome, one.state) == ("wrongly refused", "return")
     assert one.verdicts > 0
     assert one.distance > 2.0
-    assert one.conditions.faults[0].happened == pytest.approx(4.5, abs=0.11)
+    assert one.conditions.faults[0].happened == pytest.approx(3.0, abs=0.11)
 
 
 def test_link_faults_are_drawn_beside_what_is_drawn_without_them() -> None:
@@ -586,8 +587,12 @@ def test_link_faults_are_drawn_beside_what_is_drawn_without_them() -> None:
     assert any(f.takes_control for extra in added for f in extra)
 
 
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-@pytest.mark.parametrize("what", LINK_FAULTS)
+# each fault on one firmware in turn, then on the other
+TAKERS = [(what, ("ardupilot", "px4")[(k + turn) % 2]) for turn in range(2) for k, what in enumerate(LINK_FAULTS)]
+
+
+@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.parametrize(("what", "firmware"), first_rows(len(LINK_FAULTS), TAKERS))
 def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(what: str, firmware: str) -> None:
     """The pilot that flies vehicles is given each fault in the search, over the protocol."""
     kind = LINK_FAULTS[what]

@@ -231,19 +231,17 @@ def test_verdicts_about_a_place_fly_again_bit_for_bit() -> None:
 @pytest.mark.parametrize("kind", first(1, ["raise", "hang", "die"]))
 def test_navigation_that_fails_begins_anew(kind: str) -> None:
     """The exposure is lost, the motion has another frame number, and the map is dropped; the replay does the same."""
-    results, lost = Results(), list[tuple[str, float]]()
+    results, lost = Results(), list[str]()
     fault = Fault(kind, frozenset({stamp(12)}))
-    listener = replace(results.listener, lost=lambda lane, why: lost.append((why, time.time())))
+    listener = replace(results.listener, lost=lambda lane, why: lost.append(why))
     run = live(results, listener=listener, makers=faulty("navigation", fault))
     for e in flight()[1]:
         if e.t_ns == stamp(12) and isinstance(e, Frame):
             wait_until(lambda: len(results.motions) >= 12)
-            struck = time.time()
         run.feed(e)
     decision = run.finish()
     assert len(lost) == 1
-    assert lost[0][1] - struck < 1.0 + 1.0  # patience, and the delay of a loaded machine
-    assert {"raise": "a fault that a test wants", "die": "died", "hang": "no answer within"}[kind] in lost[0][0]
+    assert {"raise": "a fault that a test wants", "die": "died", "hang": "no answer within 0.9 s"}[kind] in lost[0]
     schedule = run.schedule
     assert stamp(12) not in schedule.tracked
     assert schedule.navigation_anew == (stamp(13),)
@@ -452,8 +450,9 @@ def test_less_effort_flies_again_bit_for_bit() -> None:
     assert_flies_again(results, decision, run.schedule)
 
 
-def test_a_process_that_is_not_let_run_is_not_taken_for_hanging() -> None:
+def test_a_process_that_is_not_let_run_is_not_taken_for_hanging(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call is lost if the process sleeps, or has worked for longer than the patience; otherwise it gets its time."""
+    monkeypatch.setattr("alight.flight.live.lane_process.HARD_TIMEOUT_FACTOR", 1e3)  # on a machine that is never busy
     lane = LaneProcess(LaneSpec("any", IdleOrBusy, (), patience=1.0))
     assert lane.call("work", 0.2) == 0.2
     lane.patience = 0.5
@@ -461,8 +460,6 @@ def test_a_process_that_is_not_let_run_is_not_taken_for_hanging() -> None:
     lane.patience = 0.3
     with pytest.raises(LaneLost, match=r"no answer within 0\.3 s"):
         lane.call("work", 5.0)
-    begin = time.monotonic()
     with pytest.raises(LaneLost, match=r"no answer within 0\.3 s"):
-        lane.call("sleep", 50.0)
-    assert time.monotonic() - begin < 10.0
+        lane.call("sleep", 1e4)
     lane.close()

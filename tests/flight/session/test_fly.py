@@ -21,10 +21,10 @@ S, E = FlightState, FlightEvent
 # -- the loop
 
 
-@BOTH
-def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
+@pytest.mark.parametrize(("dialect", "height"), [("ardupilot", 30.0), ("px4", 16.0)])
+def test_it_searches_looks_and_lands_where_it_looked(dialect: str, height: float) -> None:
     """The autopilot's place is off by metres and ours is true: the touchdown is at our place."""
-    r = flying(dialect)
+    r = flying(dialect, height=height)
     assert r.fly(S.LANDED)
     assert not r.sim.logic.armed
     assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.3
@@ -189,7 +189,7 @@ def test_a_filter_that_begins_anew_gives_the_place_up_and_searches_on(dialect: s
 def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
     """After two verdicts that refuse the place the vehicle climbs; there is no other place, so that it returns home."""
     ground = Ground({PLACE: clearer_from_below})
-    r = flying(dialect, see=ground.seen)
+    r = flying(dialect, "executive.search_side=30", see=ground.seen)
     assert r.fly(S.COMMIT)
     ground.places[PLACE] = lambda height: 0.0
     assert r.run(10.0, lambda: r.state is S.ABORT)

@@ -212,6 +212,7 @@ def test_every_order_of_a_mode_waits_for_a_heartbeat_of_its_own() -> None:
     """After LAND and GUIDED, a second LAND must not use the heartbeat of the first one."""
     r = flying()
     assert r.fly(S.APPROACH)
+    r.run(3.0)
     r.ticks = False
     sender = r.pilot.orders
     beat = lambda: r.vehicle.telemetry.ages["HEARTBEAT"] < 0.01  # noqa: E731
