@@ -56,7 +56,7 @@ def quoted(page: Path) -> Iterator[tuple[str, str, str]]:
 
 
 DESCRIBED = [page for page in METHOD if page.name != "README.md"]
-QUOTED = [pytest.param(*row, id=f"{page.stem}-{row[1]}-{i}") for page in DESCRIBED for i, row in enumerate(quoted(page))]
+QUOTED = [pytest.param(*row, id=f"{p.stem}-{row[1]}-{i}") for p in DESCRIBED for i, row in enumerate(quoted(p))]
 
 
 def literals(module: str, function: str) -> set[Number]:

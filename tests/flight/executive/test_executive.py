@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -1287,17 +1286,6 @@ def test_every_state_can_be_left_and_every_event_leads_somewhere() -> None:
     assert {event for _, event in TABLE} == set(E)
     assert all(TABLE[s, E.PILOT] is S.HANDED_OVER for s in set(S) - {S.LANDED, S.HANDED_OVER})
     assert {after for (before, _), after in TABLE.items() if before is S.COMMIT} <= {S.LANDED, S.ABORT, S.HANDED_OVER}
-
-
-def test_the_page_prints_the_table() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "method" / "executive.md").read_text(encoding="utf-8")
-    lines = ["| event | from | to |", "| --- | --- | --- |"]
-    for event in E:
-        leads: dict[FlightState, list[str]] = {}
-        for (before, _), after in ((row, to) for row, to in TABLE.items() if row[1] is event):
-            leads.setdefault(after, []).append(before.value)
-        lines += [f"| {event.value} | {', '.join(froms)} | {to.value} |" for to, froms in leads.items()]
-    assert "\n".join(lines) + "\n" in page
 
 
 # -- parts
