@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from alight.documents import parse_json
 from alight.geometry import Camera, Grid, Pose
+from alight.parallax.batch import MatchedBlock
 from alight.photos.bundle.features import PhotoFeatures
 from alight.photos.bundle.matching import Pair
-from alight.pipeline.mapping.batch_map import MatchedBlock
 from alight.pipeline.navigation import Trajectory
 from alight.records import Heights, KeyframePosterior, Motion, MotionState, PhotoOutcome, Rig, RigCamera
 
