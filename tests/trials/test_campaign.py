@@ -18,8 +18,7 @@ import pytest
 from length import first, long
 
 import alight
-from alight.cli import call
-from alight.cli import campaign as campaign_command
+from alight.cli import call, simulated
 from alight.cluster import do_alike
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
@@ -839,7 +838,7 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
 
 
 def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]) -> None:
-    campaign_command.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
+    simulated.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
     assert "P(safe) > 0.999" in capsys.readouterr().err
 
 

@@ -18,7 +18,7 @@ from some_run import site, some_run
 
 from alight.checks.result import CheckResult, bad
 from alight.cli import call
-from alight.cli.fly import facts
+from alight.cli.flown import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
 from alight.flight.session import FlightRequest, FlightStatus
 from alight.flight.session.flight import FlightSession, SessionLog
@@ -393,7 +393,7 @@ def test_a_script_learns_how_a_flight_ended(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], state: S | None, why: str, dry: bool,
     code: int, word: str,
 ) -> None:  # fmt: skip
-    from alight.cli import fly as command
+    from alight.cli import flown as command
     from alight.flight import session as fly
 
     left: list[object] = []
