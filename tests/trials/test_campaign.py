@@ -25,12 +25,13 @@ from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.settings import Settings, load_settings
-from alight.trials import campaign as runner
-from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
+from alight.trials.campaign import run as runner
 from alight.trials.campaign.faults import FAULTS, LINK_FAULTS, Happenings
 from alight.trials.campaign.flying import fly_conditions
+from alight.trials.campaign.folder import CampaignFolder
 from alight.trials.campaign.numbers import campaign_numbers, unsafe_bound
 from alight.trials.campaign.plan import MOST_WIND, SUN, conditions_of
+from alight.trials.campaign.run import Campaign, again, continued, fly_campaign, wanted_landings
 from alight.trials.campaign.worlds import scenes_of
 from alight.trials.landing import Landing
 from alight_sim.flight import START_NS
@@ -50,7 +51,7 @@ def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
 
 def small(names: list[str], landings: int = 4, seed: int = 3) -> Campaign:
     """A campaign that takes no time."""
-    return Campaign.of(names, landings, seed, load_settings("", SMALL))
+    return Campaign(names, landings, seed, load_settings("", SMALL))
 
 
 def diary(*steps: tuple[S, E, S]) -> FlightDiary:

@@ -15,7 +15,7 @@ from alight.cli.app import ExitCode, app
 from alight.cli.terminal import print_line, print_result, print_stderr, progress_bar
 
 if TYPE_CHECKING:  # the simulator is slow to import, and most commands do not need it
-    from alight.trials.campaign import Campaign, Ended
+    from alight.trials.campaign.run import Campaign, Ended
     from alight_sim.oracle import Touchdown
     from alight_sim.scene import Scene
 
@@ -302,13 +302,15 @@ def campaign(o: CampaignOptions) -> None:
     looks = [] if o.look_again is None else [f"executive.look_again={str(o.look_again).lower()}"]
     chosen = o.read_settings(after=looks)
     from alight.records import InputError
-    from alight.trials import campaign as runner
+    from alight.trials.campaign import run as runner
+    from alight.trials.campaign.page import comparison
+    from alight.trials.campaign.worlds import FORM, is_factory
 
-    if wrong := [w for w in o.worlds or [] if not runner.is_factory(w)]:
-        raise InputError(f"--world {wrong[0]}: {runner.FORM}")
+    if wrong := [w for w in o.worlds or [] if not is_factory(w)]:
+        raise InputError(f"--world {wrong[0]}: {FORM}")
     if named := [*(o.scenes or []), *(o.worlds or [])]:
         wanted = runner.wanted_landings(o.out, o.landings)
-        planned = runner.Campaign.of(named, wanted, o.seed or 0, chosen, o.link_faults, o.autopilot)
+        planned = runner.Campaign(named, wanted, o.seed or 0, chosen, o.link_faults, o.autopilot)
     elif o.settings or o.assign or looks or o.seed is not None or o.link_faults or o.autopilot != "ardupilot":
         raise InputError("name SCENES or --world beside the options of a new campaign; without, OUT's own are used")
     else:
@@ -320,7 +322,7 @@ def campaign(o: CampaignOptions) -> None:
     for line in runner.outcome_lines(numbers):
         print_line(line)
     if o.compare is not None:
-        for name, one, two in runner.comparison(numbers, runner.numbers_in(o.compare)):
+        for name, one, two in comparison(numbers, runner.numbers_in(o.compare)):
             print_line(f"{name:<34} {one:>10} {two:>10}")
     print_line(f"report: {o.out / 'campaign.html'}")
     if failed := numbers.outcomes["failed"]:
@@ -329,9 +331,9 @@ def campaign(o: CampaignOptions) -> None:
 
 
 def _again(planned: Campaign, out: Path, only: int) -> None:
-    from alight.trials import campaign as runner
+    from alight.trials.campaign.run import again
 
-    found = runner.again(planned, out, only)
+    found = again(planned, out, only)
     print_line(found.record.model_dump_json())
     fault = f"was not compared: {found.not_compared}" if found.not_compared is not None else ""
     if found.differing:

@@ -15,14 +15,14 @@ from alight import terrain
 from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive import ENDS
-from alight.flight.session.pilot import LandingPilot
+from alight.flight.session.pilot import LandingLog, LandingPilot
 from alight.flight.session.preflight import judge_motion
 from alight.pipeline import Decision, FlightPolicy, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Event, Frame
-from alight.records.executive import FlightDiary, FlightState, LookRecord, Transition
+from alight.records.executive import FlightDiary, FlightState
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
 from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
@@ -250,17 +250,11 @@ def as_flown(settings: Settings) -> Settings:
     return settings.model_copy(update={"parallax": settings.parallax.model_copy(update={"method": "recursive"})})
 
 
-class TrialLog:
-    """Log of a landing (`LandingLog`) that keeps the notes; the diary has the rest."""
+class TrialLog(LandingLog):
+    """Log of a landing that keeps the notes; the diary has the rest."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-
-    def order(self, t_ns: int, state: str, words: str) -> None:
-        """Leave orders out: there are many."""
-
-    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """Leave entries of the diary out: it is kept whole."""
 
     def note(self, lane: str, words: str) -> None:
         """Keep a note."""

@@ -31,6 +31,8 @@ from alight_sim.steered import SteeredFlight, TrueContact
 from alight_sim.steered.touchdown import contact_seconds, severity
 from alight_sim.world import World
 
+Contacts = tuple[TouchdownLine | None, StrikeLine | None]  # the worst touchdown, and the highest strike
+
 
 class JudgedLanding(NamedTuple):
     """An outcome with its reason in words."""
@@ -69,9 +71,7 @@ def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) 
     )
 
 
-def met(
-    vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf
-) -> tuple[TouchdownLine | None, StrikeLine | None]:
+def met(vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf) -> Contacts:
     """Judge all contacts: the worst touchdown, and the highest strike, one after `begun` before earlier ones.
 
     Args:
