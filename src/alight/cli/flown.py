@@ -93,7 +93,7 @@ def live(o: LiveOptions) -> None:
     inputs = [path] if (path := Path(o.source)).is_file() else []
     request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs)
     with live_table() as show:
-        result = fly_live(opened.source, opened.events, request, lambda health: show((), [health.line]))
+        result = fly_live(opened.source, opened.events, request, lambda line: show((), [line]))
     save_result(with_home(result, flown_home(wanted, opened.telemetry(), o.separation)), o.out, o.force)
 
 
@@ -202,4 +202,4 @@ def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
         yield "link", f"{telemetry.firmware}, {telemetry.mode_name or 'no mode'}, heartbeat {age:.1f} s ago"
         yield "battery", "not reported" if math.isnan(share) else f"{100 * share:.0f} %"
     if status.health is not None:
-        yield "lanes", status.health.line
+        yield "lanes", status.health

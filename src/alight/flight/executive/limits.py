@@ -21,7 +21,7 @@ class AttemptLimits:
         self._begun: float | None = None  # s, start of the landing
         self._since: dict[FlightEvent, float] = {}  # s, when each was first beyond its limit
         self._sound_at = -math.inf  # s, when the motion was last not degraded
-        self._missing_at = -math.inf  # s, when motion or pictures were last missing
+        self.missing_at = -math.inf  # s, when motion or pictures were last missing
 
     def observe(self, now: Situation) -> None:
         """Note the start of the landing, and the time when the motion was last not degraded."""
@@ -52,14 +52,6 @@ class AttemptLimits:
             yield FlightEvent.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
         if self._begun is not None and now.t - self._begun > k.time_budget:
             yield FlightEvent.TIME, f"{k.time_budget:.0f} s"
-
-    def missing(self, t: float) -> None:
-        """Note that motion or pictures are missing, at a time in seconds."""
-        self._missing_at = t
-
-    def has_recovered(self, t: float) -> bool:
-        """True if nothing has been missing for `executive.recovered` seconds: a hold does not end at a flicker."""
-        return t - self._missing_at >= self._keys.recovered
 
     def patience(self, now: Situation) -> float:
         """Seconds to wait for lost motion or pictures: longer if the vehicle keeps its place and does not drift."""

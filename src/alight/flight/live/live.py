@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from alight import terrain
 from alight.arrays import F64
-from alight.flight.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
+from alight.flight.live.health import POSE, STEP, VERDICT, LaneState, Watch
 from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.lanes import NavigationProcess, make_judging, make_mapping
 from alight.flight.live.mailbox import Closed, Mailbox
@@ -114,7 +114,6 @@ class Live:
         self._exposures = Mailbox[Navigation](waiting, self._later_exposure if drop else None)
         self._maps = Mailbox[_MapToJudge](1, (lambda old, new: new) if drop else None)
         self.policy, self._judge_waits = options.policy or FlightPolicy(settings.sites.every), threading.Event()
-        self._newest: Motion | None = None
         self._failed: list[BaseException] = []
         self._settings = stages = settings.stages(options.imu)
         folder = options.folder or Path(tempfile.gettempdir())
@@ -153,10 +152,9 @@ class Live:
         return self._used.schedule
 
     @property
-    def health(self) -> FlightHealth:
-        """State, rates and counts of the lanes at this moment."""
-        effort = self.policy.effort_control.effort
-        return self.watch.health(effort, self._newest.frame_id if self._newest is not None else None)
+    def health(self) -> str:
+        """State, rates and counts of the lanes at this moment, in one line."""
+        return self.watch.line(self.policy.effort_control.effort)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -222,10 +220,6 @@ class Live:
         finally:
             self.close()
 
-    def timings(self) -> dict[str, Sequence[float]]:
-        """Seconds of the last steps, by stage."""
-        return dict(self.watch.timings.stages)
-
     def close(self) -> None:
         """End all lanes, whatever they do; `finish` does it as well."""
         for box in (self._batches, self._exposures, self._maps):
@@ -261,7 +255,7 @@ class Live:
         """Report that a process is lost; the flight goes on."""
         self.watch.restarts[lane] += 1
         if self.lanes[lane].given_up:
-            self.watch.gave_up(lane)
+            self.watch.enter(lane, LaneState.LOST)
         log.warning("the %s lane was lost: %s; it begins anew", lane, why)
         if (count := self.watch.restarts[lane]) <= 3:
             self.warnings.append(f"live: the {lane} lane was lost and began anew ({why})")
@@ -269,14 +263,6 @@ class Live:
             self.warnings.append(f"live: the {lane} lane was lost more than 3 times; the counts give the number")
         self._note(lane, why)
         self._options.listener.lost(lane, why)
-
-    def _adapt_effort(self, seconds: float) -> None:
-        """Adapt the effort of the next step of the map to the time of this one."""
-        self.watch.timings.add(STEP, seconds)
-        control = self.policy.effort_control
-        if control.took(seconds):
-            self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
-            self._note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
 
     def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
         if old.frame is not None:
@@ -330,13 +316,12 @@ class Live:
             self._exposures.put(replace(found, frame=batch.frame))
             if found.motion is not None:
                 self.watch.reached(POSE, t_ns)
-                self._newest = found.motion
                 if recorder is not None:
                     recorder.motion(found.motion)
                 self._options.listener.motion(found.motion)
 
     def _map(self) -> None:
-        lane, anew = self.lanes[MAPPING], False
+        lane, control, anew = self.lanes[MAPPING], self.policy.effort_control, False
         while True:
             navigation = self._exposures.get()
             t_ns = navigation.frame.t_ns
@@ -346,7 +331,10 @@ class Live:
                     effort = self.policy.effort(navigation)
                     keyframes: int = lane.call("feed", navigation, effort)
                     if keyframes:
-                        self._adapt_effort(time.perf_counter() - begin)
+                        self.watch.timings.add(STEP, seconds := time.perf_counter() - begin)
+                        if control.took(seconds):  # the effort of the next step follows the time of this one
+                            self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
+                            self._note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
             except LaneLost:
                 self.watch.counts["mapping: exposures left out, lane lost"] += 1
                 anew = True

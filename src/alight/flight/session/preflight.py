@@ -24,16 +24,6 @@ INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
 
 
-@dataclass(frozen=True)
-class CameraFacts:
-    """Counts and rates of the exposures that the cameras have given so far."""
-
-    frames: int = 0
-    rate: float = 0.0  # exposures a second
-    delay: float = math.nan  # s from the stamp of the newest to its arrival
-    frozen: int = 0  # in a row that repeat the one before
-
-
 @dataclass
 class Arrivals:
     """Exposures as they arrive: their number, times and delay."""
@@ -55,11 +45,11 @@ class Arrivals:
         self.begun = self.begun or self.delay < MOST_AGE
         return self.begun
 
-    def facts(self, now_ns: int, frozen: int) -> CameraFacts:
-        """Facts about the cameras for the checks; `frozen`: number of the last pictures that are the same."""
+    def judge(self, now_ns: int, frozen: int) -> CheckResult:
+        """Check the cameras; `frozen`: number of the last pictures that are the same."""
         seconds = 3.0
         recent = sum(now_ns * 1e-9 - t < seconds for t in tuple(self.times))
-        return CameraFacts(self.frames, recent / seconds, self.delay, frozen)
+        return judge_cameras(self.frames, recent / seconds, self.delay, frozen)
 
 
 def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
@@ -212,18 +202,25 @@ def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResu
     return good("in the air", f"it flies{above}")
 
 
-def judge_cameras(facts: CameraFacts) -> CheckResult:
-    """Check that new pictures come, often enough, and are stamped by the right clock."""
-    if not facts.frames:
+def judge_cameras(frames: int, rate: float, delay: float, frozen: int) -> CheckResult:
+    """Check that new pictures come, often enough, and are stamped by the right clock.
+
+    Args:
+        frames: exposures so far.
+        rate: exposures a second.
+        delay: s from the stamp of the newest to its arrival.
+        frozen: exposures in a row that repeat the one before.
+    """
+    if not frames:
         return bad("pictures", "not one has come", "see that the camera gives pictures, or that the folder is filled")
-    seen = f"{facts.rate:.1f} exposures a second, {facts.delay:.2f} s old when they come"
-    if facts.frozen > 3:
-        return bad("pictures", f"the last {facts.frozen} are the same, bit for bit", "start the camera again")
-    if not abs(facts.delay) < MOST_AGE:
+    seen = f"{rate:.1f} exposures a second, {delay:.2f} s old when they come"
+    if frozen > 3:
+        return bad("pictures", f"the last {frozen} are the same, bit for bit", "start the camera again")
+    if not abs(delay) < MOST_AGE:
         return bad("pictures", seen, "stamps must be of this machine's steady clock, and pictures come within 1 s")
-    if facts.rate < LEAST_RATE:
+    if rate < LEAST_RATE:
         return bad("pictures", seen, f"at least {LEAST_RATE:.0f} a second are needed; less light, slow disk or link?")
-    if facts.rate < GOOD_RATE:
+    if rate < GOOD_RATE:
         return warning("pictures", seen, f"{GOOD_RATE:.0f} a second or more are better")
     return good("pictures", seen)
 
