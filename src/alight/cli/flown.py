@@ -15,7 +15,7 @@ from alight.cli.app import ExitCode, app
 from alight.cli.terminal import is_terminal, live_table, print_line, print_stderr, save_result
 
 if TYPE_CHECKING:
-    from alight.flight.session import FlightOutcome, FlightRequest, FlightStatus
+    from alight.flight.session.flight import FlightOutcome, FlightRequest, FlightStatus
 
 
 @dataclass(kw_only=True)
@@ -133,7 +133,7 @@ def fly(o: FlyOptions) -> None:
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = o.read_settings()
     o.refuse_unused(o.camera)
-    from alight.flight.session import FlightRequest
+    from alight.flight.session.flight import FlightRequest
     from alight.records.executive import FlightState
     from alight.runs import wanted_home
 
@@ -160,7 +160,7 @@ def fly(o: FlyOptions) -> None:
 
 def _flown(request: FlightRequest) -> FlightOutcome:
     """Fly; the status is a table on a terminal, else a line at a new phase and every ten seconds."""
-    from alight.flight.session import fly_vehicle
+    from alight.flight.session.flight import fly_vehicle
 
     if is_terminal():
         with live_table() as show:

@@ -74,8 +74,13 @@ class SimulateOptions:
 @options.command_of(SimulateOptions)
 def simulate(o: SimulateOptions) -> None:
     """Make a flight over simulated ground, with exact truth."""
-    if o.show or o.keys:
-        _print_scenes() if o.show else _print_keys()
+    if o.show:
+        _print_scenes()
+        return
+    if o.keys:
+        from alight_sim.keys import reference
+
+        print_line(reference().rstrip("\n"))
         return
     if o.scene is None or o.out is None:
         raise typer.BadParameter("needs SCENE and --out FLIGHT; --list shows the built-in scenes")
@@ -154,12 +159,6 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
         at[_item(last) if isinstance(at, list) else last] = wanted
     except (ValueError, IndexError, TypeError, AttributeError) as e:
         raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
-
-
-def _print_keys() -> None:
-    from alight_sim.keys import reference
-
-    print_line(reference().rstrip("\n"))
 
 
 def _print_scenes() -> None:

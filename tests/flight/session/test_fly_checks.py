@@ -14,8 +14,8 @@ from pilot_rig import PilotRig, seldom
 
 from alight.checks.result import CheckResult, Judged
 from alight.flight.autopilot import StreamRate
-from alight.flight.session import FlightRequest, fly_vehicle
 from alight.flight.session import preflight as p
+from alight.flight.session.flight import FlightRequest, fly_vehicle
 from alight.geometry import Pose
 from alight.records import Frame, InputError, Motion, MotionState
 from alight.settings import Settings

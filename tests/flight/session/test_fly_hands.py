@@ -20,8 +20,7 @@ from alight.checks.result import bad
 from alight.cli import call
 from alight.cli.flown import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
-from alight.flight.session import FlightRequest, FlightStatus
-from alight.flight.session.flight import TAKEN, UNCONFIRMED, FlightSession
+from alight.flight.session.flight import TAKEN, UNCONFIRMED, FlightRequest, FlightSession, FlightStatus
 from alight.flight.session.pilot import PilotView, SessionLog
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
@@ -380,7 +379,7 @@ def test_a_script_learns_how_a_flight_ended(
     code: int, word: str,
 ) -> None:  # fmt: skip
     from alight.cli import flown as command
-    from alight.flight import session as fly
+    from alight.flight.session import flight as fly
 
     left: list[object] = []
     result: Any = None if state is None else SimpleNamespace()

@@ -178,7 +178,7 @@ class RemoteVehicle:
             self._aim(Target(now.place))  # the mode is refused without a set-point, and an old one must not be flown
         self._control.ordered(mode, self._timeouts.t_ns)
         # PX4 accepts guided mode after a second of set-points
-        wait_ns = max(1_000_000_000 - self._guidance.sent_for_ns(self._now_ns), 0) if begins else 0
+        wait_ns = max(1_000_000_000 - (self._now_ns - self._guidance.since_ns), 0) if begins else 0
         parameters = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *self.firmware.parameters[mode])
         self._commands.give_up(number)
         t_ns = self._timeouts.t_ns

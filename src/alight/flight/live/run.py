@@ -72,10 +72,7 @@ class LiveRun:
     """The lanes with their recording, from the start to the result. Feed `live`, then `finish`; `close` in any case.
 
     A recording in the folder is replaced with the finished run that it is of. That of a run that did not end is kept
-    under another name.
-
-    Raises:
-        AlightError: the input cannot be used, or the output cannot be written.
+    under another name. It raises as `fly_live`.
     """
 
     def __init__(

@@ -104,18 +104,14 @@ class TelemetryFeed:
             while not self._ended.is_set():
                 try:
                     self._receive()
-                except Exception as e:
-                    self._complain(e)
+                except Exception as e:  # logged once if it repeats
+                    if repr(e) != self._trouble:
+                        self._trouble = repr(e)
+                        log.error("%s: %r while listening; going on", self.name, e, exc_info=e)
+                    time.sleep(READ)
         finally:
             if not self._ended.is_set():
                 log.error("%s: the listener has ended; nothing is received any more", self.name)
-
-    def _complain(self, error: Exception) -> None:
-        """Log an error, once if it repeats, and wait a little before the next try."""
-        if repr(error) != self._trouble:
-            self._trouble = repr(error)
-            log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
-        time.sleep(READ)
 
     def _receive(self) -> None:
         datagrams = self.link.read(READ)

@@ -16,7 +16,7 @@ from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
-from alight.flight.session.dry_run import DryRunVehicle, VehicleCommands
+from alight.flight.session.dry_run import DryRunVehicle
 from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
 from alight.flight.session.take_off import TakeOff
 from alight.outputs import prepare_folder
@@ -174,9 +174,7 @@ def open_session(
     assert vehicle is not None
     assert isinstance(opened.source, CalibratedFolder)
     opened.source.locate(local)
-    commands: VehicleCommands = vehicle
-    if plan.dry_run:
-        commands = DryRunVehicle(lambda text: log.on_line(f"order, not sent: {text}"))
+    commands = DryRunVehicle(lambda text: log.on_line(f"order, not sent: {text}")) if plan.dry_run else vehicle
     policy = FlightPolicy(every=0)  # judged as the executive needs it
     pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log)
     listener = Listener(pilot.inputs.add_motion, pilot.inputs.add_verdict)
@@ -377,14 +375,10 @@ class FlightSession:
         pilot, plan = self.pilot, self.plan
         ended, why = pilot.diary.end or (pilot.state, "")
         why = f"ended by the user; {stopped}" if stopped else why
-        times = {
-            "image to way-point": list(pilot.delays.of_verdicts),
-            "image to set-point": list(pilot.delays.of_motions),
-        }
         found = self.run.finish()
         result = replace(
             with_home(found, flown_home(plan.home, self.vehicle.telemetry, plan.separation)), diary=pilot.diary,
-            timings={**found.timings, **{k: v for k, v in times.items() if v}},
+            timings={**found.timings, **{k: list(v) for k, v in pilot.delays.items() if v}},
             notes={**found.notes, "landing": ended.value},
         )  # fmt: skip
         return FlightOutcome(self.found, why, ended, result)

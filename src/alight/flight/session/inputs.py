@@ -126,7 +126,9 @@ class LandingInputs:
         assert self._begin_ns is not None
         m, reports = self.motion, self._vehicle.telemetry
         located = reports.has_position  # else it cannot follow a set-point
-        state = MotionState.LOST if m is None or self._lags(m) or not located else m.state
+        newest = self.pictures.newest_ns  # missing pictures are reported by their age instead
+        lags = m is not None and newest is not None and (newest - m.t_ns) * 1e-9 > self._stale
+        state = MotionState.LOST if m is None or lags or not located else m.state
         if located is not self._had_position:
             self._note("autopilot", f"its estimator has {'a' if located else 'no'} position on Earth")
         self._had_position = located
@@ -150,11 +152,6 @@ class LandingInputs:
             holds=located,
         )
         return now, m if position is not None else None
-
-    def _lags(self, motion: Motion) -> bool:
-        """True if pictures come without their motions; missing pictures are reported by `pictures.age` instead."""
-        newest = self.pictures.newest_ns
-        return newest is not None and (newest - motion.t_ns) * 1e-9 > self._stale
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """(3,) metres in the map's frame now: the newest motion plus the autopilot's own displacement since then."""

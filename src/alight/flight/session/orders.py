@@ -125,10 +125,6 @@ class OrderSender:
             self._warn(f"{self._mode.value} was refused {self._refusals} times: be ready to take over")
         self._mode, self._refused_ns = None, now_ns
 
-    def _heartbeat_ns(self, now_ns: int) -> int:
-        """Arrival of the newest heartbeat, our clock."""
-        return now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
-
     def order_mode(self, mode: FlightMode, now_ns: int) -> bool:
         """Order a mode, once; False: not yet.
 
@@ -139,7 +135,8 @@ class OrderSender:
             return True
         if self._wanted is None or self._wanted[0] is not mode:
             self._wanted = mode, now_ns
-        stale = self._commands.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
+        heartbeat_ns = now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
+        stale = self._commands.in_control and heartbeat_ns < self._wanted[1]
         if stale or now_ns - self._refused_ns < AGAIN_NS:
             return False
         self._wanted = self._heading = None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from alight.flight.autopilot import RemoteVehicle
-from alight.flight.executive import Executive
+from alight.flight.executive.executive import Executive
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.inputs import LandingInputs
 from alight.flight.session.orders import OrderSender
@@ -101,28 +101,6 @@ class MotorStop:
         self._warn("it stands, and its motors still turn: they are ordered to stop")
 
 
-class OrderDelays:
-    """Delays from an exposure to the first order of its verdict, and to the first set-point relative to its motion."""
-
-    def __init__(self) -> None:
-        self._verdict_ns = self._motion_ns = 0  # newest exposures that led to an order
-        self.of_verdicts, self.of_motions = deque[float](maxlen=20_000), deque[float](maxlen=20_000)  # s
-
-    def add_order(self, now_ns: int, verdict_ns: int, motion: Motion | None) -> None:
-        """Take an order at `now_ns`.
-
-        Args:
-            verdict_ns: newest exposure of the newest verdict.
-            motion: that its set-point is relative to; None: it has none.
-        """
-        if verdict_ns > self._verdict_ns:
-            self._verdict_ns = verdict_ns
-            self.of_verdicts.append((now_ns - verdict_ns) * 1e-9)
-        if motion is not None and motion.t_ns > self._motion_ns:
-            self._motion_ns = motion.t_ns
-            self.of_motions.append((now_ns - motion.t_ns) * 1e-9)
-
-
 @dataclass(frozen=True, eq=False)
 class PilotView:
     """A landing at one moment, for a display."""
@@ -151,7 +129,9 @@ class LandingPilot:
         self._vehicle, self._commands, self._policy, self._log = vehicle, commands, policy, log
         stages = settings.stages()
         self.executive, k = Executive(stages), stages.executive
-        self.inputs, self.delays = LandingInputs(vehicle, local, k.stale, log.note), OrderDelays()
+        self.inputs = LandingInputs(vehicle, local, k.stale, log.note)
+        self.delays = {name: deque[float](maxlen=20_000) for name in ("image to way-point", "image to set-point")}
+        self._led = dict.fromkeys(self.delays, 0)  # newest exposures that led to an order
         warn = partial(log.note, "autopilot")
         self.orders, self._motor_stop = OrderSender(vehicle, commands, local, k, warn), MotorStop(commands, warn)
         self._decided_ns: int | None = None
@@ -214,7 +194,15 @@ class LandingPilot:
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
         self._write_diary(now_ns)
-        self.delays.add_order(now_ns, self.inputs.verdict_ns, located if order.what in ("fly", "land") else None)
+        self._measure("image to way-point", self.inputs.verdict_ns, now_ns)
+        if located is not None and order.what in ("fly", "land"):
+            self._measure("image to set-point", located.t_ns, now_ns)
+
+    def _measure(self, name: str, t_ns: int, now_ns: int) -> None:
+        """Take the delay in s from an exposure to the first order by its verdict, or relative to its motion."""
+        if t_ns > self._led[name]:
+            self._led[name] = t_ns
+            self.delays[name].append((now_ns - t_ns) * 1e-9)
 
     def _write_diary(self, now_ns: int) -> None:
         first_look, first_transition = self._written

@@ -68,11 +68,8 @@ def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused:
         return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
     if not vehicle.alive:
         return [link, bad("autopilot", "its heartbeat has stopped", "see why; a landing needs it all the time")]
-    return [link, good("autopilot", f"{vehicle.firmware.name}, system {vehicle.system}, mode {_mode(vehicle)}")]
-
-
-def _mode(vehicle: RemoteVehicle) -> str:
-    return vehicle.telemetry.mode_name or "not known"
+    mode = vehicle.telemetry.mode_name or "not known"
+    return [link, good("autopilot", f"{vehicle.firmware.name}, system {vehicle.system}, mode {mode}")]
 
 
 def judge_vehicle(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from alight.flight.executive import ENDS
+from alight.flight.executive.table import ENDS
 from alight.records.campaign import FaultRecord
 from alight.records.executive import FlightState
 from alight.trials.landing import Trial
