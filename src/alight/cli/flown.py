@@ -123,7 +123,7 @@ class FlyOptions(FlightOptions):
         float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
     ] = None
     imu: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")
+        float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to request; 0: none.")
     ] = 100.0
 
 

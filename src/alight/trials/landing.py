@@ -147,19 +147,14 @@ class Trial:
         self.autopilot.hover(Doing.PILOT)
         self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE}, TelemetryEvents(local))
         self.link = TrialLink(self._ours, self.autopilot)
-        self._connect()
-        assert self._ours.vehicle is not None
+        while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
+            self.autopilot.step(STEP)
+            self.link.carry(vehicle.time_ns)
         self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, LandingLog())
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
         self._start_ns = vehicle.time_ns
         self._begin_ns: int | None = None
         self._numbers = self._verdicts = 0
-
-    def _connect(self) -> None:
-        """Let the autopilot send its first heartbeat."""
-        while self._ours.vehicle is None:
-            self.autopilot.step(STEP)
-            self.link.carry(self._vehicle.time_ns)
 
     @property
     def begun(self) -> bool:

@@ -16,6 +16,7 @@ from alight.checks.result import CheckResult, Judged
 from alight.flight.autopilot import StreamRate
 from alight.flight.session import preflight as p
 from alight.flight.session.flight import FlightRequest, fly_vehicle
+from alight.flight.session.inputs import PictureWatch
 from alight.geometry import Pose
 from alight.records import Frame, InputError, Motion, MotionState
 from alight.settings import Settings
@@ -157,12 +158,12 @@ def test_a_flight_without_imu_is_told_what_it_costs() -> None:
 
 def test_pictures_of_an_earlier_flight_are_not_used() -> None:
     """They come all at once, and a gap between them would look like a jump of the camera's clock."""
-    s, pixels = 1_000_000_000, np.zeros((2, 2), np.uint8)
-    arrivals, now = p.Arrivals(), 1_000 * s
-    stamps = [now - 60 * s, now - 59 * s, now - 40 * s, now - s // 10]
-    assert [arrivals.add(Frame(t, (pixels,), "x"), now) for t in stamps] == [False, False, False, True]
-    assert arrivals.add(Frame(now - 3 * s, (pixels,), "x"), now)  # one that is late is for the clocks to judge
-    assert arrivals.frames == 5
+    s, watch = 1_000_000_000, PictureWatch()
+    now = 1_000 * s
+    ages = 60 * s, 59 * s, 40 * s, s // 10, 3 * s  # the last is for the clocks to judge
+    pictures = [Frame(now - age, (np.full((2, 2), k, np.uint8),), "x") for k, age in enumerate(ages)]
+    assert [watch.fresh(p, now) is not None for p in pictures] == [False, False, False, True, True]
+    assert watch.frames == 5
 
 
 def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:

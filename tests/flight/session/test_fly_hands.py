@@ -76,9 +76,7 @@ def session_of(
     live = SimpleNamespace(wait_until_ready=lambda: None, warnings=[], health=None)
     run: Any = SimpleNamespace(live=live, finish=some_run)
     plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
-    found = FlightSession(
-        plan, feed, r.pilot, run, iter(()), SessionLog([].append if lines is None else lines.append), on_status
-    )
+    found = FlightSession(plan, feed, r.pilot, run, iter(()), SessionLog(lines.append), on_status)
     monkeypatch.setattr(found, "check_all", lambda motion: [])
     monkeypatch.setattr(found, "check_motion", lambda: bad("motion", "none is known yet", "wait"))
     return found

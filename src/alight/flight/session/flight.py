@@ -63,7 +63,7 @@ class FlightRequest:
             raise InputError("--take-off: a dry run sends nothing; leave it out, or leave out --dry-run")
         if self.take_off is not None and self.take_off < executive.search_height:
             raise InputError(
-                f"--take-off {self.take_off:g}: the search begins where the climb ends, before a map tells what stands "
+                f"--take-off {self.take_off:g}: the search begins where the climb ends, before a map shows what stands "
                 f"there; give at least executive.search_height, {executive.search_height:g} m, or lower that"
             )
         if self.settings.too_low:
@@ -107,7 +107,7 @@ def fly_vehicle(
         on_line: called with one line each for notices of the autopilot, changes of state, orders of a dry run.
 
     Raises:
-        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+        AlightError: the input cannot be used, or the output cannot be written; the message names the remedy.
     """
     plan.validate()
     prepare_folder(plan.out, plan.overwrite)
@@ -196,7 +196,6 @@ class FlightSession:
     log: SessionLog
     on_status: OnStatus  # called with the status, some times a second
     machine: Sequence[CheckResult] = ()  # checks of this computer
-    arrivals: preflight.Arrivals = field(default_factory=preflight.Arrivals)
     found: list[CheckResult] = field(default_factory=list)  # by the newest checks
     failed: list[BaseException] = field(default_factory=list)  # errors of the source
     shown: float = -math.inf  # s, the newest status
@@ -236,8 +235,7 @@ class FlightSession:
                     return
                 fresh: Event | None = event
                 if isinstance(event, Frame):
-                    now_ns = time.monotonic_ns()
-                    fresh = self.pilot.inputs.add_frame(event, now_ns) if self.arrivals.add(event, now_ns) else None
+                    fresh = self.pilot.inputs.add_frame(event, time.monotonic_ns())
                 if fresh is not None:
                     self.run.live.feed(fresh)
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
@@ -298,7 +296,8 @@ class FlightSession:
         """Check the machine, the autopilot and the cameras; `motion`: the motion as well."""
         with self.feed.lock:
             found = [*self.machine, *autopilot_checks(self.plan, self.feed)]
-        found.append(self.arrivals.judge(time.monotonic_ns(), self.pilot.inputs.pictures.frozen))
+        p = self.pilot.inputs.pictures
+        found.append(preflight.judge_cameras(p.frames, p.rate(time.monotonic_ns()), p.delay, p.frozen))
         found += [bad("source", str(e), "see that it goes on") for e in self.failed]
         return [*found, self.check_motion()] if motion else found
 

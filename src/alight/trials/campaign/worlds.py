@@ -58,14 +58,12 @@ def _module(name: str) -> ModuleType:
     module = name.partition(":")[0]
     try:
         return importlib.import_module(module)
-    except ModuleNotFoundError as e:
-        if e.name is None or not f"{module}.".startswith(f"{e.name}."):
-            raise InputError(f"world {name}: importing {module} raised {error_line(e)}") from e
-        raise InputError(
-            f"world {name}: there is no module {e.name!r} in the working directory or where Python looks"
-        ) from e
     except Exception as e:
-        raise InputError(f"world {name}: importing {module} raised {error_line(e)}") from e
+        if isinstance(e, ModuleNotFoundError) and e.name and f"{module}.".startswith(f"{e.name}."):
+            why = f"there is no module {e.name!r} in the working directory or where Python looks"
+        else:
+            why = f"importing {module} raised {error_line(e)}"
+        raise InputError(f"world {name}: {why}") from e
 
 
 def error_line(error: BaseException) -> str:
