@@ -57,14 +57,10 @@ def _top(
         print_line(context.get_help())
 
 
-def _command(words: Sequence[str]) -> str:
-    """The command on a command line; empty: none."""
-    return next((w for w in words if not w.startswith("-")), "")
-
-
 def _smaller(words: Sequence[str]) -> str:
     """Advice for less memory: first about the user's own settings."""
-    usual = SMALLER.get(_command(words), "choose a larger parallax.cell or a smaller parallax.store_mb")
+    command = next((w for w in words if not w.startswith("-")), "")
+    usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]
     given += [w.removeprefix("--set=") for w in words if w.startswith("--set=")]
     if not given:

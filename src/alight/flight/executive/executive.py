@@ -158,8 +158,11 @@ class Executive:
 
     def _trouble(self, now: Situation) -> Event | None:
         over = self._limits.exceeded(now)
-        if self.state is S.HOLD and (enough := self._limits.held_enough(now, self._stage.since, over)) is not None:
-            return enough
+        if self.state is S.HOLD:
+            if (waited := now.t - self._stage.since) > self._limits.patience(now):
+                return E.WAITED, f"for {waited:.0f} s"
+            if over is not None and now.holds:
+                return over
         lost = now.state in (MotionState.LOST, MotionState.INITIALISING)
         flown = self._held if self.state is S.HOLD else self.state
         astray = now.position is None or lost or self._limits.is_too_weak(now, flown, self._left)
