@@ -527,7 +527,7 @@ def test_a_scene_or_a_program_that_has_changed_is_another_campaign(
     assert found.not_compared is not None
     assert "another content of" in found.not_compared
     scene(tmp_path)
-    monkeypatch.setattr(runner.run, "sources_digest", lambda: "0123456789abcdef")
+    monkeypatch.setattr(runner, "sources_digest", lambda: "0123456789abcdef")
     with pytest.raises(OutputError, match="another state of Alight's sources"):
         fly_campaign(small(names, 2), out, fly=lands)
     assert len(lines(out)) == 1
