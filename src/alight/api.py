@@ -267,9 +267,9 @@ def campaign(
     Raises:
         AlightError: no such scene, or the folder is another campaign's, or has more landings.
     """
-    from alight.trials.campaign import Campaign, fly_campaign, wanted_landings
+    from alight.trials.campaign.run import Campaign, fly_campaign, wanted_landings
 
-    planned = Campaign.of(scenes, wanted_landings(Path(out), landings), seed, settings_of(settings))
+    planned = Campaign(scenes, wanted_landings(Path(out), landings), seed, settings_of(settings))
     return fly_campaign(planned, Path(out), jobs, scheduler)
 
 

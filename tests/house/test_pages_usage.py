@@ -17,7 +17,6 @@ EVERYWHERE = {"--help", "--verbose", "-v", "--version"}
 
 def commands() -> dict[str, Any]:
     """Commands by the words that call them."""
-    application.load_commands()
     top = typer.main.get_command(application.app)
     found: dict[str, Any] = {}
     for name, command in top.commands.items():  # type: ignore[attr-defined]

@@ -16,10 +16,10 @@ from made_up_ground import AWAY, STEP, Flight, Ground, bad_from_below, clearer_f
 from some_run import elevation as some_elevation
 from some_run import site as some_site
 
-from alight.flight.executive import TABLE, Executive
+from alight.flight.executive.executive import Executive
 from alight.flight.executive.looks import LookLeg, LookPlanner
 from alight.flight.executive.places import KnownPlaces
-from alight.flight.executive.table import CROSSING, JUDGE_EVERY
+from alight.flight.executive.table import CROSSING, JUDGE_EVERY, TABLE
 from alight.flight.executive.ways import ClearWay, SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import Flag, Hazard, MotionState, Sites, Terrain
