@@ -24,7 +24,7 @@ from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_live, open_source
 from alight.runs import flown_home
 from alight.settings import Settings
-from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
+from alight.sources.capture import SensorClock
 from alight.sources.growing import GrowingLog, GrowingTable, WaitingExposures
 from alight.sources.live import LiveSource, as_they_arrive, paced
 from alight_sim import fly
@@ -185,7 +185,7 @@ def test_an_exposure_has_the_time_of_its_first_camera_though_that_comes_later() 
     for k in range(4):
         waiting.add(1, T0 + k * 10_000_000 - 2_000_000, f"right {k}", 0.0)
         waiting.add(0, T0 + k * 10_000_000, f"left {k}", 0.0)
-    assert waiting.names == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
+    assert waiting.items == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
 
 
 def test_gps_that_comes_after_the_start_of_a_folder_is_not_used(tmp_path: Path) -> None:
@@ -211,26 +211,21 @@ def test_a_folder_without_calibration_says_so(tmp_path: Path, monkeypatch: pytes
 # -- cameras
 
 
-def image(t_ms: float, value: int = 0) -> StampedImage:
-    return StampedImage(round(t_ms * 1e6), np.full((2, 2), value, np.uint8))
-
-
 def test_pairs_are_matched_by_their_stamps() -> None:
     """At 30 images a second, the right ones come 4 ms later; one is missing, and one has no left image."""
-    matcher, out = ExposureMatcher(2), list[Frame]()
+    waiting, out = WaitingExposures[int](2), list[tuple[int, list[int | None]]]()
     for k in range(12):
+        now = k / 30.0
         if k != 7:
-            out += matcher.take(0, image(1000 + 33.3 * k, k))
+            waiting.add(0, round((1000 + 33.3 * k) * 1e6), k, now)
+        out += [(t_ns, items) for t_ns, items, _ in waiting.ready(now)]
         if k != 4:
-            out += matcher.take(1, image(1004 + 33.3 * k, k))
-    for k in range(12, 16):
-        out += matcher.take(0, image(1000 + 33.3 * k, k))
-    assert [f.t_ns for f in out[:11]] == [round((1000 + 33.3 * k) * 1e6) for k in range(12) if k != 7]
-    for f in out[:11]:
-        left, right = f.images
-        assert left is not None
-        assert (right is None) == (left[0, 0] == 4)
-        assert right is None or right[0, 0] == left[0, 0]
+            waiting.add(1, round((1004 + 33.3 * k) * 1e6), k, now + 0.004)
+        out += [(t_ns, items) for t_ns, items, _ in waiting.ready(now + 0.004)]
+    assert [t_ns for t_ns, (left, _) in out if left is not None] == [
+        round((1000 + 33.3 * k) * 1e6) for k in range(12) if k != 7
+    ]
+    assert [items for _, items in out] == [[None if k == 7 else k, None if k == 4 else k] for k in range(12)]
 
 
 def test_a_sensor_clock_takes_the_smallest_delay() -> None:
