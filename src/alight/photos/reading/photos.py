@@ -6,7 +6,7 @@ Each zoom level, and each camera with a few photos, is a camera of the rig; an e
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -53,6 +53,7 @@ class Photos(Source):
         root: the folder.
         files: its photos.
         closed: sub-folders that may not be read.
+        read: the tags of a photo, and their fault, as `read_tags`.
 
     Raises:
         InputError: no readable photo, or none with GPS.
@@ -61,7 +62,14 @@ class Photos(Source):
     kind = "photos"
     georeferenced = True
 
-    def __init__(self, root: Path, files: Sequence[Path], settings: Settings, closed: Sequence[Path] = ()) -> None:
+    def __init__(
+        self,
+        root: Path,
+        files: Sequence[Path],
+        settings: Settings,
+        closed: Sequence[Path] = (),
+        read: Callable[[Path], tuple[PhotoTags, str]] = read_tags,
+    ) -> None:
         super().__init__()
         self._root = root
         self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb)
@@ -73,7 +81,7 @@ class Photos(Source):
             self.findings.warn(f"no permission to read {names}: photos in there are left out")
         generic = root.name.lower() in ("images", "photos", "dcim", "jpg")
         self.name = root.parent.name if generic else root.name
-        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
+        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files, read))), settings)
         photos, supposed = with_supposed_altitudes(photos)
         if supposed:
             self.findings.warn(f"no photo says its altitude: {supposed}, heights above the sea are not known")
@@ -121,11 +129,12 @@ class Photos(Source):
         return [facts[path] for path in sorted(facts)]
 
     def digest(self) -> str:
-        """Digest of the names and the bytes of all photos that are used."""
+        """Digest of the names, times, tags and bytes of all photos that are used."""
         of = blake2b()
-        for (_, tags), name in zip(self._photos, self._names, strict=True):
+        for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             with tags.path.open("rb") as file:
-                of.update(f"{name} {file_digest(file, blake2b).hexdigest()}\n".encode(errors="surrogateescape"))
+                line = f"{name} {t_ns} {tags.xmp} {file_digest(file, blake2b).hexdigest()}\n"
+            of.update(line.encode(errors="surrogateescape"))
         return of.hexdigest()
 
     # -- opening
@@ -142,11 +151,11 @@ class Photos(Source):
     def _leave_out(self, paths: set[Path], why: str) -> None:
         self._left_out |= dict.fromkeys(paths, why)
 
-    def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
+    def _readable(self, files: Sequence[Path], read: Callable[[Path], tuple[PhotoTags, str]]) -> list[PhotoTags]:
         damaged = list[str]()
         for path in files:
             try:
-                self._tags[path], problem = read_tags(path)
+                self._tags[path], problem = read(path)
             except UNREADABLE as e:
                 self._lose(path, "it is no image" if "identify" in str(e) else str(e))
                 continue
