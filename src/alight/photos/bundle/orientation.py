@@ -236,15 +236,11 @@ def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal
     tags = gimbal[photos]
     tagged = np.asarray(np.isfinite(tags).all(axis=(1, 2)))
     if tagged.any():
-        starts = [
-            _world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))
-        ]
+        axes = ((2,), (0, 1, 2))
+        starts = [_world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in axes]
     else:
-        starts = [
-            _world_from_frame(
-                base, np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA
-            )
-        ]
+        down = np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1))
+        starts = [_world_from_frame(base, down, frame_from_cam, (2,), _NADIR_SIGMA)]
     cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
     world_from_cam = R @ frame_from_cam
     heading = _common_heading(world_from_cam[tagged], tags[tagged])
