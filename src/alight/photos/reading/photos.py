@@ -92,7 +92,8 @@ class Photos(Source):
         if not any(p.position for _, p in ordered):
             raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
         self._photos = ordered
-        self._leave_out({p.path for p in photos} - {p.path for _, p in ordered}, "by sources.skip or sources.every")
+        skipped = {p.path for p in photos} - {p.path for _, p in ordered}
+        self._left_out |= dict.fromkeys(skipped, "by sources.skip or sources.every")
         self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
         self._names = _names([p for _, p in ordered], root)
         self._flights = _flights([p for _, p in ordered])
@@ -148,8 +149,11 @@ class Photos(Source):
         self.findings.lose("photos", self._name_of(path), why)
         self._left_out[path] = why
 
-    def _leave_out(self, paths: set[Path], why: str) -> None:
-        self._left_out |= dict.fromkeys(paths, why)
+    def _without(self, photos: list[PhotoTags], reasons: dict[Path, str], group: str) -> list[PhotoTags]:
+        """The photos that nothing speaks against; the others are counted by the name of their group."""
+        self._left_out |= reasons
+        self.findings.counts |= {group: len(reasons)} if reasons else {}
+        return [p for p in photos if p.path not in reasons]
 
     def _readable(self, files: Sequence[Path], read: Callable[[Path], tuple[PhotoTags, str]]) -> list[PhotoTags]:
         damaged = list[str]()
@@ -174,9 +178,7 @@ class Photos(Source):
         thermal = thermal_photos(photos)
         if thermal:
             self.findings.warn(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
-            self.findings.counts["thermal pictures"] = len(thermal)
-        self._leave_out({p.path for p in thermal}, "a thermal picture")
-        return [p for p in photos if p.path not in self._left_out]
+        return self._without(photos, {p.path: "a thermal picture" for p in thermal}, "thermal pictures")
 
     def _of_one_band(self, photos: list[PhotoTags]) -> list[PhotoTags]:
         band = band_to_use(photos)
@@ -189,10 +191,8 @@ class Photos(Source):
                 f"{len(others)} picture(s) of single bands are left out (first: {others[0].path.name}): of a "
                 f"multispectral camera {used} used"
             )
-            self.findings.counts["pictures of other bands"] = len(others)
-        for p in others:
-            self._left_out[p.path] = f"{p.band or 'colour'}: {used} used"
-        return [p for p in photos if p.band == band]
+        reasons = {p.path: f"{p.band or 'colour'}: {used} used" for p in others}
+        return self._without(photos, reasons, "pictures of other bands")
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
@@ -211,10 +211,9 @@ class Photos(Source):
                 f"{count} photo(s) of another camera are left out: {camera.title} (first: {first.path.name}): "
                 f"{out[camera]}"
             )
-        if out:
-            self.findings.counts["photos of another camera"] = sum(p.camera in out for p in photos)
-        self._left_out |= {p.path: out[p.camera] for p in photos if p.camera in out}
-        return [p for p in photos if p.camera not in out]
+        return self._without(
+            photos, {p.path: out[p.camera] for p in photos if p.camera in out}, "photos of another camera"
+        )
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
         """Photos sorted by time of capture, then name; photos of one second are spread over it, so that time rises."""

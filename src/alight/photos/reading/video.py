@@ -198,7 +198,7 @@ def _tags(path: Path, size: tuple[int, int], row: Subtitle, seconds: float) -> P
     """The tags that a photo of the same drone would have; no altitude where it is not known."""
     assert row.place is not None
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
-    exif = {
+    exif: dict[int, str] = {
         Base.Make: "video", Base.Model: "with telemetry", Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
         Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
     }  # fmt: skip

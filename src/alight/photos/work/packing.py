@@ -41,7 +41,7 @@ def pack_result(value: Any, about: str) -> bytes:
         about: further inputs of the result, as text; part of the digest alone.
     """
     arrays, out = list[NDArray[Any]](), io.BytesIO()
-    tree = json.dumps(_plain(value, arrays))
+    tree = json.dumps({"value": _plain(value, arrays)})
     np.savez(out, *arrays, tree=np.array(tree))
     body: bytes = lz4.frame.compress(out.getvalue())
     return _digest(about, body) + body
@@ -60,8 +60,8 @@ def unpack_result(data: bytes) -> Any:
     """
     try:
         with np.load(io.BytesIO(lz4.frame.decompress(data[_DIGEST:])), allow_pickle=False) as archive:
-            return _whole(parse_json(str(archive["tree"])), archive)
-    except (KeyError, TypeError, IndexError, AttributeError, RuntimeError, OSError, BadZipFile) as e:
+            return _whole(parse_json(str(archive["tree"]))["value"], archive)
+    except (KeyError, TypeError, IndexError, AttributeError, RuntimeError, OSError, EOFError, BadZipFile) as e:
         raise ValueError(f"damaged ({e})") from e
 
 
