@@ -32,12 +32,13 @@ def parse_xmp(packet: bytes | str) -> Xmp:
     text = _text(packet)[:1_000_000]
     if "<!" in text.replace("<!--", ""):  # a document type: no camera writes one, and it is a known attack
         return Xmp({}, "its XMP has a document type")
-    undeclared = {p for p in _PREFIX.findall(text) if p not in ("xml", "xmlns") and f"xmlns:{p}" not in text}
+    undeclared = set(_PREFIX.findall(text)) - {"xml", "xmlns", *re.findall(r"xmlns:([\w-]+)", text)}
     declared = "".join(f' xmlns:{p}="{p}/1.0"' for p in sorted(undeclared))
     builder, fault = ET.TreeBuilder(), "its XMP is malformed" if declared else ""
+    parser = ET.XMLParser(target=builder)
     try:
-        ET.XMLParser(target=builder).feed(re.sub(r"(<[\w:-]+)", rf"\1{declared}", text, count=1))
-        root = builder.close()
+        parser.feed(re.sub(r"(<[\w:-]+)", rf"\1{declared}", text, count=1))
+        root = parser.close()
     except ET.ParseError:
         root, fault = builder.close(), "its XMP is malformed"
     found, elements, lists = dict[str, str](), dict[str, str](), dict[str, list[str]]()
