@@ -146,7 +146,7 @@ def _focal(fits: dict[str, FlowFit]) -> CheckResult:
     name = CHECKS[2]
     parts = [(camera, f.parameters[FOCAL], f.sigma[FOCAL], f.focal) for camera, f in fits.items()]
     evidence = "; ".join(
-        f"{n} {f:.1f} px, the flow fits {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
+        f"{n} {f:.1f} px, the flow gives {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
     )
     vague = 0.02  # 1-sigma
     off = [n for n, s, e, _ in parts if e < vague and abs(s) > max(0.045, 4.0 * e)]
