@@ -211,21 +211,35 @@ def test_a_folder_without_calibration_says_so(tmp_path: Path, monkeypatch: pytes
 # -- cameras
 
 
+def matched(waiting: WaitingExposures[int], now: float) -> list[tuple[int, list[int | None]]]:
+    return [(t_ns, items) for t_ns, items, _ in waiting.ready(now)]
+
+
 def test_pairs_are_matched_by_their_stamps() -> None:
     """At 30 images a second, the right ones come 4 ms later; one is missing, and one has no left image."""
     waiting, out = WaitingExposures[int](2), list[tuple[int, list[int | None]]]()
     for k in range(12):
-        now = k / 30.0
-        if k != 7:
-            waiting.add(0, round((1000 + 33.3 * k) * 1e6), k, now)
-        out += [(t_ns, items) for t_ns, items, _ in waiting.ready(now)]
-        if k != 4:
-            waiting.add(1, round((1004 + 33.3 * k) * 1e6), k, now + 0.004)
-        out += [(t_ns, items) for t_ns, items, _ in waiting.ready(now + 0.004)]
-    assert [t_ns for t_ns, (left, _) in out if left is not None] == [
-        round((1000 + 33.3 * k) * 1e6) for k in range(12) if k != 7
-    ]
+        for camera, late in ((0, 0.0), (1, 4.0)):
+            if (camera, k) not in ((0, 7), (1, 4)):
+                waiting.add(camera, round((1000 + 33.3 * k + late) * 1e6), k, k / 30.0)
+            out += matched(waiting, k / 30.0)
+    assert len(out) == 7  # an exposure waits for a partner that may come
+    out += matched(waiting, 1.0)
+    assert [t for t, _ in out] == [round((1000 + 33.3 * k + 4 * (k == 7)) * 1e6) for k in range(12)]
     assert [items for _, items in out] == [[None if k == 7 else k, None if k == 4 else k] for k in range(12)]
+
+
+def test_images_that_come_too_late_for_their_exposure_delay_no_other() -> None:
+    """The right camera is half a second behind."""
+    waiting, out = WaitingExposures[int](2), list[tuple[float, int, list[int | None]]]()
+    for k in range(60):
+        waiting.add(0, k * 33_000_000, k, k / 30.0)
+        if k >= 15:
+            waiting.add(1, (k - 15) * 33_000_000, k - 15, k / 30.0)
+        out += [(k / 30.0, *found) for found in matched(waiting, k / 30.0)]
+    left = [(now, items[0]) for now, _, items in out if items[0] is not None]
+    assert [k for _, k in left] == list(range(len(left)))
+    assert max(now - k / 30.0 for now, k in left) < 0.2
 
 
 def test_a_sensor_clock_takes_the_smallest_delay() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -144,13 +145,13 @@ class Cameras(CalibratedFolder):
                     return
                 if image is None:
                     open_cameras -= 1
-                    if not open_cameras:
-                        return
-                    continue
-                waiting.add(k, *image, time.monotonic())
-                for t_ns, images, _ in waiting.ready(time.monotonic()):
+                else:
+                    waiting.add(k, *image, time.monotonic())
+                for t_ns, images, _ in waiting.ready(time.monotonic() if open_cameras else math.inf):
                     if images[0] is not None:  # the first camera's exposures count
                         self.length += 1
                         yield Frame(t_ns, tuple(images))
+                if not open_cameras:
+                    return
         finally:
             over.set()

@@ -66,6 +66,7 @@ class WaitingExposures(Generic[Item]):
         self._since: dict[int, float] = {}  # s, when the first of them came
         self._cameras = cameras
         self._stamps: deque[int] = deque(maxlen=32)  # the newest of the first camera, ns, for its period
+        self._newest = -1  # stamp of those that were ready
 
     def add(self, camera: int, t_ns: int, item: Item, now: float) -> None:
         """Add an item to the waiting exposure of its time, else to the nearest one within half a period."""
@@ -81,13 +82,17 @@ class WaitingExposures(Generic[Item]):
         self.items[at], self._since[at] = items, self._since.pop(found, now)
 
     def ready(self, now: float) -> Iterator[tuple[int, list[Item | None], float]]:
-        """Yield stamp, items and waiting time in order of time, up to one that waits; each is then removed."""
+        """Yield stamp, items and waiting time in order of time, up to one that waits; each is then removed.
+
+        None waits that is older than those before: its partner came alone.
+        """
         for t_ns in sorted(self.items):
             items, waited = self.items[t_ns], now - self._since[t_ns]
-            if waited < PARTNER and any(item is None for item in items):
+            if t_ns > self._newest and waited < PARTNER and any(item is None for item in items):
                 return
             yield t_ns, items, waited
             del self.items[t_ns], self._since[t_ns]
+            self._newest = max(self._newest, t_ns)
 
 
 class GrowingLog(CalibratedFolder):
