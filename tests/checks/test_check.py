@@ -175,7 +175,7 @@ def test_a_flight_straight_on_does_not_claim_to_know_the_time_offset() -> None:
     steady = replace(steady, flows=[replace(f, homography=H) for f in steady.flows])
     rig = Rig((replace(flight().rig.cameras[0], body_from_cam=Pose(NADIR)),))
     present = evidence().present[:, :1]
-    one = replace(evidence(), rig=rig, cameras=(steady,), present=present, matches=(), nav=calm, imu=still)
+    one = replace(evidence(), rig=rig, cameras=(steady,), present=present, nav=calm, imu=still)
     found = {r.name: r for r in check_evidence(one)}
     assert found["mounting"].verdict is Judged.GOOD, found["mounting"]
     assert found["time offset"].verdict is Judged.UNKNOWN, found["time offset"]

@@ -10,7 +10,7 @@ import numpy as np
 from some_run import elevation as some_elevation
 from some_run import site as some_site
 
-from alight.flight.executive import Executive
+from alight.flight.executive.executive import Executive
 from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites
 from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order, Situation

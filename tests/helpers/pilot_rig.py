@@ -12,7 +12,7 @@ from made_up_ground import Ground, clearer_from_below
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.session.dry_run import VehicleCommands
-from alight.flight.session.pilot import LandingPilot, PilotView
+from alight.flight.session.pilot import LandingLog, LandingPilot, PilotView
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
@@ -48,7 +48,7 @@ def seldom(r: Rig, period: float) -> None:
     r.sim.reports.makers["GLOBAL_POSITION_INT"] = seldom_made
 
 
-class PilotRig(Rig):
+class PilotRig(Rig, LandingLog):
     """Both ends of a link, and a pilot at ours.
 
     Steps of 0.1 s are twice as fast as those of 0.05 s; no message comes more often than steps are made.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
+import numpy as np
 import pytest
 from damage import UNSMOOTHED, campaign_line, write_campaign
 from length import first, first_rows
@@ -227,7 +230,9 @@ def test_a_piece_of_work_that_pretends_to_be_whole(
     capsys.readouterr()
     monkeypatch.setattr(saved, "is_whole", lambda data, about: True)
     for path in unfinished.glob("*.part"):
-        damage(path, bytes(16) + len(tree).to_bytes(4, "little") + tree)
+        archive = io.BytesIO()
+        np.savez(archive, tree=np.array(tree.decode("latin-1")))
+        damage(path, bytes(16) + lz4.frame.compress(archive.getvalue()))
     assert call(["run", str(photos), "--out", str(unfinished.parent), "--resume"]) == 2
     refused(capsys, "the saved work ", "is damaged; run without --resume to begin anew")
 

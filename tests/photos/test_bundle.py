@@ -26,7 +26,6 @@ from alight.photos.bundle.solver import (
     covariance_of,
     residuals,
     solved_steps,
-    total_cost,
     triangulate_bundle,
 )
 from alight.photos.bundle.summary import Solved
@@ -345,7 +344,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
     n = len(exact.centres)
 
     def cost(**moved: F64) -> float:
-        return total_cost(replace(state, **moved), obs, priors, np.ones(len(obs.photo)), 3.0)
+        return Adjustment(obs, priors, np.ones(len(obs.photo)), 3.0).cost(replace(state, **moved))
 
     def slope(field: str, at: tuple[int, ...], step: float) -> float:
         out = []
@@ -595,4 +594,6 @@ def test_a_photo_that_shares_nothing_keeps_its_exposure() -> None:
     assert np.abs(gains - 1.0).max() < 0.02
     dark = [replace(f, colours=np.zeros_like(f.colours)) for f in features]
     assert np.array_equal(exposure_gains(dark, s.observations), np.ones_like(gains))
-    assert np.array_equal(exposure_gains([None] * 3, s.observations.keep(s.observations.photo < 0)[0]), np.ones((3, 3)))
+    assert np.array_equal(
+        exposure_gains(s.features[:3], s.observations.keep(s.observations.photo < 0)[0]), np.ones((3, 3))
+    )

@@ -44,7 +44,7 @@ def under(lane: RecursiveMap, view: View, level: int | None = None, share: float
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, share * (seen.max(axis=0) - seen.min(axis=0)) / 2
     (west, south), (east, north) = middle - half, middle + half
     at = lane.level if level is None else level
-    return lane.elevation.read(lane.elevation.window((west, east), (south, north), at))
+    return lane.elevation.read(lane.elevation.layer(at).window((west, east), (south, north)))
 
 
 def errors(m: ElevationMap) -> np.ndarray:
@@ -224,7 +224,7 @@ def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
     assert max(cells.values()) / min(cells.values()) == 4
     last = lane.elevation.read(
-        lane.elevation.window((views[-1].centre[0] - 1, views[-1].centre[0] + 1), (-1.0, 2.0), min(cells))
+        lane.elevation.layer(min(cells)).window((views[-1].centre[0] - 1, views[-1].centre[0] + 1), (-1.0, 2.0))
     )
     assert last.trusted.mean() > 0.8
     assert np.median(np.abs(errors(last))) < 0.0025 * 5

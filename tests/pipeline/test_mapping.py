@@ -160,7 +160,7 @@ def test_a_ground_that_is_found_again_is_searched_for_at_once(monkeypatch: pytes
         lane.step([v])
     assert lane.estimator is not None
     assert lane.elevation is not None
-    known = lane.elevation.read(lane.elevation.window((-6.0, 6.0), (-6.0, 6.0), lane.level))
+    known = lane.elevation.read(lane.elevation.layer(lane.level).window((-6.0, 6.0), (-6.0, 6.0)))
     assert known.trusted.sum() > 7 * lane.settings.mapping.least_known
     for _ in range(20):
         lane.estimator._blocks.visited((slice(0, 8), slice(0, 8)), *2 * [np.zeros((2, 2), bool)], 4)

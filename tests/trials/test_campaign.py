@@ -18,20 +18,20 @@ import pytest
 from length import first, first_rows, long
 
 import alight
-from alight.cli import call
-from alight.cli import campaign as campaign_command
+from alight.cli import call, simulated
 from alight.cluster import do_alike
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.settings import Settings, load_settings
-from alight.trials import campaign as runner
-from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
+from alight.trials.campaign import run as runner
 from alight.trials.campaign.faults import FAULTS, LINK_FAULTS, Happenings
 from alight.trials.campaign.flying import fly_conditions
+from alight.trials.campaign.folder import CampaignFolder
 from alight.trials.campaign.numbers import campaign_numbers, unsafe_bound
 from alight.trials.campaign.plan import MOST_WIND, SUN, conditions_of
+from alight.trials.campaign.run import Campaign, again, continued, fly_campaign, wanted_landings
 from alight.trials.campaign.worlds import scenes_of
 from alight.trials.landing import Landing
 from alight_sim.flight import START_NS
@@ -51,7 +51,7 @@ def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
 
 def small(names: list[str], landings: int = 4, seed: int = 3) -> Campaign:
     """A campaign that takes no time."""
-    return Campaign.of(names, landings, seed, load_settings("", SMALL))
+    return Campaign(names, landings, seed, load_settings("", SMALL))
 
 
 def diary(*steps: tuple[S, E, S]) -> FlightDiary:
@@ -527,7 +527,7 @@ def test_a_scene_or_a_program_that_has_changed_is_another_campaign(
     assert found.not_compared is not None
     assert "another content of" in found.not_compared
     scene(tmp_path)
-    monkeypatch.setattr(runner.run, "sources_digest", lambda: "0123456789abcdef")
+    monkeypatch.setattr(runner, "sources_digest", lambda: "0123456789abcdef")
     with pytest.raises(OutputError, match="another state of Alight's sources"):
         fly_campaign(small(names, 2), out, fly=lands)
     assert len(lines(out)) == 1
@@ -844,7 +844,7 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
 
 
 def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]) -> None:
-    campaign_command.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
+    simulated.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
     assert "P(safe) > 0.999" in capsys.readouterr().err
 
 

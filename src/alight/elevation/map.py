@@ -7,13 +7,12 @@ one. So each layer is the best map at its cell size, except at places that were 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.elevation.levels import double_fields, halve_fields
-from alight.elevation.tiles import FIELDS, Fields, Key, TileCounts, TileLayer, TileStore, is_seen
+from alight.elevation.tiles import FIELDS, Fields, TileLayer, TileStore, is_seen
 from alight.geometry import Grid, box_of
 from alight.records import ElevationMap, Heights, is_trusted
 from alight.settings.tuning import ElevationTuning
@@ -46,56 +45,38 @@ class TiledElevation:
 
     # -- rasters
 
-    @property
-    def tiles(self) -> TileCounts:
-        """Number of tiles in memory, and of those that are packed, of all levels."""
-        each = [layer.tiles for layer in self._layers.values()]
-        return TileCounts(sum(t.near for t in each), sum(t.packed for t in each))
-
     def cell_at(self, level: int) -> float:
         """Cell size of a level, metres."""
         return math.ldexp(self.cell, level)
 
-    def _layer_of(self, cell: float) -> TileLayer:
-        return self._layer(round(math.log2(cell / self.cell)))
-
-    def _layer(self, level: int) -> TileLayer:
+    def layer(self, level: int = 0) -> TileLayer:
         """Return the layer of a level; open it, and those between it and the existing layers, if they are missing."""
         while level < (finest := min(self._layers)):
             self._open(finest - 1)
         while level > (coarsest := max(self._layers)):
             self._open(coarsest + 1)
             below = self._layers[coarsest]
-            for key in below.keys:
+            for key in (*below.near, *below.packed):
                 self._pass_on(below, below.tile_grid(key))
         return self._layers[level]
 
     def _open(self, level: int) -> None:
         self._layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
 
-    def tile_grid(self, key: Key, margin: int = 0, level: int = 0) -> Grid:
-        """Return the grid of one tile, `margin` cells wider on every side."""
-        return self._layer(level).tile_grid(key, margin)
-
-    def cover(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Iterator[Key]:
-        """Yield the tiles that a rectangle (metres) touches, southern rows first."""
-        return self._layer(level).cover(east, north)
-
-    def window(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Grid:
-        """Return the smallest grid of whole cells over a rectangle (metres)."""
-        return self._layer(level).window(east, north)
+    def _layer_of(self, grid: Grid) -> TileLayer:
+        return self.layer(round(math.log2(grid.cell / self.cell)))
 
     # -- content
 
     def add(self, heights: Heights, replace_all: bool = False) -> None:
         """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new height wherever seen)."""
-        layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
+        layer, new = self._layer_of(heights.grid), {k: getattr(heights, k) for k in FIELDS}
         seen = is_seen(new["flags"])
         take = seen if replace_all else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
-        r, c = box_of(take)
-        if r.stop > r.start:
-            grid = heights.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
-            layer.write(grid, {k: v[r, c] for k, v in new.items()}, take[r, c])
+        box = box_of(take)
+        if take[box].size:
+            grid = heights.grid.part(box)
+            layer.write(grid, {k: v[box] for k, v in new.items()}, take[box])
             while layer.level < max(self._layers):
                 grid = self._pass_on(layer, grid)
                 layer = self._layers[layer.level + 1]
@@ -133,14 +114,12 @@ class TiledElevation:
 
     def read(self, grid: Grid) -> ElevationMap:
         """Return a copy of the best heights on a grid of whole cells of any level."""
-        return self._map(grid, 1.0)
+        return ElevationMap(grid, **self._known(self._layer_of(grid), grid, 1.0))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
         """Return the start of a step: as `read`, with sigma inflated where only coarser levels have seen a cell."""
-        return self._map(grid, self._tuning.less_sure)
-
-    def _map(self, grid: Grid, inflation: float) -> ElevationMap:
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, inflation))  # type: ignore[arg-type]
+        inflated = self._known(self._layer_of(grid), grid, self._tuning.less_sure)
+        return ElevationMap(grid, **inflated)  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory does not grow with the flight."""
@@ -160,7 +139,7 @@ class TiledElevation:
         level = min(k for k in boxes if area[k] >= self._tuning.least_share * max(area.values()))
         while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 1:
             level += 1
-        return self.read(self._layer(level).cells(*_about(boxes, level)))
+        return self.read(self.layer(level).cells(*_about(boxes, level)))
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:

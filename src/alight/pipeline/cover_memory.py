@@ -1,4 +1,4 @@
-"""Land cover of earlier maps: the look at the most familiar ground counts (docs/method/near-looks.md, T8)."""
+"""Land cover of earlier maps: the look at the most familiar ground counts (docs/method/p-safe.md, T8)."""
 
 from __future__ import annotations
 

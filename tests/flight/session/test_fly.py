@@ -33,7 +33,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str, height: float
     assert not r.of(NoticeKind.TAKEOVER)
     assert len(r.entries) == len(r.pilot.diary.transitions) + len(r.pilot.diary.looks)
     assert len(r.pilot.diary.pictures) == len(r.pilot.diary.looks)
-    late = list(r.pilot.delays.of_verdicts)
+    late = list(r.pilot.delays["image to way-point"])
     assert late
     assert max(late) <= VERDICT + r.dt + 1e-6  # every verdict is used in the tick after its arrival
     t = r.t
