@@ -86,7 +86,9 @@ def test_a_flight_knows_when_nobody_listens(
         return []
 
     now = time.monotonic_ns()
-    monkeypatch.setattr("alight.flight.live.telemetry.time", SimpleNamespace(monotonic_ns=lambda: now, sleep=time.sleep))
+    monkeypatch.setattr(
+        "alight.flight.live.telemetry.time", SimpleNamespace(monotonic_ns=lambda: now, sleep=time.sleep)
+    )
     monkeypatch.setattr(feed.link, "read", stuck)
     assert wait(60.0, feed, held.is_set)
 
