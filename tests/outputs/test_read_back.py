@@ -20,6 +20,7 @@ from alight.outputs import folder, write_run
 from alight.outputs.folder import WORK
 from alight.outputs.recorder import Recorder
 from alight.photos.work import saved
+from alight.records.campaign import LandingRecord
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead
 from alight.runner.opening import open_source
 from alight.settings import ImuNoise, Settings
@@ -129,7 +130,7 @@ def test_the_last_line_of_a_campaign_is_flown_again(
 
 
 def _again(landing: int) -> tuple[object, None]:
-    return campaign_run.LandingRecord.model_validate(campaign_line(landing)), None
+    return LandingRecord.model_validate(campaign_line(landing)), None
 
 
 @pytest.mark.parametrize(

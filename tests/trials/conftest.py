@@ -11,5 +11,6 @@ from alight_sim.steered import SteeredFlight
 
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the vehicles of campaigns have cameras of a quarter of the pixels."""
-    monkeypatch.setattr("alight.trials.campaign.flying.SteeredFlight", partial(SteeredFlight, size=(160, 120)))
+    """Let the vehicles of campaigns have one camera of a quarter of the pixels."""
+    small = partial(SteeredFlight, size=(160, 120), stereo=False)
+    monkeypatch.setattr("alight.trials.campaign.flying.SteeredFlight", small)

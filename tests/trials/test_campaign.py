@@ -561,19 +561,19 @@ def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("small_pictures")
-def test_a_real_flight_is_the_same_again() -> None:
-    """A flight of five seconds, without a landing and with frozen cameras, has the same record again."""
-    fault = FaultRecord(what="cameras frozen", after=3.0, numbers={"seconds": 1.0})
-    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
+def test_a_real_flight_is_the_same_again(tmp_path: Path) -> None:
+    """A flight of six seconds, without a landing and with frozen cameras, has the same record again."""
+    fault = FaultRecord(what="cameras frozen", after=3.5, numbers={"seconds": 1.0})
+    given = conditions_of((scene(tmp_path),), 1, 0).model_copy(update={"faults": (fault,)})
     one, two = (
-        fly_conditions(given, load_settings("", ["executive.time_budget=5", "executive.search_side=40"])).record
+        fly_conditions(given, load_settings("", ["executive.time_budget=6", "executive.search_side=40"])).record
         for _ in range(2)
     )
     assert one.repeatable() == two.repeatable()
     assert (one.outcome, one.state) == ("wrongly refused", "return")
     assert one.verdicts > 0
     assert one.distance > 2.0
-    assert one.conditions.faults[0].happened == pytest.approx(3.0, abs=0.11)
+    assert one.conditions.faults[0].happened == pytest.approx(3.5, abs=0.11)
 
 
 def test_link_faults_are_drawn_beside_what_is_drawn_without_them() -> None:
@@ -593,18 +593,20 @@ TAKERS = [(what, ("ardupilot", "px4")[(k + turn) % 2]) for turn in range(2) for 
 
 @pytest.mark.usefixtures("small_pictures")
 @pytest.mark.parametrize(("what", "firmware"), first_rows(len(LINK_FAULTS), TAKERS))
-def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(what: str, firmware: str) -> None:
+def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(
+    what: str, firmware: str, tmp_path: Path
+) -> None:
     """The pilot that flies vehicles is given each fault in the search, over the protocol."""
     kind = LINK_FAULTS[what]
     numbers = {name: low for name, (low, _) in kind.ranges.items()}
     fault = FaultRecord(what=what, after=2.0, state="search", numbers=numbers, takes_control=kind.takes_control)
-    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,), "firmware": firmware})
-    record = fly_conditions(given, load_settings("", ["executive.time_budget=9", "executive.search_side=40"])).record
+    given = conditions_of((scene(tmp_path),), 1, 0).model_copy(update={"faults": (fault,), "firmware": firmware})
+    record = fly_conditions(given, load_settings("", ["executive.time_budget=7", "executive.search_side=40"])).record
     assert record.error is None
     assert record.conditions.faults[0].happened == pytest.approx(2.0, abs=0.1)
     assert (record.outcome == "handed over") is kind.takes_control
-    assert record.is_right is kind.takes_control  # 9 s are too short for a landing
-    assert record.seconds < 8.0 or not kind.takes_control
+    assert record.is_right is kind.takes_control  # 7 s are too short for a landing
+    assert record.seconds < 6.0 or not kind.takes_control
 
 
 @long
