@@ -57,10 +57,20 @@ def read_text(path: Path, largest: int = LONGEST) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.2 of words and decimal numbers, without dates, octal 010 or 1:30 for 90; a key is a word, once."""
+    """YAML of words and decimal numbers: no dates, no octal 010, no 1:30 for 90; a key is a word and stands once."""
+
+    _merged = 0  # values, by all merge keys of the text
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Leave the merge keys of YAML 1.1 in place, where they are refused: some lines can merge into billions."""
+        """Merge what `<<` names; refuse too many values, as a few lines can merge into billions."""
+        named = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
+        listed = [v for value in named for v in (value.value if isinstance(value, yaml.SequenceNode) else [value])]
+        for source in (v for v in listed if isinstance(v, yaml.MappingNode)):
+            self.flatten_mapping(source)
+            self._merged += len(source.value)
+            if self._merged > MOST_VALUES:
+                raise DocumentError(f"more than {MOST_VALUES} values, merged ones written out; write it shorter")
+        super().flatten_mapping(node)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Construct a mapping; refuse keys that are no words or stand twice."""
@@ -73,6 +83,10 @@ class _Loader(yaml.SafeLoader):
                 raise DocumentError(f"the key {str(key)[:40]!r} is no word; put it into quotes")
         return tree
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Construct a decimal integer."""
+        return int(node.value)
+
 
 _NUMBERS = {
     "tag:yaml.org,2002:int": r"[-+]?[0-9]+$",
@@ -80,7 +94,7 @@ _NUMBERS = {
         r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?$|[-+]?\.(?:inf|Inf|INF)$|\.(?:nan|NaN|NAN)$"
     ),
 }
-_Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in some if tag not in {"tag:yaml.org,2002:timestamp", *_NUMBERS}]
     for first, some in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -162,10 +176,11 @@ def _check(tree: Any, most: float) -> None:
             raise DocumentError(f"a {type(value).__name__} is neither a word nor a number; put it into quotes")
 
 
-# characters that steer a terminal, are no HTML, or turn the direction of a line; line breaks and tabs do not
-_UNPRINTABLE = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+# characters that steer a terminal, are no HTML, or turn the direction of a line
+_UNPRINTABLE = [*range(0x09), *range(0x0B, 0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)]
+_ESCAPES = {code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" for code in _UNPRINTABLE}
 
 
 def printable(text: str) -> str:
     """A text from outside with its control characters escaped; line breaks and tabs stay."""
-    return _UNPRINTABLE.sub(lambda found: f"\\{'u' if found[0] > 'ÿ' else 'x'}{ord(found[0]):02x}", text)
+    return text.translate(_ESCAPES)

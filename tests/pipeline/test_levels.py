@@ -135,7 +135,7 @@ def test_no_seam_where_levels_meet() -> None:
     lane, _, _ = flown()
     assert lane.elevation is not None
     last = under(lane, down()[-1], -4, share=1.8)
-    own = lane.elevation._layers[-4].read(last.grid)
+    own = lane.elevation.layers[-4].read(last.grid)
     fine = np.isfinite(own["height"])
     assert 0.2 < fine.mean() < 0.9
     x, y = np.meshgrid(*last.grid.xy())
@@ -221,7 +221,7 @@ def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     assert lane.find_ground(views[::2]), lane.reason
     lane.match_tiles(views[::2], lambda share: None)
     assert lane.elevation is not None
-    cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
+    cells = {level: layer.cell for level, layer in lane.elevation.layers.items() if layer.box()}
     assert max(cells.values()) / min(cells.values()) == 4
     last = lane.elevation.read(
         lane.elevation.layer(min(cells)).window((views[-1].centre[0] - 1, views[-1].centre[0] + 1), (-1.0, 2.0))
@@ -276,7 +276,7 @@ def test_a_hover_takes_nothing_away() -> None:
         lane.step([look(at + 0.02 * np.array([np.sin(k), np.cos(k), 0.3 * np.sin(0.3 * k)]), 100 + k, yaw=0.16 * k)])
     after = worth(lane, level()[-1])
     assert lane.estimator is not None
-    centres = np.array([exposure[0].view.centre for exposure in lane.estimator._kept])
+    centres = np.array([exposure[0].view.centre for exposure in lane.estimator.kept.values()])
     assert np.linalg.norm(centres - at, axis=1).max() > 0.1 * UP
     assert after[0] > before[0] - 0.02
     assert after[1] < 1.2 * before[1]
@@ -366,7 +366,7 @@ def test_lost_late_and_repeated_keyframes() -> None:
     some.insert(7, some[6])
     lane = steps(lane_of(level()[:8]), some)
     assert lane.estimator is not None
-    times = [exposure[0].view.t_ns for exposure in lane.estimator._kept]
+    times = [exposure[0].view.t_ns for exposure in lane.estimator.kept.values()]
     assert times == sorted(set(times))
     found = worth(lane, level()[-1])
     assert found[0] > whole[0] - 0.07
@@ -382,7 +382,7 @@ def test_a_long_way_holds_no_more_than_a_short_one() -> None:
         lane.step([v])
         assert lane.elevation is not None
         assert lane.estimator is not None
-        held.append((sum(len(x._near) for x in lane.elevation._layers.values()), len(lane.estimator._kept)))
+        held.append((sum(len(x.near) for x in lane.elevation.layers.values()), len(lane.estimator.kept)))
     tiles, keyframes = np.array(held).T
     assert tiles[20:].max() <= tiles[:20].max() + 1
     assert keyframes.max() <= 7

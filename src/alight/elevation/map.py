@@ -41,7 +41,7 @@ class TiledElevation:
     ) -> None:
         self.cell, self.side, self._tuning = cell, side, tuning or ElevationTuning()
         self._far: TileStore = {} if far is None else far
-        self._layers = {0: TileLayer(0, cell, side, self._far)}
+        self.layers = {0: TileLayer(0, cell, side, self._far)}
 
     # -- rasters
 
@@ -51,17 +51,17 @@ class TiledElevation:
 
     def layer(self, level: int = 0) -> TileLayer:
         """Return the layer of a level; open it, and those between it and the existing layers, if they are missing."""
-        while level < (finest := min(self._layers)):
+        while level < (finest := min(self.layers)):
             self._open(finest - 1)
-        while level > (coarsest := max(self._layers)):
+        while level > (coarsest := max(self.layers)):
             self._open(coarsest + 1)
-            below = self._layers[coarsest]
+            below = self.layers[coarsest]
             for key in (*below.near, *below.packed):
                 self._pass_on(below, below.tile_grid(key))
-        return self._layers[level]
+        return self.layers[level]
 
     def _open(self, level: int) -> None:
-        self._layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
+        self.layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
 
     def _layer_of(self, grid: Grid) -> TileLayer:
         return self.layer(round(math.log2(grid.cell / self.cell)))
@@ -77,15 +77,15 @@ class TiledElevation:
         if take[box].size:
             grid = heights.grid.part(box)
             layer.write(grid, {k: v[box] for k, v in new.items()}, take[box])
-            while layer.level < max(self._layers):
+            while layer.level < max(self.layers):
                 grid = self._pass_on(layer, grid)
-                layer = self._layers[layer.level + 1]
+                layer = self.layers[layer.level + 1]
 
     def _pass_on(self, layer: TileLayer, grid: Grid) -> Grid:
         """Write the means of a grid into the next coarser layer; return the grid of these coarse cells."""
         south, north, west, east = (n // 2 for n in layer.numbers(grid))
         means = halve_fields(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
-        coarser = self._layers[layer.level + 1]
+        coarser = self.layers[layer.level + 1]
         above = coarser.cells(south, north, west, east)
         coarser.write(above, means, is_seen(means["flags"]))
         return above
@@ -94,7 +94,7 @@ class TiledElevation:
         """Return the layer's cells; where it has none, those of the next coarser layer, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
-        coarser = self._layers.get(layer.level + 1)
+        coarser = self.layers.get(layer.level + 1)
         if coarser is None or seen.all():
             return out
         south, north, west, east = layer.numbers(grid)
@@ -109,7 +109,7 @@ class TiledElevation:
 
     def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
         """Add a plane (3,), `plane[0]` metres up at `about` (2,), rising east and north, to the near tiles."""
-        for layer in self._layers.values():
+        for layer in self.layers.values():
             layer.add_plane(plane, about)
 
     def read(self, grid: Grid) -> ElevationMap:
@@ -123,7 +123,7 @@ class TiledElevation:
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory does not grow with the flight."""
-        for layer in self._layers.values():
+        for layer in self.layers.values():
             layer.roll(centre, radius)
 
     def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
@@ -132,10 +132,10 @@ class TiledElevation:
         The level is the finest one with at least `least_share` of the largest seen area; a coarser one if the map would
         have more than `most_cells` cells.
         """
-        boxes = {level: box for level, layer in self._layers.items() if (box := layer.box())}
+        boxes = {level: box for level, layer in self.layers.items() if (box := layer.box())}
         if not boxes:
             return None
-        area = {level: self._layers[level].count() * 4.0**level for level in boxes}
+        area = {level: self.layers[level].count() * 4.0**level for level in boxes}
         level = min(k for k in boxes if area[k] >= self._tuning.least_share * max(area.values()))
         while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 1:
             level += 1

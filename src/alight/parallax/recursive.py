@@ -35,7 +35,7 @@ class RecursiveParallax:
         self._sweep_tuning = settings.sweep.model_copy(update={"most_references": 1})
         self._unswept = self._unknown = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
-        self._kept = dict[int, list[Kept]]()  # the views of each exposure, by its time, oldest first
+        self.kept = dict[int, list[Kept]]()  # the views of each exposure, by its time, oldest first
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: sweep anew
         self._blocks, self._buffers = Blocks(settings.recursive), Buffers()
         self.alignment = Alignment(settings.ring, settings.poses)
@@ -57,7 +57,7 @@ class RecursiveParallax:
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute the sweep
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
-            self._kept = {t: [Kept.of(k.view, cell, ground) for k in e] for t, e in self._kept.items()}
+            self.kept = {t: [Kept.of(k.view, cell, ground) for k in e] for t, e in self.kept.items()}
 
     def reset_sweep(self) -> None:
         """Sweep every cell again before its height is used, as at the beginning."""
@@ -69,16 +69,16 @@ class RecursiveParallax:
 
         `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
         """
-        if views[0].t_ns in self._kept:
+        if views[0].t_ns in self.kept:
             return  # a repeated time: a picture would agree with itself
-        self._kept[views[0].t_ns] = [Kept.of(v, self._cell, self._ground) for v in views]
-        exposures = sorted(self._kept.items())
+        self.kept[views[0].t_ns] = [Kept.of(v, self._cell, self._ground) for v in views]
+        exposures = sorted(self.kept.items())
         centres = np.array([exposure[0].view.centre for _, exposure in exposures])
         drop = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / drop
-        self._kept = dict(exposures[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span))
+        self.kept = dict(exposures[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span))
         if poses is not None:
-            self.alignment.update_posterior(poses, set(self._kept), drop)
+            self.alignment.update_posterior(poses, set(self.kept), drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
         """Improve the heights of a part of a window with the present keyframe window (docs/method/recursive.md).
@@ -94,7 +94,7 @@ class RecursiveParallax:
         ratio, chosen = np.full(grid.shape, self._unknown), EFFORTS[min(effort, len(EFFORTS) - 1)]
         if self._ratio is not None:
             ratio = self._ratio[0].nearest_on(grid, self._ratio[1], float(self._unknown))
-        self._kept = self.alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
+        self.kept = self.alignment.align(self.kept, grid, known, np.isnan(ratio), self._ground)
         if self.alignment.plane.any():
             known = replace(known, height=known.height + self.alignment.plane_on(grid))
         window = self._window(grid, known, ratio, (low, high), chosen)
@@ -123,8 +123,8 @@ class RecursiveParallax:
 
         Whole rigs show moving things (eq. 15a).
         """
-        times, views = list(self._kept), [k for exposure in self._kept.values() for k in exposure]
-        drop, rigs = float(self._kept[times[-1]][0].view.centre[2]) - self._ground, times[:: -effort.rigs]
+        times, views = list(self.kept), [k for exposure in self.kept.values() for k in exposure]
+        drop, rigs = float(self.kept[times[-1]][0].view.centre[2]) - self._ground, times[:: -effort.rigs]
         first = first_of_twins(views, APART * drop)
         kept = [k for i, k in enumerate(views) if first[i] == i or k.view.t_ns in rigs]
         ground = float(kept[-1].view.centre[2]) - drop

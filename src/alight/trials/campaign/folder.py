@@ -78,16 +78,17 @@ class CampaignFolder:
         text = json.dumps(head.model_dump(mode="json") | more, indent=1)
         write_whole(self.out / HEAD, (text + "\n").encode())
 
-    def _lines(self) -> tuple[list[bytes], bool]:
-        """The lines of landings.jsonl; True: a last one was not written whole, and is left out."""
+    def _lines(self) -> tuple[list[bytes], str]:
+        """The lines of landings.jsonl without a last one that is not whole, and what is wrong with that one."""
         try:
             *lines, rest = read_bytes(self._path, 1_000_000_000).split(b"\n")
         except FileNotFoundError:
-            return [], False
+            return [], ""
         except (OSError, DocumentError) as e:
             raise InputError(f"{self._path}: cannot be read ({_why(e)}); mend it or name another folder") from e
-        torn = bool(lines) and isinstance(_record(lines[-1]), DocumentError)
-        return lines[: len(lines) - torn], torn or bool(rest)
+        if lines and isinstance(error := _record(lines[-1]), DocumentError):
+            return lines[:-1], str(error)
+        return lines, "it does not end" if rest else ""
 
     def read(self) -> dict[int, LandingRecord]:
         """All landings that ended, by number; an incomplete last line is left out.
@@ -105,7 +106,7 @@ class CampaignFolder:
                 )
             found[record.number] = record
         if torn:
-            log.warning("%s: its last line is not whole and left out", self._path)
+            log.warning("%s: its last line is not whole (%s) and is left out", self._path, torn)
         return dict(sorted(found.items()))
 
     def append(self, record: LandingRecord, picture: bytes | None = None) -> None:
