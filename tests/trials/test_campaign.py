@@ -40,6 +40,7 @@ from alight_sim.steered import SteeredFlight, TrueContact
 S, E = FlightState, FlightEvent
 FLAT = "cover: {cover}\n  size: [60, 60]\n  cell: 0.2\n  relief: []"
 SMALL = ["executive.search_side=12"]
+COARSE = ["executive.search_side=40", "parallax.cell=0.2"]
 
 
 def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
@@ -565,10 +566,7 @@ def test_a_real_flight_is_the_same_again(tmp_path: Path) -> None:
     """A flight of six seconds, without a landing and with frozen cameras, has the same record again."""
     fault = FaultRecord(what="cameras frozen", after=3.5, numbers={"seconds": 1.0})
     given = conditions_of((scene(tmp_path),), 1, 0).model_copy(update={"faults": (fault,)})
-    one, two = (
-        fly_conditions(given, load_settings("", ["executive.time_budget=6", "executive.search_side=40"])).record
-        for _ in range(2)
-    )
+    one, two = (fly_conditions(given, load_settings("", [*COARSE, "executive.time_budget=6"])).record for _ in range(2))
     assert one.repeatable() == two.repeatable()
     assert (one.outcome, one.state) == ("wrongly refused", "return")
     assert one.verdicts > 0
@@ -601,7 +599,7 @@ def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(
     numbers = {name: low for name, (low, _) in kind.ranges.items()}
     fault = FaultRecord(what=what, after=2.0, state="search", numbers=numbers, takes_control=kind.takes_control)
     given = conditions_of((scene(tmp_path),), 1, 0).model_copy(update={"faults": (fault,), "firmware": firmware})
-    record = fly_conditions(given, load_settings("", ["executive.time_budget=7", "executive.search_side=40"])).record
+    record = fly_conditions(given, load_settings("", [*COARSE, "executive.time_budget=7"])).record
     assert record.error is None
     assert record.conditions.faults[0].happened == pytest.approx(2.0, abs=0.1)
     assert (record.outcome == "handed over") is kind.takes_control
