@@ -440,7 +440,7 @@ def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -
 def navigated(faults: Faults) -> tuple[Trajectory, SimulatedFlight]:
     """Run tracker and filter on a flight with faults."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
-    f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
+    f = fly("demo", 1, 3.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
     lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
     for e in f.events():
         lane.feed(e)
