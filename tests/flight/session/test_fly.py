@@ -160,7 +160,7 @@ def test_the_autopilot_holds_while_something_is_missing_and_goes_on_after_it(dia
     assert r.fly(S.LANDED)
 
 
-@BOTH
+@EITHER
 def test_gps_that_stays_away_ends_in_a_hold_of_the_autopilot(dialect: str) -> None:
     r = flying(dialect)
     assert r.fly(S.APPROACH)
@@ -321,7 +321,7 @@ def test_a_take_off_ends_when_somebody_else_flies() -> None:
     assert not r.moving_since(t + 2 * r.dt)
 
 
-@BOTH
+@EITHER
 def test_a_dry_run_says_its_orders_and_sends_none(dialect: str) -> None:
     """Only heartbeats, requests for streams and time leave on the wire."""
     r = PilotRig(Ground({PLACE: lambda height: 0.97}).seen, dialect)
