@@ -228,7 +228,7 @@ def test_every_tuned_constant_is_used() -> None:
         ("route.clearance=0.7", "route"),
         ("tuning.route.look_share=0.7", "route"),
         ("executive.search_height=17", "executive"),
-        ("tuning.executive.lower=0.7", "executive"),
+        ("tuning.executive.beside=0.7", "executive"),
     ],
 )
 def test_a_stage_gets_what_is_set_for_it(assignment: str, stage: str) -> None:
