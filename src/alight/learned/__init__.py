@@ -1,6 +1,18 @@
 """Fitted tables, each with a card beside it, and the models in them."""
 
-from alight.learned.models import Floor, KnownGround, Net, Rate, read_floors, read_known, read_net, read_rate
+from alight.learned.models import (
+    Floor,
+    KnownGround,
+    Net,
+    Rate,
+    SigmaCoefficients,
+    read_floors,
+    read_known,
+    read_net,
+    read_rate,
+    read_sigma,
+    read_wrong_match,
+)
 from alight.learned.tables import arrays_of, table_path
 
 __all__ = [
@@ -8,10 +20,13 @@ __all__ = [
     "KnownGround",
     "Net",
     "Rate",
+    "SigmaCoefficients",
     "arrays_of",
     "read_floors",
     "read_known",
     "read_net",
     "read_rate",
+    "read_sigma",
+    "read_wrong_match",
     "table_path",
 ]

@@ -1,4 +1,4 @@
-"""The files of the fitted tables: `.npz`, or `.yaml` where set by hand, each with a card (`.md`) of the same name."""
+"""The files of the fitted tables: `.npz`, or `.yaml` for a few numbers, each with a card (`.md`) of the same name."""
 
 from __future__ import annotations
 
