@@ -386,7 +386,7 @@ def at(place: F64) -> KeyframePosterior:
 
 def known_plane(posterior: KeyframePosterior) -> Alignment:
     """An alignment that knows its map's plane exactly."""
-    out = Alignment(7, ParallaxSettings().poses)
+    out = Alignment(ParallaxSettings())
     out.update_posterior(posterior, {0}, UP)
     assert out.state is not None
     out.state, out.mapped = replace(out.state, covariance=np.zeros_like(out.state.covariance)), True

@@ -141,7 +141,7 @@ def sweep_unseen(
     """
     out = Swept.nothing(grid)
     left, tried = wanted.copy(), list[tuple[Box, int]]()
-    for _ in range(tuning.most_references):
+    for _ in range(tuning.references):
         for where in regions(left, tuning.least_wanted, tuning.least_blocks):
             part = grid.part(where)
             before = {

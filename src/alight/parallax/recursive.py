@@ -32,13 +32,13 @@ class RecursiveParallax:
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
         self._settings, self._tuning = settings, settings.recursive
         # cells that one view does not see may wait for the next keyframe
-        self._sweep_tuning = settings.sweep.model_copy(update={"most_references": 1})
+        self._sweep_tuning = settings.sweep.model_copy(update={"references": 1})
         self._unswept = self._unknown = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
         self.kept = dict[int, list[Kept]]()  # the views of each exposure, by its time, oldest first
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: sweep anew
         self._blocks, self._buffers = Blocks(settings.recursive), Buffers()
-        self.alignment = Alignment(settings.ring, settings.poses)
+        self.alignment = Alignment(settings)
         self.came = list[tuple[Grid, Mask]]()  # rectangles of the last step, and where somebody came to stand (eq. 16e)
 
     @property

@@ -75,7 +75,7 @@ class Window:
             return None
         kept = [self.kept[i] for i in chosen]
         fine, newest = [k.fine for k in kept], [self.kept[-1].fine]
-        tuning = s.refinement.model_copy(update={"iterations": s.recursive.steps})
+        tuning = s.refinement.model_copy(update={"iterations": 1})
         first, owner = np.unique(self.nearly[chosen], return_inverse=True)
         centres = np.array([self.kept[i].fine.centre for i in first])
         visible = skyline.visible(centres, where, per_px, tuning.occlusion_px)[owner]

@@ -134,7 +134,7 @@ class FeaturePatches:
         window = settings.window_px | 1
         align_patches(self.grey, self.slots, self.places, warp, image, window, *STEPS, there, fit)
         shift = there - start
-        far = (shift * shift).sum(axis=1) >= (settings.patch_moved_px if reach is None else reach) ** 2
+        far = (shift * shift).sum(axis=1) >= (settings.close_px if reach is None else reach) ** 2
         good = (fit > settings.patch_correlation) & ~far
         return np.where(good[:, None], there, start), good
 

@@ -202,7 +202,7 @@ class Tracker:
         has_depth = bool(np.isfinite(m.depth).any())
         depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
         predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
-        if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
+        if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.search_px:
             s = self._settings
             shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
             return replace(predicted, pixels=predicted.pixels + shift, covariance=None)
@@ -300,7 +300,7 @@ class Tracker:
         matched, good = predicted.pixels.astype(np.float64), np.zeros(len(pixels), bool)
         if expected and self._is_close(i):
             good[left.patches.ids] = True
-            reach = np.where(np.isfinite(depth), self._settings.patch_moved_px, self._settings.sure_px)
+            reach = np.where(np.isfinite(depth), self._settings.close_px, self._settings.sure_px)
             matched = self._refine_by_patches(i, left, soft_right, matched, good, reach)
             good &= self._in_search_region(i, matched, predicted)
             self._note_prediction_error(i, matched, predicted, good)

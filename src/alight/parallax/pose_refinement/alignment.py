@@ -22,6 +22,7 @@ from alight.parallax.pose_refinement.kernels import PLANE, POSE
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Kept, Prepared, centres_of, maps, sample
 from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior
+from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PoseRefinementTuning
 
 log = logging.getLogger(__name__)
@@ -48,14 +49,18 @@ class RefinementCells:
 class Alignment:
     """Joint Gaussian over the exposures of a keyframe window and the plane of the map below them."""
 
-    keyframes: int  # exposures of the window
-    tuning: PoseRefinementTuning
+    settings: ParallaxSettings
     about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, to which the plane's offset refers
     state: PoseGaussian | None = None
     plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane found at the last step
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
     mapped: bool = False  # there are heights that hold the plane
     _offset2: float = 0.0  # m^2, variance of the map's place in the world, of its height; pictures do not show it
+
+    @property
+    def tuning(self) -> PoseRefinementTuning:
+        """The constants of the refinement."""
+        return self.settings.poses
 
     def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
         """Adopt the posterior of the keyframes; exposures that are neither in it nor `held` are dropped."""
@@ -140,7 +145,9 @@ class Alignment:
             poses = corrected_poses(bodies, x)
             views = [k.halved(halvings).posed(self._camera_of(k, poses)) for k in kept]
             ground = cells.coarser() if halvings else cells
-            seen, b = _information(views, owner, list(poses.values()), ground, prior.plane + x[:PLANE], held, tuning)
+            seen, b = _information(
+                views, owner, list(poses.values()), ground, prior.plane + x[:PLANE], held, self.settings
+            )
             damping = np.linalg.inv(one + seen * F)
             A, b = damping @ seen, damping @ b
             whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
@@ -148,7 +155,10 @@ class Alignment:
         if not whitened @ x <= tuning.unlikely * len(x):  # so that NaN is refused
             log.info("the pictures contradict the prior of the poses, which stay as they were")
             return prior, np.zeros(PLANE)
-        across, shared = prior.covariance[:, rows], A / self.keyframes  # shared among the steps that a picture is in
+        across, shared = (
+            prior.covariance[:, rows],
+            A / self.settings.ring,
+        )  # shared among the steps that a picture is in
         gain = np.linalg.solve(one + shared @ P, shared)
         after = prior.covariance - across @ (0.5 * (gain + gain.T)) @ across.T
         follow = _following(seen, rows, len(after), tuning.taken_share)
@@ -206,7 +216,7 @@ def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F
 
 def _information(
     views: list[Prepared], owner: I64, poses: list[Pose], ground: RefinementCells, plane: F64, held: Buffers,
-    tuning: PoseRefinementTuning,
+    settings: ParallaxSettings,
 ) -> tuple[F64, F64]:  # fmt: skip
     """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E.
 
@@ -220,13 +230,13 @@ def _information(
     s = _crosses(views, ground, height, held)
     n, (rows, cols), M = len(views), height.shape, PLANE + POSE * len(poses)
     weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)
-    template(s.reshape(n, 5 * rows, cols), network(n), np.float32(tuning.residual_scale), weights, mean)
+    template(s.reshape(n, 5 * rows, cols), network(n), np.float32(settings.refinement.residual_scale), weights, mean)
     w, m = np.ascontiguousarray(weights[:, :rows]), mean.reshape(5, rows, cols)
     samples = np.ascontiguousarray(s[:, 0])
     A, b = np.empty((rows, M, M)), np.empty((rows, M))
     kernels.joint_normal_equations(
         samples, w, m, owner, centres_of(views), np.array([p.translation for p in poses]),
-        _precision(samples, w, m[0], tuning), ground.xs, ground.ys, height, ground.about, ground.arm,
+        _precision(samples, w, m[0], settings.poses), ground.xs, ground.ys, height, ground.about, ground.arm,
         np.ascontiguousarray(ground.kappa), A, b,
     )  # fmt: skip
     upper = A.sum(axis=0)

@@ -28,7 +28,9 @@ class PointsTuning(FrozenModel):
 class SweepTuning(FrozenModel):
     """Plane sweep along the rays of a view, with semi-global aggregation."""
 
-    references: int = Field(2, ge=1, description="Views along whose rays a tile is swept (batch)")
+    references: int = Field(
+        2, ge=1, description="Views along whose rays a tile, or what was not seen yet, is swept (batch)"
+    )
     views: int = Field(7, ge=2, description="Most views of such a sweep (batch)")
     max_tangent: Positive = Field(0.4, description="Horizontal over vertical distance of a preferred view (batch)")
     keep_share: Fraction = Field(0.7, description="Share of the views of a cell that has to agree on a plane")
@@ -39,7 +41,6 @@ class SweepTuning(FrozenModel):
     most_planes: int = Field(192, ge=5, description="Most height planes of the coarsest images")
     halvings: int = Field(2, ge=0, le=4, description="Times that the images are halved for the first sweep (batch)")
     gap_cells: int = Field(2, ge=0, description="Half the width of gaps that are filled with their lowest rim, cells")
-    most_references: int = Field(2, ge=1, description="Most views along whose rays what was not seen yet is swept")
     least_wanted: Fraction = Field(0.25, description="Share of wanted cells from which a block is swept")
     least_blocks: int = Field(4, ge=1, description="Least number of blocks of a region that is swept")
     unseen_blocks: int = Field(16, ge=1, description="The same of what two references left (batch)")
@@ -113,7 +114,6 @@ class RecursiveTuning(FrozenModel):
     first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
     first_exposures: int = Field(4, ge=3, description="Exposures that a sweep uses")
     span: Positive = Field(0.8, description="Baseline over height from which the window drops a keyframe")
-    steps: int = Field(1, ge=1, description="Gauss-Newton steps with each keyframe")
     unknown_ratio: Positive = Field(0.6, description="Ratio of best to second-best cost of a cell that was not swept")
     worse: Positive = Field(1.5, description="Ratio of new to old sigma from which a step leaves the map as it is")
     same_px: Positive = Field(
@@ -148,9 +148,6 @@ class PoseRefinementTuning(FrozenModel):
 
     cells: int = Field(1500, ge=100, description="Cells that take part")
     taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
-    residual_scale: Positive = Field(
-        0.35, description="Scale of the robust weight, normalised grey; from four times this the weight is 0"
-    )
     least_cells: int = Field(40, ge=1, description="Least number of cells that a view shares with others")
     correlated: Positive = Field(4.0, description="Inflation of the variance: samples of neighbours are correlated")
     unlikely: Positive = Field(

@@ -13,7 +13,11 @@ class TracksTuning(FrozenModel):
     count: int = Field(250, ge=8, description="Features kept, spread over a grid of as many cells")
     window_px: int = Field(21, ge=5, description="Side of the matching window (SSD), px")
     levels: int = Field(4, ge=1, le=8, description="Levels of the image pyramid")
-    search_px: Positive = Field(40.0, description="Largest distance of a match from the predicted place, px")
+    search_px: Positive = Field(
+        40.0,
+        description="Largest distance of a match from the predicted place; predicted mean motion from which the common "
+        "error of the prediction is found first, px",
+    )
     search_sigmas: Positive = Field(
         4.0, description="The same limit in sigmas of the predicted place, where its covariance is known"
     )
@@ -24,12 +28,11 @@ class TracksTuning(FrozenModel):
         2e-4, description="Least Shi-Tomasi response of a feature (smaller eigenvalue per pixel, grey range 1)"
     )
     most_in_cell: int = Field(3, ge=1, description="Features kept in one cell of the grid; the oldest stay")
-    far_px: Positive = Field(
-        40.0, description="Predicted mean motion from which the common error of the prediction is found first, px"
-    )
     few_share: Fraction = Field(0.1, description="Share of features found below which the prediction is doubted")
     close_px: Positive = Field(
-        1.5, description="Last error of the prediction (90 %) below which the image pyramid is not needed, px"
+        1.5,
+        description="Distance over which a patch finds its feature; last error of the prediction (90 %) below which "
+        "patches alone are enough, px",
     )
     sure_px: Positive = Field(
         5.0, description="Last error of the prediction (90 %) from which patches are not compared across views, px"
@@ -46,7 +49,6 @@ class TracksTuning(FrozenModel):
         0.125, description="Motion after which a feature takes a new reference patch, share of the image width"
     )
     patch_correlation: Fraction = Field(0.8, description="Least correlation of a feature with its reference patch")
-    patch_moved_px: Positive = Field(1.5, description="Largest correction by the reference patch, px")
     same_gain: NonNegative = Field(0.05, description="Change of contrast between two images that is not equalised")
     same_grey: NonNegative = Field(4.0, description="Change of brightness that is not equalised, grey levels")
     most_gain: Positive = Field(4.0, description="Largest change of contrast that is equalised, ratio")
