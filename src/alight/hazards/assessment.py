@@ -9,7 +9,7 @@ from alight.hazards.evidence import Evidence, evidence_of
 from alight.hazards.factors import factors_of
 from alight.hazards.margins import margins_over_sigma
 from alight.hazards.touchdown import Inputs, Touchdowns, measure
-from alight.raster import clearance_of, disc_any, disc_max, disc_mean, linear_ramp, log_brightness
+from alight.raster import clearance_of, disc_any, disc_max, disc_mean, log_brightness
 from alight.records import NOTHING_MISSING, ElevationMap, Hazard, HazardMap, MissingVeto, TerrainMap, is_site
 from alight.settings import HazardsSettings, Lander
 
@@ -46,18 +46,12 @@ def _refuse(reasons: U16, where: Mask, bit: Hazard) -> None:
     reasons |= np.where(where, np.uint16(bit), np.uint16(0))
 
 
-def _appearance(on: Inputs) -> F32:
-    """The darkest patch of a footprint against its surroundings, and its patchiness: from 0, plain ground, to 2."""
-    elevation, lander, settings, cell = on.elevation, on.lander, on.settings, on.cell
-    seen = elevation.rgb.any(axis=2)
-    light = np.where(seen, log_brightness(elevation.rgb), np.float32(np.nan))
-    below = disc_mean(light, settings.dark_radius, cell) - light
-    darker = linear_ramp(below, settings.dark_least, settings.dark_most)
-    dark = disc_max(disc_mean(darker, settings.patchy_length, cell), lander.radius, cell)  # one puddle is enough
-    smooth = disc_mean(light, settings.patchy_length, cell)
-    mean, square = (disc_mean(v, lander.radius, cell) for v in (smooth, smooth * smooth))
-    spread = np.sqrt(np.maximum(square - mean * mean, 0))
-    return dark + linear_ramp(spread, settings.patchy_least, settings.patchy_most)
+def _contrast(on: Inputs) -> F32:
+    """Contrast of log brightness between patches within twice the lander's radius: one puddle is enough."""
+    light = np.where(on.elevation.rgb.any(axis=2), log_brightness(on.elevation.rgb), np.float32(np.nan))
+    light = disc_mean(light, on.settings.patch_length, on.cell)
+    ends = (disc_max(np.nan_to_num(v, nan=-np.inf), 2 * on.lander.radius, on.cell) for v in (light, -light))
+    return np.maximum(sum(ends), np.float32(0))
 
 
 def _quality(t: Touchdowns, on: Inputs) -> F32:
@@ -68,7 +62,7 @@ def _quality(t: Touchdowns, on: Inputs) -> F32:
     cover = np.zeros_like(uncertainty)
     if on.land_cover is not None:
         cover = np.nan_to_num(1 - disc_mean(on.land_cover.landable, lander.radius, on.cell), nan=0.0)
-    terms = cover + _appearance(on) + uncertainty
+    terms = cover + (_contrast(on) / np.float32(settings.patch_contrast)) ** 2 + uncertainty
     return np.asarray(-settings.alpha * flatness - settings.beta * terms, np.float32)
 
 

@@ -49,16 +49,10 @@ class HazardsTuning(FrozenModel):
     came_memory: NonNegative = Field(
         15.0, description="Time for which ground is refused after somebody came to stand on it in the pictures, s"
     )
-    dark_radius: Positive = Field(3.0, description="Distance within which ground is compared for its brightness, m")
-    dark_least: NonNegative = Field(
-        0.1, description="Difference of log brightness from which on ground counts as darker than what lies about it"
+    patch_length: Positive = Field(0.15, description="Radius of the patches whose brightness is compared, m")
+    patch_contrast: Positive = Field(
+        0.4, description="Difference of their log brightness that costs as much quality as a slope at its limit"
     )
-    dark_most: Positive = Field(0.25, description="Difference of log brightness that counts as 1")
-    patchy_length: Positive = Field(0.15, description="Distance over which brightness is averaged for its spread, m")
-    patchy_least: NonNegative = Field(
-        0.05, description="Spread of log brightness in a footprint from which on it counts as patchy"
-    )
-    patchy_most: Positive = Field(0.2, description="Spread of log brightness that counts as 1")
     hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
     unseen_bare: NonNegative = Field(
         0.03, description="Obstacles above the limit that bare ground may have unseen, before it was looked at, 1/m^2"
@@ -77,7 +71,7 @@ class HazardsTuning(FrozenModel):
         description="Hazards expected of a footprint of which only grey pictures are known: no colour can refuse it",
     )
     one_camera_hazard: NonNegative = Field(
-        0.01, description="The same where one camera sees the ground: no second one tells what moves"
+        0.01, description="The same where one camera sees the ground: no second one shows what moves"
     )
     no_attitude_hazard: NonNegative = Field(
         0.02, description="The same where no attitude was measured: nothing tells whether the map is level"
