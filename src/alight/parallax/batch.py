@@ -109,7 +109,6 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     levels = [fine, *([images.get(i, k) for i in chosen] for k in range(1, halvings + 1))]
     swept = [[prepared[k] for k in few] for prepared in levels]
     start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k), plan) for k in of])
-    plan = plan.model_copy(update={"least_blocks": plan.unseen_blocks})
     rest, its_ratio = sweep_unseen(swept, grid, (low, high), ground, np.isnan(start), plan, start)
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():

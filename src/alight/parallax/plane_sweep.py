@@ -142,7 +142,7 @@ def sweep_unseen(
     out = Swept.nothing(grid)
     left, tried = wanted.copy(), list[tuple[Box, int]]()
     for _ in range(tuning.references):
-        for where in regions(left, tuning.least_wanted, tuning.least_blocks):
+        for where in regions(left, tuning.least_wanted):
             part = grid.part(where)
             before = {
                 k for its, k in tried
@@ -174,7 +174,7 @@ def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
     return max(searched[0], low - margin), min(searched[1], high + margin)
 
 
-def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Box]:
+def regions(wanted: Mask, least_share: float) -> list[Box]:
     """The rectangles about blocks with wanted cells; blocks with only a few of them are left out."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
@@ -185,7 +185,7 @@ def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Box]:
     return [
         (slice(r.start * SEEN_BLOCK, min(r.stop * SEEN_BLOCK, wanted.shape[0])),
          slice(c.start * SEEN_BLOCK, min(c.stop * SEEN_BLOCK, wanted.shape[1])))
-        for r, c in boxes if (r.stop - r.start) * (c.stop - c.start) >= least_blocks
+        for r, c in boxes
     ]  # fmt: skip
 
 

@@ -206,7 +206,7 @@ class RecursiveParallax:
                 continue
             new, found = self._sweep(window, box, fresh, 0 if box in plan.sweep else 1)
             both = fresh & np.isfinite(before) & np.isfinite(new)
-            shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
+            shifted = before + shift_of((new - before)[both])
             new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
             np.copyto(wrong[box], both & (new != before))
             np.copyto(start[box], new, where=fresh)
@@ -222,13 +222,10 @@ class RecursiveParallax:
         return Swept(*(upsample(v, coarser, grid.shape) for v in found))
 
 
-def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:
-    """Median difference of a sweep and the map, metres; 0 where it is below `least_px` or they share no cell."""
-    both = np.isfinite(apart)
-    if not both.any():
-        return np.float32(0)
-    shift = np.median(apart[both])
-    return np.float32(shift if abs(shift) > least_px * np.median(per_px[both]) else 0)
+def shift_of(apart: F32) -> np.float32:
+    """Median difference of a sweep and the map, metres; 0 where they share no cell."""
+    known = apart[np.isfinite(apart)]
+    return np.float32(np.median(known) if known.size else 0)
 
 
 def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list[int]:

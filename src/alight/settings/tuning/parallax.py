@@ -13,9 +13,10 @@ class PointsTuning(FrozenModel):
     """Points triangulated before the ground is known."""
 
     features: int = Field(1500, ge=100, description="SIFT features in each view")
-    contrast: Positive = Field(0.04, description="Least contrast of a feature, as OpenCV's SIFT counts it")
-    faint_share: Fraction = Field(0.125, description="Share of it that will do where a view has too few features")
-    enough_features: int = Field(300, ge=2, description="Features in a view from which no fainter ones are sought")
+    contrast: Positive = Field(
+        0.005,
+        description="Least contrast of a feature, as OpenCV's SIFT counts it; of more features the strongest stay",
+    )
     longest_px: int = Field(960, ge=100, description="Longest side of the images on which features are found, px")
     least_angle: Positive = Field(0.02, description="Least angle between the rays of a point, rad")
     most_pairs: int = Field(40, ge=1, description="Most pairs of views")
@@ -42,8 +43,6 @@ class SweepTuning(FrozenModel):
     halvings: int = Field(2, ge=0, le=4, description="Times that the images are halved for the first sweep (batch)")
     gap_cells: int = Field(2, ge=0, description="Half the width of gaps that are filled with their lowest rim, cells")
     least_wanted: Fraction = Field(0.25, description="Share of wanted cells from which a block is swept")
-    least_blocks: int = Field(4, ge=1, description="Least number of blocks of a region that is swept")
-    unseen_blocks: int = Field(16, ge=1, description="The same of what two references left (batch)")
 
 
 class RefinementTuning(FrozenModel):
@@ -119,7 +118,6 @@ class RecursiveTuning(FrozenModel):
     same_px: Positive = Field(
         2.0, description="Difference of sweep and map, less their common shift, that keeps the map's shape, parallax px"
     )
-    shift_px: NonNegative = Field(0.1, description="Common shift of sweep and map that is ignored, parallax px")
     share: Fraction = Field(
         0.25, description="Largest share of the window's cells that a step refines; three times as much at the start"
     )
