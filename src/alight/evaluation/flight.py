@@ -198,18 +198,6 @@ def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
     return 100 * float(part.sum() / max(whole.sum(), 1))
 
 
-def lander_of(run: Run) -> Lander:
-    """Return the lander of the run's own settings.
-
-    Raises:
-        InputError: run.json holds no settings, or a value that is not valid.
-    """
-    try:
-        return run.settings.lander
-    except (KeyError, ValueError) as e:
-        raise InputError(f"{run.folder / 'run.json'}: of another version of Alight; run again") from e
-
-
 def places_of(run: Run, kind: str) -> F64:
     """East and north of the sites or of the candidates, (N, 2) metres."""
     places = run.info["answer"][kind]
@@ -264,7 +252,7 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
         raise InputError(
             f"{folder / 'truth' / 'dem.tif'}: has no height on the run's map; name the flight that was run"
         )
-    safe = truth.safe(lander_of(run))
+    safe = truth.safe(run.settings.lander)
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
     compared = _Comparison(run, truth, safe, out, np.zeros(3))
     compared.heights()

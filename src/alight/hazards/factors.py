@@ -135,7 +135,7 @@ def _density(on: Inputs, discs: Discs) -> F32:
 def _unlike_dry_ground(on: Inputs, discs: Discs) -> F32:
     """Expected hazards from level surfaces below their banks, and from ground unlike all known ground."""
     settings, cover = on.settings, on.land_cover
-    if cover is None or cover.enclosed is None or cover.novelty is None:
+    if cover is None:
         return np.zeros(discs.grid.shape, np.float32)
     enclosed = discs.worst(discs.largest(cover.enclosed))
     novel = np.nan_to_num(discs.mean(discs.coarse(np.maximum(cover.novelty - 1, 0))))

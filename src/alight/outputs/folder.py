@@ -15,7 +15,7 @@ import numpy as np
 
 from alight import __version__, report
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
-from alight.outputs import plan, rasters, trajectory, vectors
+from alight.outputs import plan, rasters, vectors
 from alight.outputs.atomic_write import ANOTHER, output_error, partial_path, write_whole
 from alight.outputs.folder_lock import LOCK, holds_folder, lock_folder, release_folder
 from alight.records import ElevationMap, OutputError, RunResult
@@ -85,7 +85,7 @@ def contents(r: RunResult) -> Contents:
     names = ("trajectory.tum", "trajectory.csv")
     motion: Contents = dict.fromkeys(names, "the motion was not estimated")
     if r.motions:
-        makers = (trajectory.tum, trajectory.csv)
+        makers = (vectors.tum, vectors.csv)
         motion = {name: partial(make, r.motions) for name, make in zip(names, makers, strict=True)}
     # the answer first: on a full disk, the small and most important files still find room
     return _sites(r) | _route(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
@@ -318,9 +318,5 @@ def write_folder(
 
 
 def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
-    """Write the folder of one run; return the files written.
-
-    Raises:
-        OutputError: see `write_folder`.
-    """
+    """Write the folder of one run, as `write_folder`; return the files written."""
     return write_folder(contents(result), partial(run_json, result), out, overwrite)

@@ -43,10 +43,12 @@ class Run:
         """The settings of the run.
 
         Raises:
-            KeyError: run.json holds none.
-            ValueError: a value is not valid.
+            InputError: run.json holds none, or a value that is not valid.
         """
-        return settings_of_run(self.info["settings"])
+        try:
+            return settings_of_run(self.info["settings"])
+        except (KeyError, ValueError) as e:
+            raise InputError(f"{self.folder / RUN_JSON}: of another version of Alight; run again") from e
 
 
 # bands of a run's rasters, and the kind of their numbers: floating, unsigned
@@ -84,6 +86,7 @@ class _RunJson(BaseModel):
     """The keys of run.json that are read."""
 
     answer: _Answer
+    origin: LocalFrame | None = None
     height_above_ground_m: FiniteFloat | None = None
     common_error: _CommonError | None = None
     settings: dict[str, Any] = {}
@@ -131,14 +134,6 @@ def _bands(folder: Path) -> tuple[dict[str, NDArray[Any]], Grid | None]:
     return found, grid
 
 
-def _local(info: dict[str, Any]) -> LocalFrame | None:
-    origin = info.get("origin")
-    try:
-        return LocalFrame(*(float(origin[k]) for k in ("latitude", "longitude", "height"))) if origin else None
-    except (KeyError, TypeError, ValueError) as e:
-        raise InputError(f"{RUN_JSON}: its origin is damaged ({origin!r:.60}); {AGAIN}") from e
-
-
 def read_run(folder: Path) -> Run:
     """Read the rasters and run.json of one run.
 
@@ -149,7 +144,7 @@ def read_run(folder: Path) -> Run:
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")
     info = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
     try:
-        validated(_RunJson, info)
+        local = validated(_RunJson, info).origin
     except DocumentError as e:
         raise InputError(f"{RUN_JSON}: {e}; {AGAIN}") from e
     bands, grid = _bands(folder)
@@ -162,7 +157,7 @@ def read_run(folder: Path) -> Run:
     return Run(
         folder=folder,
         info=info,
-        local=_local(info),
+        local=local,
         grid=grid,
         height=only("dem"),
         sigma=only("dem", 1),

@@ -11,6 +11,10 @@ Progress = Callable[[float], None]  # share done
 StageProgress = Callable[[str, float], None]  # stage, share done
 
 
+def unreported(stage: str, share: float) -> None:
+    """Report no progress. Another process can import this function, and call it."""
+
+
 class Timings:
     """Seconds of every step, by stage.
 

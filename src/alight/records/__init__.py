@@ -21,7 +21,7 @@ from alight.records.landing import (
 )
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
-from alight.records.result import RunResult
+from alight.records.result import Decision, RunResult
 from alight.records.schedule import Schedule
 from alight.records.surface import (
     LANDABLE,

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, U16, Mask
 from alight.geometry import Grid
-from alight.records.surface import Terrain
+from alight.records.surface import Terrain, on_grid
 
 Kind = Literal["site", "candidate"]
 Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
@@ -77,15 +76,7 @@ class HazardMap:
 
         A map may be judged on coarser cells than its heights have; files and pictures share the grid of the heights.
         """
-        if grid == self.grid:
-            return self
-
-        def moved(values: NDArray[Any]) -> NDArray[Any]:
-            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Hazard.UNKNOWN)
-            return self.grid.nearest_on(grid, values, unknown)
-
-        arrays = [f.name for f in fields(self) if f.name != "grid"]
-        return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
+        return on_grid(self, grid, Hazard.UNKNOWN)
 
 
 @dataclass(frozen=True)

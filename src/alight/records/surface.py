@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -71,20 +71,7 @@ class MissingVeto(IntFlag):
 
 
 NOTHING_MISSING = MissingVeto(0)
-
-
-# a height that carries one of these is not given out (NaN in dem.tif)
-REFUSED = (
-    Flag.UNSEEN
-    | Flag.TEXTURE
-    | Flag.AMBIGUOUS
-    | Flag.SATURATED
-    | Flag.MOVING
-    | Flag.INCONSISTENT
-    | Flag.RANGE
-    | Flag.UNSURE
-    | Flag.WATER
-)
+REFUSED = Flag(sum(Flag)) & ~(Flag.STEP | Flag.FEW)  # a height with one of these is not given out: NaN in dem.tif
 
 
 def is_flagged(flags: U16, bits: Flag) -> NDArray[np.bool_]:
@@ -181,6 +168,31 @@ class ElevationMap(Heights):
         return trusted
 
 
+class _OnGrid(Protocol):
+    """Arrays (R, C) on the cells of a grid."""
+
+    @property
+    def grid(self) -> Grid: ...
+
+
+Cells = TypeVar("Cells", bound=_OnGrid)
+
+
+def on_grid(record: Cells, grid: Grid, unknown: float = 0) -> Cells:
+    """The arrays of a record on another grid, each cell with the value of the nearest one.
+
+    Outside, floating-point numbers are NaN and others are `unknown`.
+    """
+    if grid == record.grid:
+        return record
+
+    def moved(values: NDArray[Any]) -> NDArray[Any]:
+        return record.grid.nearest_on(grid, values, np.nan if values.dtype.kind == "f" else unknown)
+
+    arrays = {k: moved(v) for k, v in vars(record).items() if isinstance(v, np.ndarray)}
+    return replace(record, grid=grid, **arrays)  # type: ignore[type-var]
+
+
 @dataclass(frozen=True, eq=False)
 class TerrainMap:
     """Land cover of every cell."""
@@ -188,11 +200,11 @@ class TerrainMap:
     grid: Grid
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
-    water: F32 | None = None  # (R, C) probability of water; NaN = nothing seen
-    enclosed: F32 | None = None  # (R, C) 0 to 1: degree to which it is part of a level surface below both its banks
-    raised: F32 | None = None  # (R, C) 0 to 1: degree to which it is part of a level surface above the ground about it
-    novelty: F32 | None = None  # (R, C) novelty (T6): above 1, the ground is unlike all known ground; NaN = unseen
-    bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
+    water: F32  # (R, C) probability of water; NaN = nothing seen
+    enclosed: F32  # (R, C) 0 to 1: degree to which it is part of a level surface below both its banks
+    raised: F32  # (R, C) 0 to 1: degree to which it is part of a level surface above the ground about it
+    novelty: F32  # (R, C) novelty (T6): above 1, the ground is unlike all known ground; NaN = unseen
+    bears: F32  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
     coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything
 
     def with_roofs(self, raised: F32) -> TerrainMap:
@@ -202,15 +214,8 @@ class TerrainMap:
         return replace(self, label=label, landable=np.minimum(self.landable, 1 - raised), raised=raised)
 
     def on(self, grid: Grid) -> TerrainMap:
-        """The land cover on another grid, each cell with the value of the nearest one; unknown outside."""
-        if grid == self.grid:
-            return self
-
-        def moved(values: NDArray[Any] | None) -> Any:
-            return None if values is None else self.grid.nearest_on(grid, values)
-
-        arrays = [f.name for f in fields(self) if f.name not in ("grid", "coloured")]
-        return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
+        """The land cover on another grid; see `on_grid`."""
+        return on_grid(self, grid)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from alight.settings.base import FrozenModel
-from alight.settings.keys import all_keys, user_keys
+from alight.settings.loading import all_keys, user_keys
 from alight.settings.whole import Settings
 
 _HEAD = """# Settings

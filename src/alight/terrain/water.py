@@ -133,7 +133,7 @@ def open_water(land_cover: TerrainMap) -> Mask:
     bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
     """
     wet = np.asarray(land_cover.label == Terrain.WATER)
-    if land_cover.water is None or not wet.any():
+    if not wet.any():
         return wet
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
     middle = median(land_cover.water[wet], patches[wet], np.arange(1, count))

@@ -18,11 +18,6 @@ from alight.settings.tuning.sites import SitesTuning
 from alight.settings.tuning.terrain import TerrainTuning
 from alight.settings.tuning.tracks import TracksTuning
 
-__all__ = [
-    "BundleTuning", "ElevationTuning", "ExecutiveTuning", "FilterTuning", "HazardsTuning", "MappingTuning",
-    "ParallaxTuning", "RouteTuning", "SitesTuning", "TerrainTuning", "TracksTuning", "Tuning",
-]  # fmt: skip
-
 
 class Tuning(FrozenModel):
     """Tuned constants by stage; not meant to be changed."""

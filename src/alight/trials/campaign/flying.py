@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from alight.cluster import open_jobs
 from alight.jobs import InProcesses, Task
 from alight.records import InputError
-from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
+from alight.records.campaign import Conditions, LandingRecord, LightRecord, TransitionLine
 from alight.records.executive import FlightState
 from alight.runs import appearance_of
 from alight.settings import Settings
@@ -143,7 +143,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         safe_share=judged.safe_share,
         state=landing.state.value, p_at_commit=landing.p_at_commit, p_found=found[-1].p_safe if found else None,
         found_after=found[0].t if found else None,
-        looks=tuple(LookLine(**{k: getattr(x, k) for k in LookLine.model_fields}) for x in landing.diary.looks),
+        looks=tuple(landing.diary.looks),
         transitions=tuple(
             TransitionLine(
                 t=x.t, before=x.before.value, event=x.event.value, after=x.after.value, reason=x.reason, p_safe=x.p_safe
