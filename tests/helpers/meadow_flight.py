@@ -59,7 +59,8 @@ def mapped(mapper: BatchMapper | RecursiveMapper, events: tuple[Event, ...] | No
         navigation = lane.feed(e)
         if navigation is not None:
             mapper.feed(navigation)
-        most_bytes, most_keyframes = max(most_bytes, mapper.store.bytes), max(most_keyframes, len(mapper.store.keyframes))
+        most_bytes = max(most_bytes, mapper.store.bytes)
+        most_keyframes = max(most_keyframes, len(mapper.store.keyframes))
     found = mapper.finish(lane.finish(lambda share: None), lambda share: None)
     return Mapped(found, most_bytes, most_keyframes)
 

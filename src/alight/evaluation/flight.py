@@ -45,25 +45,19 @@ class FlightTruth:
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
 
-def _raster(path: Path, kinds: str) -> tuple[NDArray[Any], Grid]:
-    if not path.exists():
-        raise InputError(f"{path}: missing; --truth takes a flight with truth/dem.tif and truth/class.tif")
-    bands, grid = read_bands(path, 1, kinds, "copy it again")
-    return bands[0], grid
-
-
 def read_flight_truth(folder: Path) -> FlightTruth:
     """Read the rasters in `truth/`.
 
     Raises:
         InputError: one is missing, unreadable, or the two are not on one grid.
     """
+    mend = "give a flight with truth/dem.tif and truth/class.tif"
     (dem, grid), (label, same) = (
-        _raster(folder / "truth" / f"{name}.tif", kinds) for name, kinds in (("dem", "fiu"), ("class", "u"))
+        read_bands(folder / "truth" / f"{name}.tif", 1, kinds, mend) for name, kinds in (("dem", "fiu"), ("class", "u"))
     )
     if grid != same:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
-    return FlightTruth(dem.astype(np.float32), label, grid)
+    return FlightTruth(dem[0].astype(np.float32), label[0], grid)
 
 
 @dataclass(frozen=True, eq=False)

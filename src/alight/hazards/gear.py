@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F32, F64, I64, Mask
 from alight.hazards import contact_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
-from alight.hazards.contact import Footprint
+from alight.hazards.touchdown import Footprint
 from alight.raster import RIM, disc_spans
 from alight.settings import Lander
 

@@ -30,7 +30,7 @@ FILES = (
 KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two of `alight hazards`
 BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
 WORK = "unfinished-work"  # folder of a run that was interrupted
-NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
+NO_PLACE = "the input has no place on Earth; run.json has the sites in metres"
 
 # a file's name -> the function that makes it, or the reason why it cannot be made
 Contents = dict[str, Callable[[], bytes] | str]

@@ -9,7 +9,7 @@ import numpy as np
 from alight.arrays import F32, U8, Mask
 from alight.raster import block_mean, masked_gaussian, upsample
 from alight.records import ElevationMap, Flag, is_flagged
-from alight.terrain.features import PIXEL
+from alight.terrain.model import PIXEL
 
 
 @dataclass(frozen=True, eq=False)

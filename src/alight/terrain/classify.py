@@ -17,8 +17,7 @@ from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, black_ground, seen
 from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
-from alight.terrain.features import PIXEL, level_of
-from alight.terrain.model import Model, appearance_evidence, log_softmax
+from alight.terrain.model import PIXEL, Model, appearance_evidence, level_of, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 

@@ -20,7 +20,7 @@ from alight.parallax.datum import Matched, with_datum
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
 from alight.pipeline.map_frame import in_world
-from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, vehicle_at_end
+from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
 from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import ENOUGH, FrameStore, bounds, ground_in, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
@@ -338,8 +338,6 @@ class BatchMapper:
             elevation = self._map.snapshot(trajectory.joint)
         if elevation is None:
             return FinishedMap(reason=NO_HEIGHT)
-        frame = trajectory.place
-        vehicle = vehicle_at_end(trajectory, self._map.ground, frame)
-        seen = MapSnapshot(elevation, tuple(looking_down(views)), vehicle, frame, trajectory.attitude)
+        seen = map_at_end(elevation, views, trajectory, self._map.ground, trajectory.place)
         compared = self._map.against_prior()
         return FinishedMap(seen, notes={"prior_dem": compared.line} if compared else {})

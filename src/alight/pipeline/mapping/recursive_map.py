@@ -14,7 +14,7 @@ from alight.elevation import TiledElevation, TileStore, doublings_up_to
 from alight.geometry import Box, Grid
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.map_frame import MapFrame, Tie
-from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, VehiclePosition, vehicle_at_end
+from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, VehiclePosition, map_at_end
 from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
@@ -288,12 +288,7 @@ class RecursiveMapper:
             return None
         centre = views[-1].centre
         vehicle = VehiclePosition(centre, float(centre[2] - (self._map.ground_height or 0.0)))
-        return self._snapshot(elevation, views, vehicle, self._newest is None or self._newest.attitude)
-
-    def _snapshot(
-        self, elevation: ElevationMap, views: list[View], vehicle: VehiclePosition, attitude: bool
-    ) -> MapSnapshot:
-        assert self._frame is not None
+        attitude = self._newest is None or self._newest.attitude
         return MapSnapshot(elevation, tuple(views), vehicle, self._frame, attitude, self._map.passed, self._map.came)
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
@@ -309,8 +304,8 @@ class RecursiveMapper:
             elevation = self._map.snapshot()
         if elevation is None or self._frame is None:
             return FinishedMap(None, NO_HEIGHT, tuple(self._warnings))
-        vehicle = vehicle_at_end(trajectory, self._map.ground, self._frame)
-        seen = self._snapshot(elevation, looking_down(views), vehicle, trajectory.attitude)
+        seen = map_at_end(elevation, views, trajectory, self._map.ground, self._frame)
+        seen = replace(seen, passed=self._map.passed, came=self._map.came)
         return FinishedMap(seen, warnings=tuple(self._warnings))
 
 

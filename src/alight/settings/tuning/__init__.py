@@ -6,15 +6,12 @@ They are hidden from users, stored in `run.json`, and can be set as `tuning.<sta
 from __future__ import annotations
 
 from alight.settings.base import FrozenModel
-from alight.settings.tuning.bundle import BundleTuning
-from alight.settings.tuning.elevation import ElevationTuning
 from alight.settings.tuning.executive import ExecutiveTuning
-from alight.settings.tuning.filter import FilterTuning
+from alight.settings.tuning.filter import BundleTuning, FilterTuning
 from alight.settings.tuning.hazards import HazardsTuning
-from alight.settings.tuning.mapping import MappingTuning
+from alight.settings.tuning.mapping import ElevationTuning, MappingTuning
 from alight.settings.tuning.parallax import ParallaxTuning
-from alight.settings.tuning.route import RouteTuning
-from alight.settings.tuning.sites import SitesTuning
+from alight.settings.tuning.sites import RouteTuning, SitesTuning
 from alight.settings.tuning.terrain import TerrainTuning
 from alight.settings.tuning.tracks import TracksTuning
 

@@ -77,10 +77,10 @@ class HazardsTuning(FrozenModel):
         description="Hazards expected of a footprint of which only grey pictures are known: no colour can refuse it",
     )
     one_camera_hazard: NonNegative = Field(
-        0.01, description="The same where one camera sees the ground: no second one tells what moves"
+        0.01, description="The same where one camera sees the ground: no second one shows what moves"
     )
     no_attitude_hazard: NonNegative = Field(
-        0.02, description="The same where no attitude was measured: nothing tells whether the map is level"
+        0.02, description="The same where no attitude was measured: nothing shows whether the map is level"
     )
     clearly_sigmas: NonNegative = Field(
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"
