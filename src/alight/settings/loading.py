@@ -40,10 +40,7 @@ def settings_of_keys(given: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: a key is unknown, or a value is out of range; the message names the key.
     """
-    tree = dict[str, Any]()
-    for key, value in given.items():
-        _put(tree, key.strip(), value)
-    return _to_fly(tree)
+    return _to_fly(_tree((key.strip(), value) for key, value in given.items()))
 
 
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
@@ -52,11 +49,7 @@ def settings_of_run(stored: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
     """
-    known, tree = all_keys(), dict[str, Any]()
-    for key, value in _leaves(stored):
-        if key in known:
-            _put(tree, key, value)
-    return _validated(tree)
+    return _validated(_tree((key, value) for key, value in _leaves(stored) if key in all_keys()))
 
 
 def _to_fly(tree: Tree) -> Settings:
@@ -81,6 +74,13 @@ def _assign(tree: Tree, assignment: str) -> None:
         _put(tree, key.strip(), parse_yaml(value))
     except DocumentError as e:
         raise ValueError(f"{key.strip()}: {e}") from e
+
+
+def _tree(pairs: Iterable[tuple[str, Any]]) -> Tree:
+    tree: Tree = {}
+    for key, value in pairs:
+        _put(tree, key, value)
+    return tree
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
