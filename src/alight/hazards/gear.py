@@ -125,7 +125,7 @@ def feet_of(lander: Lander, cell: float) -> Feet:
     exact = body[:, :1] * ahead + body[:, 1:] * left
     cells = [[_cells_within(foot, lander.foot_radius / cell) for foot in feet] for feet in exact]
     centroids = np.array([[c[:, ::-1].mean(axis=0) for c in feet] for feet in cells])
-    apart = (_double_areas(centroids, triples) >= 0.25 * _double_areas(exact, triples)).all(axis=1)
+    apart = np.asarray((_double_areas(centroids, triples) >= 0.25 * _double_areas(exact, triples)).all(axis=1))
     xy = np.where(apart[:, None, None], centroids, exact)
     counts = np.array([[len(c) for c in feet] for feet in cells], np.int64)
     ends = counts.cumsum().reshape(counts.shape)
