@@ -10,9 +10,9 @@ from point_flight import RIG
 
 from alight.geometry import Pose
 from alight.motion import MotionFilter
+from alight.pipeline.lanes import PipelineOptions, navigation_lane
 from alight.pipeline.navigation import Trajectory, filter_lane
 from alight.pipeline.navigation.filter_lane import FilterLane
-from alight.pipeline.pipeline import PipelineOptions, navigation_lane
 from alight.records import Motion, Rig
 from alight.settings import FilterSettings, Settings, load_settings
 

@@ -17,13 +17,13 @@ from alight.landing.reserve import Reserve
 from alight.parallax.sparse_points import height_range
 from alight.parallax.views import prepare_view
 from alight.pipeline.judging import JudgingLane
+from alight.pipeline.lanes import conclude
 from alight.pipeline.map_frame import MapFrame, in_world
 from alight.pipeline.mapping import FinishedMap, ground_map
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap, RecursiveMapper
 from alight.pipeline.navigation import Trajectory
 from alight.pipeline.navigation.given import GivenLane
-from alight.pipeline.pipeline import conclude
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, Rig, View
 from alight.settings import Settings

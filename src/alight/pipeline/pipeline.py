@@ -2,117 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from alight import terrain
-from alight.elevation import TileStore
-from alight.jobs import InTurn, Jobs
 from alight.landing.reserve import Reserve
-from alight.landing.route import plan_route
-from alight.pipeline.judging import JudgingLane, Verdict, reserve_notes
-from alight.pipeline.mapping import MappingLane, MapSnapshot
-from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses
+from alight.pipeline.judging import JudgingLane, Verdict
+from alight.pipeline.lanes import PipelineOptions, conclude, mapping_lane, navigation_lane
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.navigation import Navigation
 from alight.pipeline.policy import FlightPolicy
-from alight.pipeline.timing import Clock, StageProgress, Timings, unreported
-from alight.records import Decision, Event, Motion, PriorHeights, Rig, Route, SettingsError, Sites
-from alight.settings import ImuNoise, RouteSettings, Settings, StageSettings
-
-
-@dataclass(frozen=True, eq=False)
-class PipelineOptions:
-    """Options of a run; none is needed."""
-
-    poses: TimedPoses | None = None  # body poses that replace the estimated ones, for evaluation
-    navigation: NavigationLane | None = None  # used instead of the usual lane
-    appearance: terrain.Model | None = None  # None: land cover from the map's own evidence alone
-    imu: ImuNoise | None = None  # noise of the recording's IMU
-    prior: PriorHeights | None = None  # heights from elsewhere, with which the search at the end begins
-    policy: FlightPolicy | None = None  # None: one by `sites.every`
-    on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
-    clock: Clock = lambda: 0.0  # seconds, for the time of the stages; the core has no clock of its own
-    tile_store: TileStore | None = None  # of the tiles that the vehicle has left behind; None: memory
-    jobs: Jobs | None = None  # workers for photos and tiles; None: this process
-    history: bool = True  # keep the data for `finish`; without it a flight may last for ever
-
-
-def navigation_lane(
-    rig: Rig, kind: Literal["flight", "photos"], settings: StageSettings, options: PipelineOptions
-) -> NavigationLane:
-    """Choose the way to find the motion.
-
-    Raises:
-        SettingsError: the settings choose bundle adjustment, whose lane is the caller's.
-    """
-    if options.navigation is not None:
-        return options.navigation
-    if options.poses is not None:
-        from alight.pipeline.navigation.given import GivenLane
-
-        return GivenLane(rig, options.poses, settings.motion, options.history)
-    if settings.motion.bundles(kind):
-        raise SettingsError("motion.method: give the lane of the bundle adjustment as `navigation`, or use filter")
-    from alight.pipeline.navigation.filter_lane import FilterLane
-
-    anew = options.policy.navigation_anew if options.policy is not None else ()
-    return FilterLane(rig, settings, options.history, photos=kind == "photos", anew=anew)
-
-
-def mapping_lane(
-    rig: Rig, settings: StageSettings, options: PipelineOptions, timings: Timings, at_end: bool
-) -> MappingLane:
-    """Choose the way to map; `at_end`: all motions come at the end of the recording."""
-    if not at_end and (settings.parallax.method == "recursive" or not options.history):  # no end, no batch
-        from alight.pipeline.mapping.recursive_map import RecursiveMapper
-
-        anew = options.policy.mapping_anew if options.policy is not None else ()
-        return RecursiveMapper(rig, settings, options.tile_store, timings, options.history, anew)
-    from alight.pipeline.mapping.batch_map import BatchMapper
-
-    return BatchMapper(rig, settings, options.tile_store, timings, options.jobs or InTurn(), options.prior)
-
-
-def conclude(
-    navigation: NavigationLane, mapping: MappingLane, judging: JudgingLane, settings: StageSettings, timings: Timings,
-    progress: StageProgress = unreported,
-) -> Decision:  # fmt: skip
-    """Refine the motion, build the map, judge it and choose; all results are in the world."""
-    with timings.of("motion, all frames together"):
-        trajectory = navigation.finish(partial(progress, "motion"))
-    warnings = list(trajectory.warnings)
-    moved = Decision(
-        sites=Sites((), trajectory.reason), motions=trajectory.motions, notes=trajectory.notes, warnings=warnings,
-        outcomes=trajectory.photos,
-    )  # fmt: skip
-    if not trajectory.usable:
-        return moved
-    found = mapping.finish(trajectory, partial(progress, "heights"))
-    warnings += found.warnings
-    if found.snapshot is None:
-        warnings += judging.memory.warnings
-        notes = {**trajectory.notes, **reserve_notes(judging.memory.reserve.sites)}
-        return replace(moved, sites=Sites((), found.reason), notes=notes)
-    progress("judging", 0.2)
-    verdict = judging.judge(found.snapshot).in_world()
-    route = _route(verdict.sites, found.snapshot, settings.route)
-    progress("judging", 1.0)
-    return replace(
-        moved, sites=verdict.sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
-        route=route, height_above_ground=found.snapshot.vehicle.height_above_ground,
-        notes={**trajectory.notes, **found.notes, **judging.notes(verdict)},
-        warnings=[*warnings, *judging.memory.warnings, *verdict.warnings],
-    )  # fmt: skip
-
-
-def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | None:
-    """The way to the best of the sites, planned in the world."""
-    if not sites.sites:
-        return None
-    vehicle, elevation = seen.frame.point(seen.vehicle.position), seen.frame.elevation(seen.elevation)
-    way = plan_route(sites.sites[0], elevation, vehicle, settings)
-    return replace(way, frame_id=seen.frame.frame_id)
+from alight.pipeline.timing import StageProgress, Timings, unreported
+from alight.records import Decision, Event, Motion, Rig
+from alight.settings import Settings
 
 
 class Pipeline:

@@ -78,7 +78,7 @@ class Remembered:
 NOWHERE = Remembered()
 
 
-def covered(grid: Grid, where: Mask) -> tuple[F64, I64]:
+def share_covered(grid: Grid, where: Mask) -> tuple[F64, I64]:
     """Share of the cells of `CELL` that a mask (R, C) of a grid covers.
 
     Returns:
@@ -99,7 +99,7 @@ def _cells(there: Mask, low: I64) -> I64:
 
 def shown_at(grid: Grid, where: Mask) -> I64:
     """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid covers by `SHARE`."""
-    share, low = covered(grid, where)
+    share, low = share_covered(grid, where)
     return _cells(share >= SHARE, low)
 
 
@@ -111,16 +111,16 @@ def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
     moves = (flags & np.uint16(Flag.MOVING)) != 0
     if not moves.any():
         return np.zeros((0, 2), np.int64)
-    share, low = covered(grid, moves)
+    share, low = share_covered(grid, moves)
     there = without_specks(share >= SHARE, CELL, 2.0, neighbours=4)  # m^2; less is noise: a car covers 8 to 15
     if anew is not None:
-        there &= covered(grid, anew)[0] >= SHARE
+        there &= share_covered(grid, anew)[0] >= SHARE
     return _cells(there, low)
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
     """Cells (N, 2) of `CELL` to remember, touched by patches, large enough, of a mask (R, C) of where somebody came."""
-    share, low = covered(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
+    share, low = share_covered(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
     return _cells(share > 0, low)
 
 

@@ -28,10 +28,10 @@ from alight.flight.live.stream_clocks import StreamClocks
 from alight.outputs.recorder import Recorder
 from alight.pipeline import Decision, FlightPolicy, Verdict
 from alight.pipeline.judging import JudgingMemory
+from alight.pipeline.lanes import conclude
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher, FrameBatch
-from alight.pipeline.pipeline import conclude
 from alight.pipeline.timing import Timings
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
 from alight.settings import ImuNoise, Settings
