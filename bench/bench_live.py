@@ -119,7 +119,7 @@ class Flown:
                 if memory and now - measured > memory:
                     measured = now
                     self.memory.append(resident(os.getpid()))
-                    print(f"  {now - begin:6.0f} s  {self.memory[-1]:7.1f} MB  {live.health.line}", flush=True)
+                    print(f"  {now - begin:6.0f} s  {self.memory[-1]:7.1f} MB  {live.health}", flush=True)
             assert first is not None
             self.lasted = time.perf_counter() - first
             self.times = {k: np.array(v) for k, v in live.watch.timings.stages.items()}

@@ -105,7 +105,7 @@ class Flight:
         self._ring.push([self._next], *([self._posterior()] if self._held else []))
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
         if self._held:
-            self._map.add_plane(self._ring.plane, self._ring.about)
+            self._map.add_plane(self._ring.alignment.plane, self._ring.alignment.about)
         for part in found:
             self._map.add(part, replace_all=True)
 

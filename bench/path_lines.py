@@ -14,7 +14,7 @@ START = "alight.runner.replay"
 LEFT_OUT = (
     "alight.photos.bundle", "alight.training", "alight.outputs", "alight.report", "alight.evaluation", "alight.cli",
     "alight.api", "alight.result", "alight.trials.demo", "alight.runner.judge", "alight.flight.live",
-    "alight.photos.reading.photo", "alight.photos.lane", "alight.photos.work", "alight.sources.raster",
+    "alight.photos.reading.photo", "alight.photos.work", "alight.sources.raster",
     "alight.hazards.sharpen", "alight.settings.page",
 )  # fmt: skip
 

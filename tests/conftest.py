@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: as the command line has it
@@ -24,6 +25,20 @@ T = TypeVar("T")
 # the same examples in each run, whichever tests run beside them
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=60)
 settings.load_profile("fixed")
+
+
+def pytest_collection_finish() -> None:
+    """Take what was imported out of later garbage collections, which would go through all of it each time."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _frozen() -> Iterator[None]:
+    """Take what a module has left, such as the trees of the source in `parsed`, out of them too."""
+    yield
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -17,10 +17,21 @@ import pytest
 from damage import write_flight, write_photos
 from length import first
 
+from alight.cli import call
+
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-c", "from alight.cli import main; main()"]
 ASCII = {"LC_ALL": "C", "LANG": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
 LEFT = {"run.json", "report.html", "sites.geojson", "trajectory.tum", "trajectory.csv"}  # of a flight over noise
+
+
+BOTH = """
+import sys
+from alight.cli import call
+flight, out = sys.argv[1:]
+print("ran:", call(["run", flight, "--out", out]))
+sys.exit(call(["evaluate", out, "--truth", flight]))
+"""
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -46,12 +57,13 @@ def whole(out: Path) -> None:
     assert "alight" in json.loads((out / "run.json").read_text(encoding="utf-8"))
 
 
-def test_somebody_elses_raster_is_not_overwritten(flight: Path, tmp_path: Path) -> None:
+def test_somebody_elses_raster_is_not_overwritten(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "dem.tif").write_bytes(b"a survey of a year")
-    code, _, err = alight("run", flight, "--out", tmp_path / "out")
-    assert code == 2
-    assert "holds files that are not a run's" in err
+    assert call(["run", str(flight), "--out", str(tmp_path / "out")]) == 2
+    assert "holds files that are not a run's" in capsys.readouterr().err
     assert (tmp_path / "out" / "dem.tif").read_bytes() == b"a survey of a year"
 
 
@@ -80,13 +92,14 @@ def test_closed_streams_lose_nothing(flight: Path, tmp_path: Path, closed: str) 
 def test_folder_names_that_are_no_utf_8(tmp_path: Path, env: dict[str, str]) -> None:
     flight, out = (Path(os.fsdecode(os.fsencode(tmp_path) + name)) for name in (b"/fl\xff\xc3g", b"/o\xfft"))
     write_flight(flight)
-    code, answer, err = alight("run", os.fsencode(flight), "--out", os.fsencode(out), env=env)
-    assert code == 0, err
-    assert answer.startswith("NO SITE")
+    words = os.fsencode(flight), os.fsencode(out)
+    done = subprocess.run([sys.executable, "-c", BOTH, *words], env=environment(**env), capture_output=True)
+    answer, err = done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace")
+    assert answer.startswith("NO SITE"), err
     whole(out)
-    code, _, err = alight("evaluate", os.fsencode(out), "--truth", os.fsencode(flight), env=env)
     assert "Traceback" not in err
-    assert code in (0, 2)
+    assert done.returncode in (0, 2)
+    assert "ran: 0\n" in answer
 
 
 def test_photo_names_that_are_no_utf_8(tmp_path: Path) -> None:
@@ -99,8 +112,9 @@ def test_photo_names_that_are_no_utf_8(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))["warnings"]
 
 
-def test_two_runs_into_one_folder(flight: Path, tmp_path: Path) -> None:
+def test_two_runs_into_one_folder(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
+    command = ["run", str(flight), "--out", str(out)]
     script = (
         "import sys, pathlib; from alight.outputs import prepare_folder; "
         "prepare_folder(pathlib.Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
@@ -110,12 +124,12 @@ def test_two_runs_into_one_folder(flight: Path, tmp_path: Path) -> None:
     ) as first:
         assert first.stdout is not None
         assert first.stdout.readline() == b"held\n"
-        code, _, err = alight("run", flight, "--out", out)
-        assert code == 2
+        assert call(command) == 2
+        err = capsys.readouterr().err.replace("\n", " ")
         assert f"another run writes there (process {first.pid}); wait for its end" in err
         assert first.stdin is not None
         first.stdin.close()
-    assert alight("run", flight, "--out", out)[0] == 0
+    assert call(command) == 0
     whole(out)
 
 
@@ -150,6 +164,5 @@ def test_a_run_that_is_ended_leaves_nothing_that_harms_the_next(
     if how != signal.SIGKILL:
         left = names(tmp_path / "out")
         assert not left or left <= LEFT | {".alight.lock"}
-    code, _, err2 = alight("run", flight, "--out", tmp_path / "out")
-    assert code == 0, err2
+    assert call(["run", str(flight), "--out", str(tmp_path / "out")]) == 0
     whole(tmp_path / "out")

@@ -24,7 +24,6 @@ from alight import hazards
 from alight.arrays import F64
 from alight.evaluation.flight import FlightTruth
 from alight.geometry import Grid
-from alight.parallax.window import part_of
 from alight.pipeline import Pipeline, PipelineOptions
 from alight.pipeline.judging import as_judged
 from alight.records import ElevationMap, Event, Frame, InputError
@@ -202,7 +201,7 @@ def cut(e: ElevationMap, place: F64) -> ElevationMap:
     assert e.fine_sampling is not None
     n = e.fine.shape[0] // e.grid.rows
     fine = e.fine[n * rows.start : n * rows.stop, n * cols.start : n * cols.stop]
-    return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], datum=e.datum)
+    return replace(e.part((rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], datum=e.datum)
 
 
 def claims_of(look: Look) -> Claims:

@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from alight.documents import DocumentError, parse_json, read_text
+from alight.documents import parse_json, read_text
 from alight.records import SettingsError
 from alight.result import Result
 from alight.settings import Lander, Settings, load_settings, settings_of_keys
@@ -49,48 +49,39 @@ def settings_of(settings: SettingsLike = None, lander: Lander | None = None) -> 
     Raises:
         SettingsError: an unknown key, a value out of range, or a file that cannot be read.
     """
-    if settings is None:
-        chosen = Settings()
-    elif isinstance(settings, Settings):
-        chosen = settings
-    else:
-        try:
-            chosen = _of_mapping(settings) if isinstance(settings, Mapping) else load_settings(_text(Path(settings)))
-        except ValueError as e:
-            raise SettingsError(str(e)) from e
+    try:
+        if settings is None:
+            chosen = Settings()
+        elif isinstance(settings, Settings):
+            chosen = settings
+        elif isinstance(settings, Mapping):
+            chosen = settings_of_keys({str(key): _plain_value(str(key), value) for key, value in settings.items()})
+        else:
+            chosen = load_settings(read_text(Path(settings)))
+    except OSError as e:
+        raise SettingsError(f"{settings}: cannot be read; name a YAML file of settings") from e
+    except ValueError as e:
+        raise SettingsError(str(e) if isinstance(settings, Mapping) else f"{settings}: {e}") from e
     return chosen if lander is None else chosen.model_copy(update={"lander": lander})
 
 
-def _of_mapping(given: Mapping[str, Any]) -> Settings:
-    """Settings from keys; values may be models, paths, and scalars and arrays of NumPy, too."""
-    return settings_of_keys({str(key): _plain_value(str(key), value) for key, value in given.items()})
-
-
 def _plain_value(key: str, value: Any) -> Any:
+    """Return the value of a key, which may be a model, a path, or a scalar or an array of NumPy, as JSON has it."""
     import json
 
+    def plain(value: Any) -> Any:
+        if isinstance(value, FrozenModel):
+            return value.model_dump(mode="json", exclude_unset=True)
+        if isinstance(value, PurePath):
+            return str(value)
+        if hasattr(value, "tolist"):  # NumPy, which is not imported here
+            return value.tolist()
+        raise TypeError(f"a {type(value).__name__} is no value of a setting")
+
     try:
-        return parse_json(json.dumps(value, default=_plain))
+        return parse_json(json.dumps(value, default=plain))
     except (TypeError, ValueError, RecursionError) as e:
         raise SettingsError(f"{key}: {e}; give a number, a word, a list or a mapping of keys") from e
-
-
-def _plain(value: Any) -> Any:
-    """Return a value that JSON has no form for in words, numbers, lists and mappings."""
-    if isinstance(value, FrozenModel):
-        return value.model_dump(mode="json", exclude_unset=True)
-    if isinstance(value, PurePath):
-        return str(value)
-    if hasattr(value, "tolist"):  # NumPy, which is not imported here
-        return value.tolist()
-    raise TypeError(f"a {type(value).__name__} is no value of a setting")
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_text(path)
-    except (OSError, DocumentError) as e:
-        raise SettingsError(f"{path}: cannot be read; name a YAML file of settings") from e
 
 
 def run(
@@ -122,7 +113,7 @@ def run(
         progress: called with the stage and the share of it that is done.
 
     Raises:
-        AlightError: the input or a setting cannot be used; the message says how to mend it.
+        AlightError: the input or a setting cannot be used; the message gives the remedy.
     """
     from alight.cluster import open_jobs
     from alight.outputs import FileStore
@@ -157,7 +148,7 @@ def judge(
         lander, settings: as for `run`.
 
     Raises:
-        AlightError: a raster or a setting cannot be used; the message says how to mend it.
+        AlightError: a raster or a setting cannot be used; the message gives the remedy.
     """
     from alight.runner import judge as runner
     from alight.sources.raster import read_ground
@@ -266,9 +257,9 @@ def campaign(
     Raises:
         AlightError: no such scene, or the folder is another campaign's, or has more landings.
     """
-    from alight.trials.campaign import Campaign, fly_campaign, wanted_landings
+    from alight.trials.campaign.run import Campaign, fly_campaign, wanted_landings
 
-    planned = Campaign.of(scenes, wanted_landings(Path(out), landings), seed, settings_of(settings))
+    planned = Campaign(scenes, wanted_landings(Path(out), landings), seed, settings_of(settings))
     return fly_campaign(planned, Path(out), jobs, scheduler)
 
 

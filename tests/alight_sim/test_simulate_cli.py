@@ -16,7 +16,7 @@ from rich.console import Console
 import alight_sim
 from alight import cli
 from alight.cli.display import half_blocks
-from alight.cli.simulate import read
+from alight.cli.simulated import read_scene_with
 from alight.evaluation.flight import read_flight_truth
 from alight.records import Frame
 from alight.runner.opening import open_source
@@ -73,7 +73,7 @@ def test_a_written_scene_becomes_a_flight_log_that_is_read_back(
 
 
 def test_overrides_win_over_the_file(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    chosen = read(str(small), ["flight.height=33", "imaging.rate_hz=2"])
+    chosen = read_scene_with(str(small), ["flight.height=33", "imaging.rate_hz=2"])
     assert (chosen.flight.height, chosen.imaging.rate_hz, chosen.flight.duration) == (33.0, 2.0, 0.5)
     out = tmp_path / "flight"
     command = ["simulate", str(small), "--out", str(out), "--duration", "1", "--set", "imaging.rate_hz=1"]
@@ -82,7 +82,7 @@ def test_overrides_win_over_the_file(small: Path, tmp_path: Path, capsys: pytest
 
 
 def test_a_list_is_counted_from_one() -> None:
-    chosen = read("demo", ["ground.relief.1.height=0.25"])
+    chosen = read_scene_with("demo", ["ground.relief.1.height=0.25"])
     assert chosen.ground.relief[0].height == 0.25
 
 
@@ -172,7 +172,7 @@ def test_the_printed_command_can_be_pasted(
 
 
 def test_the_seed_draws_what_a_family_of_scenes_leaves_open() -> None:
-    chosen = read("gravel", ["flight.height=33"], 3)
+    chosen = read_scene_with("gravel", ["flight.height=33"], 3)
     drawn = read_scene(built_in()["gravel"], 3)
     assert chosen.ground == drawn.ground
     assert chosen.light == drawn.light != read_scene(built_in()["gravel"], 4).light

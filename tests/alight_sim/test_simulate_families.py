@@ -86,7 +86,7 @@ def test_values_that_name_each_other_in_a_circle_are_refused() -> None:
         resolve({"draw": {"a": {"one_of": ["$b"]}, "b": {"one_of": ["$a"]}}, "x": "$a"}, 0, "x")
 
 
-@pytest.mark.parametrize("name", first(3, FAMILIES))
+@pytest.mark.parametrize("name", first(1, FAMILIES))
 def test_a_family_can_be_read_for_every_seed_and_its_sun_is_low_and_high(name: str) -> None:
     scenes = [read_scene(built_in()[name], seed) for seed in range(1, 60)]
     sun = np.array([s.light.elevation_deg for s in scenes])
@@ -278,7 +278,7 @@ def test_puddles_cover_their_share_and_their_mud_is_water_too() -> None:
     assert patch.height[open_water].max() < patch.height.max() - 0.03
 
 
-@pytest.mark.parametrize("name", first(2, FAMILIES))
+@pytest.mark.parametrize("name", first(1, sorted(FAMILIES)))
 def test_a_family_has_safe_places_and_dangers_over_its_seeds(name: str) -> None:
     shares = []
     for seed in (1, 2, 3):

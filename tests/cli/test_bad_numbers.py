@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from damage import change_field, dji_tags, write_photo, write_yaml, xmp_packet
+from damage import UNSMOOTHED, change_field, dji_tags, write_photo, write_yaml, xmp_packet
+from length import first_rows
 from PIL import ExifTags, Image
 
 from alight.cli import call
@@ -19,7 +20,7 @@ from alight.records import SettingsError
 
 def ran(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str, str]:
     """Run `alight run`; return exit code, stdout and stderr."""
-    code = call(["run", str(source), "--out", str(tmp_path / "out"), *options])
+    code = call(["run", str(source), "--out", str(tmp_path / "out"), *UNSMOOTHED, *options])
     said = capsys.readouterr()
     assert "could not be made" not in said.err
     return code, said.out, said.err
@@ -101,8 +102,13 @@ def test_settings_out_of_range(setting: str, capsys: pytest.CaptureFixture[str])
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("seconds", [3600.0, -3600.0, -1_700_000_000.0])
-@pytest.mark.parametrize(("stream", "name"), [("nav0", "nav0 (GPS/INS)"), ("imu0", "imu0"), ("cam1", "cam1")])
+STREAMS, SHIFTS = (("nav0", "nav0 (GPS/INS)"), ("imu0", "imu0"), ("cam1", "cam1")), (3600.0, -3600.0, -1_700_000_000.0)
+
+
+@pytest.mark.parametrize(
+    ("stream", "name", "seconds"),
+    first_rows(3, [(*STREAMS[(k + turn) % 3], s) for turn in range(3) for k, s in enumerate(SHIFTS)]),
+)
 def test_clocks_that_do_not_meet(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], stream: str, name: str, seconds: float
 ) -> None:

@@ -20,7 +20,7 @@ import yaml
 from some_run import candidate, site, some_run
 
 from alight import __version__, cli
-from alight.cli.options import read_settings
+from alight.cli.options import SettingsOptions
 from alight.cli.terminal import progress_bar
 from alight.outputs import write_run
 from alight.records import InputError, Sites
@@ -148,7 +148,7 @@ def test_tuned_constants_are_shown_when_asked_for(capsys: pytest.CaptureFixture[
 
 def test_set_wins_over_the_file(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("lander: {radius: 2.0, max_roughness: 0.1}")
-    lander = read_settings(tmp_path / "mine.yaml", ["lander.radius=3"]).lander
+    lander = SettingsOptions(settings=tmp_path / "mine.yaml", assign=["lander.radius=3"]).read_settings().lander
     assert (lander.radius, lander.max_roughness) == (3.0, 0.1)
 
 

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rasterio
-from damage import HEIGHT, LATITUDE, LONGITUDE, picture, write_rows
+from damage import HEIGHT, LATITUDE, LONGITUDE, UNSMOOTHED, picture, write_rows
 from numpy.typing import NDArray
 from some_run import some_run
 
@@ -30,7 +30,7 @@ LOCAL = LocalFrame(LATITUDE, LONGITUDE, HEIGHT)
 
 def ran(source: Path, *more: str) -> int:
     """Run a source; return the exit code."""
-    return call(["run", str(source), "--out", str(source.parent / "out"), *more])
+    return call(["run", str(source), "--out", str(source.parent / "out"), *UNSMOOTHED, *more])
 
 
 def refused(capsys: Told, *words: str) -> None:

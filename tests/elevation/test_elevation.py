@@ -89,11 +89,11 @@ def test_what_is_added_anywhere_is_read_back(col: int, row: int, rows: int, cols
 @settings(derandomize=True, database=None, deadline=None, max_examples=20)
 def test_tiles_meet_without_gap_or_overlap(row: int, col: int) -> None:
     e = TiledElevation(CELL, SIDE)
-    xs, ys = e.tile_grid((row, col)).xy()
-    assert_allclose(e.tile_grid((row, col + 1)).xy()[0][0] - xs[-1], CELL)
-    assert_allclose(ys[-1] - e.tile_grid((row - 1, col)).xy()[1][0], CELL)
+    xs, ys = e.layer().tile_grid((row, col)).xy()
+    assert_allclose(e.layer().tile_grid((row, col + 1)).xy()[0][0] - xs[-1], CELL)
+    assert_allclose(ys[-1] - e.layer().tile_grid((row - 1, col)).xy()[1][0], CELL)
     assert_allclose([xs[0], ys[-1]], [col * SPAN + CELL / 2, row * SPAN + CELL / 2])
-    wide = e.tile_grid((row, col), margin=3)
+    wide = e.layer().tile_grid((row, col), margin=3)
     assert wide.shape == (SIDE + 6, SIDE + 6)
     assert_allclose(wide.xy()[0][3:-3], xs)
     assert_allclose(wide.xy()[1][3:-3], ys)
@@ -103,7 +103,7 @@ def test_tiles_meet_without_gap_or_overlap(row: int, col: int) -> None:
 def test_a_window_covers_its_rectangle_with_whole_cells(at: tuple[float, float]) -> None:
     e = TiledElevation(CELL, SIDE)
     east, north = (at[0], at[0] + 3.1), (at[1], at[1] + 1.7)
-    grid = e.window(east, north)
+    grid = e.layer().window(east, north)
     xs, ys = grid.xy()
     for centres in (xs, ys):
         assert_allclose(centres / CELL - 0.5, np.round(centres / CELL - 0.5), atol=1e-9)
@@ -116,8 +116,8 @@ def test_a_window_covers_its_rectangle_with_whole_cells(at: tuple[float, float])
 
 def test_cover_names_every_tile_a_rectangle_touches() -> None:
     e = TiledElevation(CELL, SIDE)
-    assert list(e.cover((-0.1, 0.1), (-0.1, 0.1))) == [(-1, -1), (-1, 0), (0, -1), (0, 0)]
-    assert list(e.cover((0.1, SPAN - 0.1), (SPAN + 0.1, SPAN + 0.2))) == [(1, 0)]
+    assert list(e.layer().cover((-0.1, 0.1), (-0.1, 0.1))) == [(-1, -1), (-1, 0), (0, -1), (0, 0)]
+    assert list(e.layer().cover((0.1, SPAN - 0.1), (SPAN + 0.1, SPAN + 0.2))) == [(1, 0)]
 
 
 def test_what_was_never_seen_reads_as_unknown() -> None:
@@ -193,11 +193,11 @@ def test_rolling_packs_and_unpacks_without_loss() -> None:
     for e in (rolled, still):
         e.add(rough)
     rolled.roll((0.0, 0.0), 5.0)
-    assert 0 < rolled.tiles.near < still.tiles.near  # some are packed, those near the vehicle are not
+    assert 0 < len(rolled.layer().near) < len(still.layer().near)  # some are packed, those near the vehicle are not
     same(rolled.read(grid), still.read(grid))
     rolled.roll((1e4, 1e4), 5.0)
-    assert not rolled.tiles.near
-    assert rolled.tiles.packed == still.tiles.near
+    assert not rolled.layer().near
+    assert len(rolled.layer().packed) == len(still.layer().near)
     same(rolled.read(grid), still.read(grid))
     a, b = rolled.snapshot(), still.snapshot()
     assert a is not None
@@ -214,7 +214,7 @@ def test_a_packed_tile_takes_new_heights() -> None:
     e.roll((1e3, 0.0), 1.0)
     e.add(new)
     same(e.read(grid), new)
-    assert not e.tiles.packed  # one truth: a tile is near or packed, never both
+    assert not e.layer().packed  # one truth: a tile is near or packed, never both
 
 
 def test_a_reading_is_a_copy() -> None:
@@ -290,7 +290,7 @@ def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, 
     rng = np.random.default_rng([col + 100, row + 100])
     fine = heights(grid, flags=rng.choice([0, int(Flag.MOVING), int(Flag.UNSEEN), int(Flag.STEP)], grid.shape))
     e = TiledElevation(CELL, SIDE)
-    e.window((0, 0), (0, 0), level=1)
+    e.layer(1)
     e.add(fine)
     for (north, east), cells in by_cell(fine, 1).items():
         got = e.read(at_level(1, north, north, east, east))
@@ -411,14 +411,14 @@ def test_a_snapshot_is_as_fine_as_a_twentieth_of_it_and_no_larger_than_asked() -
 def test_forgotten_tiles_are_gone_and_memory_is_bounded() -> None:
     """On a long way at two cell sizes, memory does not grow, and the coarse cells of forgotten tiles are gone."""
     e = TiledElevation(CELL, SIDE, NullStore())
-    e.window((0, 0), (0, 0), level=2)
+    e.layer(2)
     most = []
     for k in range(60):
         e.add(slanted(aligned(8 * k, 8, 16, 16)))
         e.roll(((8 * k + 8) * CELL, 0.0), 2 * SPAN)
-        most.append(e.tiles.near)
+        most.append(sum(len(e.layer(k).near) for k in range(3)))
     assert max(most[30:]) <= max(most[:30])
-    assert not e.tiles.packed
+    assert not any(e.layer(k).packed for k in range(3))
     assert not e.read(aligned(0, 8, 8, 8)).trusted.any()
     assert e.read(aligned(8 * 59, 8, 8, 8)).trusted.all()
 
@@ -433,8 +433,8 @@ def test_a_spilled_map_is_the_map(tmp_path: Path) -> None:
             e.roll((1e4, 0.0), 5.0)
             e.add(more)
             e.roll((1e4, 0.0), 5.0)
-        assert len(far) == sum(kept.tiles) > 30
-        assert not spilled.tiles.near
+        assert len(far) == len({*kept.layer().near, *kept.layer().packed}) > 30
+        assert not spilled.layer().near
         same(spilled.read(grid), kept.read(grid))
     assert not list(tmp_path.iterdir())  # nameless: nothing is left, however a run ends
 

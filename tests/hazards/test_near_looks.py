@@ -1,4 +1,4 @@
-"""Looks from near by: the conditions for them, and the use of doubtful heights (docs/method/near-looks.md, G7f)."""
+"""Looks from near by: the conditions for them, and the use of doubtful heights (docs/method/p-safe.md, G7f)."""
 
 from __future__ import annotations
 

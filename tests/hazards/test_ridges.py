@@ -1,4 +1,4 @@
-"""Straight ridges: kerbs, walls and pipes are structures, however low they are (docs/method/near-looks.md, G7i)."""
+"""Straight ridges: kerbs, walls and pipes are structures, however low they are (docs/method/p-safe.md, G7i)."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Rig:
 
     def __init__(
         self, dialect: FirmwareName = "ardupilot", seed: int = 0, link: dict[str, float] | None = None,
-        step: float = 0.04, rates: dict[str, float] | None = None, **simulated: Any,
+        step: float = 0.05, rates: dict[str, float] | None = None, **simulated: Any,
     ) -> None:  # fmt: skip
         self.sim = SimulatedAutopilot(DIALECTS[dialect], **simulated)
         self.ours = Autopilot(rates, TelemetryEvents(LOCAL))

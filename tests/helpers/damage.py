@@ -17,6 +17,7 @@ T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000
 LATITUDE, LONGITUDE, HEIGHT = 48.1, 15.4, 300.0
 SIZE = (64, 48)
+UNSMOOTHED = ("--set", "tuning.filter.smooth=false")  # of a run whose reading is tested: most of its time, else
 LOOK_DOWN = [0.0, -1.0, 0.0, 0.1, -1.0, 0.0, 0.0, 0.2, 0.0, 0.0, -1.0, -0.05, 0.0, 0.0, 0.0, 1.0]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +36,7 @@ class Fault:
         if self.kind == "raise":
             raise RuntimeError("a fault that a test wants")
         if self.kind == "die":
-            os._exit(3)
+            os.kill(os.getpid(), signal.SIGKILL)
         time.sleep(1000.0 if self.kind == "hang" else self.seconds)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from some_run import elevation as some_elevation
 from some_run import site as some_site
 
-from alight.flight.executive import Executive
+from alight.flight.executive.executive import Executive
 from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites
 from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order, Situation
@@ -18,10 +19,23 @@ from alight.settings import load_settings
 S = FlightState
 STEP = 0.2  # s
 AWAY = np.array([0.0, 0.0, 30.0])  # where flights begin
+GRID = Grid(-48.0, 48.0, 1.0, 97, 97)
 
 
 def settings(*more: str):  # type: ignore[no-untyped-def]
     return load_settings("", ["executive.search_side=60", *more]).stages()
+
+
+@cache
+def blank_map() -> ElevationMap:
+    """A map of level ground at height 0."""
+    m = some_elevation()
+    blank = {
+        name: np.zeros((*GRID.shape, *v.shape[2:]), v.dtype)
+        for name, v in vars(m).items()
+        if isinstance(v, np.ndarray) and v.ndim >= 2 and v.shape[:2] == m.grid.shape
+    }
+    return replace(m, grid=GRID, **blank | {"sigma": np.full(GRID.shape, 0.02, np.float32)})
 
 
 @dataclass
@@ -39,31 +53,24 @@ class Ground:
     room: float = 9.0  # m to the nearest refused touchdown
 
     def map(self, height: float = 0.0) -> ElevationMap:
-        grid = Grid(-60.0, 60.0, 1.0, 121, 121)
-        m = some_elevation()
-        flat = np.zeros(grid.shape, np.float32)
-        east, _ = grid.xy()
+        blank = blank_map()
+        flat, flags = blank.height.copy(), blank.flags.copy()
+        east, _ = GRID.xy()
         flat[:, np.abs(east - 15.0) < 1.0] = self.tall
         for e, n, up in self.posts if height < self.posts_show else ():
-            row, col = (round(float(v)) for v in grid.index(np.array(e), np.array(n)))
+            row, col = (round(float(v)) for v in GRID.index(np.array(e), np.array(n)))
             flat[row, col] = up
-        blank = {
-            name: np.zeros((*grid.shape, *v.shape[2:]), v.dtype)
-            for name, v in vars(m).items()
-            if isinstance(v, np.ndarray) and v.ndim >= 2 and v.shape[:2] == m.grid.shape
-        }
-        blank["flags"][:, np.abs(east) < 2.0] = int(Flag.UNSEEN) if self.gap else 0
-        return replace(m, grid=grid, **blank | {"height": flat, "sigma": np.full(grid.shape, 0.02, np.float32)})
+        flags[:, np.abs(east) < 2.0] = int(Flag.UNSEEN) if self.gap else 0
+        return replace(blank, height=flat, flags=flags)
 
     def seen(self, number: int, t: float, at: np.ndarray) -> MapVerdict:
-        grid = Grid(-60.0, 60.0, 1.0, 121, 121)
-        p_map = np.full(grid.shape, np.nan, np.float32)
-        reasons = np.full(grid.shape, int(Hazard.UNKNOWN), np.uint16)
+        p_map = np.full(GRID.shape, np.nan, np.float32)
+        reasons = np.full(GRID.shape, int(Hazard.UNKNOWN), np.uint16)
         listed = []
         for (e, n), p_of in self.places.items():
             if np.hypot(e - at[0], n - at[1]) > self.sees:
                 continue
-            p, (row, col) = p_of(float(at[2])), (round(v) for v in grid.index(np.array(e), np.array(n)))
+            p, (row, col) = p_of(float(at[2])), (round(v) for v in GRID.index(np.array(e), np.array(n)))
             off_list = self.unlisted[0] < at[2] < self.unlisted[1]
             doubtful = p < 0.95
             p_map[row, col], reasons[row, col] = p, doubtful * Hazard.DOUBT if p > 0 else Hazard.ROUGHNESS
@@ -74,9 +81,9 @@ class Ground:
         listed.sort(key=lambda s: -s.p_safe)
         sites = tuple(s for s in listed if s.kind == "site")
         found = Sites(sites, "", self.frame_id, tuple(s for s in listed if s.kind == "candidate"))
-        blank = np.zeros(grid.shape, np.float32)
-        room = np.full(grid.shape, self.room, np.float32)
-        danger = HazardMap(grid, blank, blank, blank, room, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
+        blank = np.zeros(GRID.shape, np.float32)
+        room = np.full(GRID.shape, self.room, np.float32)
+        danger = HazardMap(GRID, blank, blank, blank, room, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
         return MapVerdict(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
 
 

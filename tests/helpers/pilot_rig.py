@@ -12,7 +12,7 @@ from made_up_ground import Ground, clearer_from_below
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.session.dry_run import VehicleCommands
-from alight.flight.session.pilot import LandingPilot, PilotView
+from alight.flight.session.pilot import LandingLog, LandingPilot, PilotView
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
@@ -48,7 +48,7 @@ def seldom(r: Rig, period: float) -> None:
     r.sim.reports.makers["GLOBAL_POSITION_INT"] = seldom_made
 
 
-class PilotRig(Rig):
+class PilotRig(Rig, LandingLog):
     """Both ends of a link, and a pilot at ours.
 
     Steps of 0.1 s are twice as fast as those of 0.05 s; no message comes more often than steps are made.
@@ -196,10 +196,15 @@ class PilotRig(Rig):
 PLACE = (10.0, 5.0)  # of the site
 
 
-def flying(dialect: FirmwareName = "ardupilot", *settings: str, see: See | None = None, **more: Any) -> PilotRig:
-    """Return a vehicle at 30 m whose landing has begun; `see`: else there is a site at `PLACE`."""
+def flying(
+    dialect: FirmwareName = "ardupilot", *settings: str, see: See | None = None, height: float = 16.0, **more: Any
+) -> PilotRig:
+    """Return a vehicle whose landing has begun; `see`: else there is a site at `PLACE`.
+
+    From 16 m the place is in so little doubt that it is looked at at once; from 30 m all is searched first.
+    """
     found = PilotRig(see or Ground({PLACE: clearer_from_below}).seen, dialect, settings, **more)
-    found.up_and_flying(30.0)
+    found.up_and_flying(height)
     found.begin()
     return found
 

@@ -227,15 +227,8 @@ def run(
 
 def fed(f: MotionFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
     """Feed events in their order; return the filter's motion of each exposure, None without one."""
-    out = []
-    for e in events:
-        if isinstance(e, ImuSample):
-            f.feed_imu(e)
-        elif isinstance(e, NavSample):
-            f.feed_nav(e)
-        elif isinstance(e, Tracks):
-            out.append(f.feed_tracks(e))
-    return out
+    given = [(e, f.feed(e)) for e in events if isinstance(e, ImuSample | NavSample | Tracks)]
+    return [motion for e, motion in given if isinstance(e, Tracks)]
 
 
 def predicted(f: MotionFilter, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:

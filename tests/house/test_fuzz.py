@@ -35,7 +35,7 @@ def fuzz(keep: Path, *options: str, before: str = "") -> tuple[int, str]:
 
 @pytest.mark.parametrize("kinds", first(1, ["dem,protocol", "noise,photos"]))
 def test_a_short_run_finds_nothing(tmp_path: Path, kinds: str) -> None:
-    code, said = fuzz(tmp_path / "kept", "--trials", "8", "--seed", "7", "--kinds", kinds)
+    code, said = fuzz(tmp_path / "kept", "--trials", "4", "--seed", "7", "--kinds", kinds)
     assert code == 0, said
     assert "0 kinds of failure" in said
     assert not (tmp_path / "kept").exists()

@@ -56,18 +56,3 @@ def test_a_key_of_the_map_of_reasons_is_on_the_page(hazard: Hazard) -> None:
 @pytest.mark.parametrize("flag", list(Flag))
 def test_a_key_of_the_map_of_flags_is_on_the_page(flag: Flag) -> None:
     assert f"| {words.FLAGS[flag]} | {flag.name} |" in PAGE
-
-
-def errors() -> list[list[str]]:
-    """The errors in the last table of the page, each split at the parts that a run fills in."""
-    table = PAGE.split("### `alight run` stops with an error")[1].split("| --- | --- |")[1]
-    said = [row.split("|")[1].strip() for row in table.strip().split("\n") if row.startswith("|")]
-    return [[piece.strip() for piece in error.split("...") if piece.strip()] for error in said]
-
-
-@pytest.mark.parametrize("pieces", errors(), ids=" ... ".join)
-def test_an_error_of_the_page_is_one_of_the_code(pieces: list[str]) -> None:
-    parts = ("sources", "outputs", "pipeline/mapping", "photos/reading", "runner")
-    files = [p for part in parts for p in (PACKAGE / part).glob("*.py")]
-    said = re.compile(r"[^\n]*(?:\n[^\n]*)?".join(map(re.escape, pieces)))  # a message takes two lines at most
-    assert any(said.search(text_of(path)) for path in files)

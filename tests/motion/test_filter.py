@@ -15,12 +15,12 @@ from pose_window import project
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
-from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
+from alight.motion.dynamics import Step, propagate
 from alight.motion.ekf.health import GateCounts, Health
 from alight.motion.ekf.initial_attitude import attitude_from_course
 from alight.motion.ekf.state import AT, FilterState
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import Segments, corrected, preintegrate, segments
+from alight.motion.preintegration import Preintegral, corrected, preintegrate
 from alight.motion.smoother.track_segments import jacobians
 from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
 from alight.settings import FilterSettings
@@ -35,7 +35,7 @@ RIG = Rig(
         RigCamera("right", CAMERA, Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0])),
     )
 )
-GYRO_BIAS, ACC_BIAS = np.array([0.004, -0.003, 0.002]), np.array([0.08, -0.05, 0.03])
+BIAS = np.array([0.004, -0.003, 0.002, 0.08, -0.05, 0.03])  # rad/s, m/s^2
 NAV_OFF, NAV_TURNED = np.array([0.8, -0.6, 1.4]), np.array([0.006, -0.005, 0.02])
 
 
@@ -56,7 +56,7 @@ def imu_at(t: float, rng: np.random.Generator) -> ImuSample:
     acceleration = (velocity(t + h) - velocity(t - h)) / (2 * h)
     force = R.T @ (acceleration + np.array([0, 0, 9.80665]))
     shake = rng.normal(size=6) * np.repeat([4e-4, 2.5e-3], 3) * np.sqrt(200)
-    return ImuSample(START + round(t * 1e9), rate + GYRO_BIAS + shake[:3], force + ACC_BIAS + shake[3:])
+    return ImuSample(START + round(t * 1e9), rate + BIAS[:3] + shake[:3], force + BIAS[3:] + shake[3:])
 
 
 def nav_at(t: float, rng: np.random.Generator) -> NavSample:
@@ -359,26 +359,25 @@ def test_camera_jacobians_agree_with_differences() -> None:
     np.testing.assert_allclose(by_point, numeric(lambda d: project(R, p, cam, x + d), 3), atol=1e-8)
 
 
-def _pieces() -> Segments:
+def _summed(bias: np.ndarray) -> Preintegral:
     rng = np.random.default_rng(1)
-    samples = [imu_at(t, rng) for t in np.arange(0.0, 0.31, 0.005)]
-    return segments(ImuBuffer(samples), START + 3 * MS, START + 292 * MS)
+    samples = ImuBuffer(imu_at(t, rng) for t in np.arange(0.0, 0.31, 0.005))
+    return preintegrate(samples, START + 3 * MS, START + 292 * MS, bias, FilterSettings())
 
 
 def test_preintegration_is_the_motion() -> None:
-    pieces = _pieces()
-    assert pieces.dt.sum() == pytest.approx(0.289)
-    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, FilterSettings())
-    after = inertial_step(Step(body(0.003).rotation, body(0.003).translation, velocity(0.003)), m)
+    m = _summed(BIAS)
+    assert m.dt == pytest.approx(0.289)
+    here = Step(body(0.003).rotation, body(0.003).translation, velocity(0.003))
+    after, _, _ = propagate(here, np.zeros(3), m, m.dt, FilterSettings())
     assert np.linalg.norm(so3_log(after.R @ body(0.292).rotation.T)) < 5 * 4e-4 * np.sqrt(0.3)
     assert np.linalg.norm(after.position - body(0.292).translation) < 5 * 2.5e-3 * 0.3**1.5
     assert np.linalg.norm(after.velocity - velocity(0.292)) < 5 * 2.5e-3 * np.sqrt(0.3)
 
 
 def test_preintegration_corrects_for_biases_to_first_order() -> None:
-    pieces, d = _pieces(), np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.03])
-    at_zero = preintegrate(pieces, np.zeros(3), np.zeros(3), FilterSettings())
-    there, found = preintegrate(pieces, d[:3], d[3:], FilterSettings()), corrected(at_zero, d[:3], d[3:])
+    d = np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.03])
+    there, found = _summed(d), corrected(_summed(np.zeros(6)), d)
     assert np.linalg.norm(so3_log(found.rotation.T @ there.rotation)) < 1e-6
     np.testing.assert_allclose(found.velocity, there.velocity, atol=1e-4)
     np.testing.assert_allclose(found.position, there.position, atol=1e-4)
@@ -389,27 +388,23 @@ def _difference(a: Step, b: Step) -> np.ndarray:
 
 
 def test_transitions_agree_with_differences() -> None:
-    pieces, x = _pieces(), body(0.003)
-    v = velocity(0.003)
+    x, v, zero = body(0.003), velocity(0.003), np.zeros(15)
 
     def there(d: np.ndarray) -> Step:
         return Step(so3_exp(d[0:3]) @ x.rotation, x.translation + d[3:6], v + d[6:9])
 
-    def inertial(d: np.ndarray) -> Step:
-        m = preintegrate(pieces, GYRO_BIAS + d[9:12], ACC_BIAS + d[12:15], FilterSettings())
-        return inertial_step(there(d), m)
+    def inertial(d: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
+        m = _summed(BIAS + d[9:])
+        return propagate(there(d), np.zeros(3), m, m.dt, FilterSettings())
 
-    def constant(d: np.ndarray) -> Step:
-        rate = np.array([0.1, -0.2, 0.3]) + d[9:12]
-        return constant_step(there(d), rate, 0.1)
+    def constant(d: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
+        return propagate(there(d), np.array([0.1, -0.2, 0.3]) + d[9:12], None, 0.1, FilterSettings())
 
-    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, FilterSettings())
-    zero = np.zeros(15)
-    F, Q = inertial_transition(Step(x.rotation, x.translation, v), inertial(zero), m)
-    np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(inertial(d), inertial(zero)), 15, 1e-5), atol=2e-4)
+    after, F, Q = inertial(zero)
+    np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(inertial(d)[0], after), 15, 1e-5), atol=2e-4)
     assert np.linalg.eigvalsh(Q[:9, :9]).min() > 0
-    F, _ = constant_transition(x.rotation, np.array([0.1, -0.2, 0.3]), 0.1, FilterSettings())
-    np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(constant(d), constant(zero)), 15, 1e-5), atol=1e-5)
+    after, F, _ = constant(zero)
+    np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(constant(d)[0], after), 15, 1e-5), atol=1e-5)
     assert F[AT.gyro, AT.gyro].tolist() == np.eye(3).tolist()
 
 

@@ -10,7 +10,7 @@ from point_flight import NOISE, PointFlight, error, run, seconds
 
 from alight.arrays import F64
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import Preintegral, preintegrate, segments
+from alight.motion.preintegration import Preintegral, preintegrate
 from alight.pipeline.navigation import filter_lane
 from alight.records import Frame, ImuSample, Prediction, Tracks
 from alight.settings import FilterSettings, Settings
@@ -24,8 +24,7 @@ def sample(ms: float, yaw_rate: float = 0.0) -> ImuSample:
 
 
 def summed(imu: ImuBuffer, start_ms: float, end_ms: float) -> Preintegral:
-    pieces = segments(imu, round(start_ms * MS), round(end_ms * MS))
-    return preintegrate(pieces, np.zeros(3), np.zeros(3), FilterSettings())
+    return preintegrate(imu, round(start_ms * MS), round(end_ms * MS), np.zeros(6), FilterSettings())
 
 
 def test_one_piece_has_the_covariance_of_white_acceleration() -> None:
@@ -110,10 +109,7 @@ class _Spy:
     def predictor(self) -> _Spy:
         return self
 
-    def feed_imu(self, sample: ImuSample) -> None:
-        """Do nothing."""
-
-    def feed_tracks(self, tracks: Tracks) -> None:
+    def feed(self, event: ImuSample | Tracks) -> None:
         """Give no motion."""
 
 

@@ -239,9 +239,7 @@ def test_a_gap_is_as_uncertain_however_it_is_cut() -> None:
 
     def variance(count: int) -> float:
         ends = np.linspace(0, 10**9, count + 1).round().astype(int)
-        pieces = (
-            preintegrate(segments(imu, a, b), np.zeros(3), np.zeros(3), noise) for a, b in itertools.pairwise(ends)
-        )
+        pieces = (preintegrate(imu, a, b, np.zeros(6), noise) for a, b in itertools.pairwise(ends))
         return float(sum(m.covariance[0, 0] for m in pieces))
 
     assert variance(1) == pytest.approx(0.125, rel=1e-4)
@@ -265,8 +263,8 @@ def test_preintegration_is_that_of_numpy() -> None:
     noise = FilterSettings()
     some = [*samples(6), ImuSample(105000000, RNG.normal(size=3), RNG.normal(size=3))]
     bias = 0.1 * RNG.normal(size=6)
-    pieces = segments(ImuBuffer(some), 1_000_000, 104_000_000)
-    m = preintegrate(pieces, bias[:3], bias[3:], noise)
+    imu, ends = ImuBuffer(some), (1_000_000, 104_000_000)
+    pieces, m = segments(imu, *ends), preintegrate(imu, *ends, bias, noise)
     R, v, p, J, C = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 6)), np.zeros((9, 9))
     for t, interval, since, rates in zip(pieces.dt, pieces.interval, pieces.since, pieces.rates, strict=True):
         w, a = rates[:3] - bias[:3], rates[3:] - bias[3:]
@@ -389,13 +387,13 @@ def test_new_patches_leave_held_ones_as_they_are() -> None:
     image, rng = picture(1), np.random.default_rng(2)
     held = (
         FeaturePatches.none(15)
-        .with_new(image, np.arange(200), rng.uniform(25, 90, (200, 2)), 0)
+        .with_new(image, np.arange(200), rng.uniform(25, 90, (200, 2)), Pose())
         .select(np.arange(0, 200, 2))
     )
     before = held.grey[held.slots].copy()
     for number, count in ((1, 100), (2, 300)):
         ids = 1000 * number + np.arange(count)
-        more = held.with_new(255 - image, ids, rng.uniform(25, 90, (count, 2)), number)
+        more = held.with_new(255 - image, ids, rng.uniform(25, 90, (count, 2)), Pose())
         assert len(set(more.slots.tolist())) == 100 + count
         assert (np.diff(more.ids) > 0).all()
         np.testing.assert_array_equal(more.grey[more.slots[:100]], before)

@@ -12,7 +12,7 @@ import twins_motion as twins
 from pose_window import CAMS, scene
 from twins_motion import picture
 
-from alight.geometry import Camera
+from alight.geometry import Camera, Pose
 from alight.motion.observations import WindowObservations
 from alight.motion.points import marginalise_points, triangulate_rays, triangulate_window
 from alight.motion.smoother.track_segments import LinearisedSegments, TrackSegments
@@ -55,7 +55,7 @@ def test_patches_settle_where_least_squares_says() -> None:
     """From a pixel away, turned by 0.1 rad, half as bright and 20 levels up, place and correlation are the twin's."""
     image, rng = picture(4), np.random.default_rng(5)
     pixels = rng.uniform(30, 90, (20, 2))
-    patches = FeaturePatches.none(15).with_new(image, np.arange(20), pixels, 0)
+    patches = FeaturePatches.none(15).with_new(image, np.arange(20), pixels, Pose())
     c, s = np.cos(0.1), np.sin(0.1)
     map_ = np.array([[c, -s, 8.3], [s, c, -5.6]])
     turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
@@ -75,14 +75,14 @@ def test_what_is_not_there_is_not_found() -> None:
     """No match is found on other ground, for a flat patch, at the edge, or for a view larger than the patch."""
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
-    patch = FeaturePatches.none(15).with_new(image, np.arange(1), pixels, 0)
+    patch = FeaturePatches.none(15).with_new(image, np.arange(1), pixels, Pose())
     assert patch.locate(image, pixels, ahead, SETTINGS)[1].all()
     assert not patch.locate(elsewhere, pixels, ahead, SETTINGS)[1].any()
     assert not patch.locate(image, np.array([[3.0, 60.0]]), ahead, SETTINGS)[1].any()
     assert not patch.locate(image, pixels, 4.0 * ahead, SETTINGS)[1].any()
-    flat = FeaturePatches.none(15).with_new(np.full_like(image, 9), np.arange(1), pixels, 0)
+    flat = FeaturePatches.none(15).with_new(np.full_like(image, 9), np.arange(1), pixels, Pose())
     assert not flat.locate(image, pixels, ahead, SETTINGS)[1].any()
-    assert len(FeaturePatches.none(15).with_new(image, np.arange(1), np.array([[10.0, 60.0]]), 0).ids) == 0
+    assert len(FeaturePatches.none(15).with_new(image, np.arange(1), np.array([[10.0, 60.0]]), Pose()).ids) == 0
 
 
 def test_the_table_takes_the_lens_out() -> None:

@@ -74,7 +74,7 @@ def test_without_imu_the_change_is_far_less_sure() -> None:
     for imu in (True, False):
         f, then, now, rows = after(2.0, imu)
         for row in rows:
-            f.feed_imu(row)
+            f.feed(row)
         expected = predicted(f, now, then)
         assert expected is not None
         assert expected.covariance is not None

@@ -12,7 +12,7 @@ from point_flight import NOISE, PointFlight, error, run, seconds
 from alight.arrays import F64
 from alight.geometry import Pose
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import Preintegral, Segments, preintegrate, segments
+from alight.motion.preintegration import Preintegral, preintegrate
 from alight.motion.smoother import smoother
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.motion.smoother.track_segments import TrackSegments
@@ -69,15 +69,11 @@ def test_the_imu_drives_no_exposure_well_before_its_first_sample(monkeypatch: py
     one, the filter had an angular velocity where the smoother has a bias: that starts from zero."""
     f, begins, biases = PointFlight(seed=1, seconds=2.0, count=40), list[float](), list[F64]()
 
-    def noted(samples: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
+    def summed(samples: ImuBuffer, start_ns: int, end_ns: int, bias: F64, noise: FilterSettings) -> Preintegral:
         begins.append((start_ns - samples.first_ns) * 1e-9)
-        return segments(samples, start_ns, end_ns)
+        biases.append(bias[:3].copy())
+        return preintegrate(samples, start_ns, end_ns, bias, noise)
 
-    def summed(parts: Segments, gyro: F64, accelerometer: F64, noise: FilterSettings) -> Preintegral:
-        biases.append(gyro.copy())
-        return preintegrate(parts, gyro, accelerometer, noise)
-
-    monkeypatch.setattr(smoother, "segments", noted)
     monkeypatch.setattr(smoother, "preintegrate", summed)
     smoothed(f, imu(lambda t: t > 1.03))
     before = np.array(begins) < 0.0
@@ -147,8 +143,8 @@ def test_a_block_tridiagonal_system_is_solved_as_the_dense_one() -> None:
         A[np.ix_(rows, rows)] += root @ root.T
         g[rows] += root.sum(axis=1)
         system.add(rows, root @ root.T, root.sum(axis=1))
-    factors, rows, inverse = system.factorise(), np.array([1, 2, 5, 9, 10, 17, 18]), np.linalg.inv(A)
-    own = factors.covariance()
-    np.testing.assert_allclose(factors.solution(), np.linalg.solve(A, g), rtol=1e-8)
+    system.factorise()
+    rows, inverse, own = np.array([1, 2, 5, 9, 10, 17, 18]), np.linalg.inv(A), system.covariance()
+    np.testing.assert_allclose(system.solution(), np.linalg.solve(A, g), rtol=1e-8)
     np.testing.assert_allclose(own, [inverse[4 * b : 4 * b + 4, 4 * b : 4 * b + 4] for b in range(5)], atol=1e-12)
-    np.testing.assert_allclose(factors.joint(rows, own), inverse[np.ix_(rows, rows)], atol=1e-12)
+    np.testing.assert_allclose(system.joint(rows, own), inverse[np.ix_(rows, rows)], atol=1e-12)

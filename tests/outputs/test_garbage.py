@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from some_run import some_run
+from stereo_flight import STEREO
 
 import alight_sim
 from alight.outputs import write_run
@@ -72,7 +73,8 @@ def test_a_site_is_supported_where_the_other_run_is_sure(tmp_path: Path) -> None
 
 def test_noise_in_nine_of_ten_images_makes_no_site(tmp_path: Path) -> None:
     flight = tmp_path / "flight"
-    alight_sim.write(alight_sim.fly("demo", 0, 1.5), flight, lambda done, total: None)
+    flown = alight_sim.fly("demo", 0, 1.5, rig=STEREO, height=15.0)
+    alight_sim.write(flown, flight, lambda done, total: None)
     good = shutil.copytree(flight, tmp_path / "good")
     only_good(good)
     with_noise(flight)

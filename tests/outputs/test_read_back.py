@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
+import numpy as np
 import pytest
-from damage import campaign_line, write_campaign
-from length import first
+from damage import UNSMOOTHED, campaign_line, write_campaign
+from length import first, first_rows
 from some_run import some_run
 
 from alight.cli import call
@@ -17,6 +20,7 @@ from alight.outputs import folder, write_run
 from alight.outputs.folder import WORK
 from alight.outputs.recorder import Recorder
 from alight.photos.work import saved
+from alight.records.campaign import LandingRecord
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead
 from alight.runner.opening import open_source
 from alight.settings import ImuNoise, Settings
@@ -126,7 +130,7 @@ def test_the_last_line_of_a_campaign_is_flown_again(
 
 
 def _again(landing: int) -> tuple[object, None]:
-    return campaign_run.LandingRecord.model_validate(campaign_line(landing)), None
+    return LandingRecord.model_validate(campaign_line(landing)), None
 
 
 @pytest.mark.parametrize(
@@ -227,7 +231,9 @@ def test_a_piece_of_work_that_pretends_to_be_whole(
     capsys.readouterr()
     monkeypatch.setattr(saved, "is_whole", lambda data, about: True)
     for path in unfinished.glob("*.part"):
-        damage(path, bytes(16) + len(tree).to_bytes(4, "little") + tree)
+        archive = io.BytesIO()
+        np.savez(archive, tree=np.array(tree.decode("latin-1")))
+        damage(path, bytes(16) + lz4.frame.compress(archive.getvalue()))
     assert call(["run", str(photos), "--out", str(unfinished.parent), "--resume"]) == 2
     refused(capsys, "the saved work ", "is damaged; run without --resume to begin anew")
 
@@ -264,10 +270,14 @@ def record(flight: Path, tmp_path: Path) -> Record:
     return write
 
 
-@pytest.mark.parametrize("topic", [SCHEDULE, NOTES, NAV, IMU, CAMERAS])
-@pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
+TOPICS = (SCHEDULE, NOTES, NAV, IMU, CAMERAS)
+# each damage in one message in turn, then in the others
+MESSAGES = [(TOPICS[(k + turn) % 5], data) for turn in range(5) for k, data in enumerate(DAMAGED.values())]
+
+
+@pytest.mark.parametrize(("topic", "data"), first_rows(len(DAMAGED), MESSAGES), ids=[*DAMAGED] * 5)
 def test_a_message_of_a_recording(topic: str, data: bytes, record: Record, tmp_path: Path, capsys: Told) -> None:
-    assert call(["run", str(record(topic, data)), "--out", str(tmp_path / "out")]) == 0
+    assert call(["run", str(record(topic, data)), "--out", str(tmp_path / "out"), *UNSMOOTHED]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("NO SITE")
     assert f"{topic[1:]} messages: 1 left out" in said.err

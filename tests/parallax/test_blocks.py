@@ -7,7 +7,7 @@ import pytest
 from descent_views import look
 
 from alight.geometry import Grid
-from alight.parallax.blocks import EFFORTS, SIDE, Blocks, Counts, Plan, Rectangle, SweepCost, cover, effort_of, grown
+from alight.parallax.blocks import EFFORTS, SIDE, Blocks, Counts, Plan, Rectangle, cover, grown
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.records import View
 from alight.settings import load_settings
@@ -15,7 +15,7 @@ from alight.settings.tuning.parallax import RecursiveTuning
 
 CELL, EVERY = 0.1, 4
 WINDOW = Grid(0.05, 79.95, CELL, 6 * SIDE, 8 * SIDE)  # its blocks are 7 x 8: the rows begin within one
-CHEAP = SweepCost(40.0, 0.1)
+CHEAP = (40.0, 0.1)  # samples of a cell, reach
 TUNING = RecursiveTuning(least_cells=1, watched=0.0)
 
 
@@ -27,11 +27,11 @@ def kinds(grid: Grid, fresh: float = 0.0) -> np.ndarray:
     return np.array([new, np.zeros_like(new), ~new])
 
 
-def taken(blocks: Blocks, grid: Grid, fresh: float = 0.0, effort: int = 0, sweep: SweepCost = CHEAP) -> Plan:
+def taken(blocks: Blocks, grid: Grid, fresh: float = 0.0, effort: int = 0, sweep: tuple[float, float] = CHEAP) -> Plan:
     """Plan one step, and record its blocks as visited and unchanged."""
     blocks.move_to(grid)
     middle = (0.5 * grid.rows, 0.5 * grid.cols)
-    plan = blocks.plan(blocks.counted(kinds(grid, fresh), EVERY), middle, sweep, effort_of(effort))
+    plan = blocks.plan(blocks.counted(kinds(grid, fresh), EVERY), middle, *sweep, EFFORTS[effort])
     for r, c in plan.refine:
         known = np.ones((-(-(r.stop - r.start) // EVERY), -(-(c.stop - c.start) // EVERY)), np.bool_)
         blocks.visited((r, c), known, np.zeros_like(known), EVERY)
@@ -84,7 +84,7 @@ def test_blocks_in_which_much_changed_are_new_again() -> None:
     blocks, every = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000, watched=0.0)), []
     for _ in range(30):
         blocks.move_to(WINDOW)
-        plan = blocks.plan(blocks.counted(kinds(WINDOW), EVERY), (0.0, 0.0), CHEAP, EFFORTS[0])
+        plan = blocks.plan(blocks.counted(kinds(WINDOW), EVERY), (0.0, 0.0), *CHEAP, EFFORTS[0])
         every.append(cells(plan)[200, [30, 500]])
         for box in plan.refine:
             known = np.ones(tuple(-(-(s.stop - s.start) // EVERY) for s in box), np.bool_)
@@ -119,7 +119,7 @@ def test_new_cells_are_swept_within_a_few_steps_and_refined_at_once() -> None:
     blocks, left, done = Blocks(tuning), kinds(WINDOW, fresh=1.0), []
     for _ in range(6):
         blocks.move_to(WINDOW)
-        plan = blocks.plan(blocks.counted(left, EVERY), (200.0, 200.0), CHEAP, EFFORTS[0])
+        plan = blocks.plan(blocks.counted(left, EVERY), (200.0, 200.0), *CHEAP, EFFORTS[0])
         done.append(sum((r.stop - r.start) * (c.stop - c.start) for r, c in plan.sweep))
         refined = cells(plan)
         for r, c in plan.sweep:
@@ -135,7 +135,7 @@ def test_a_sweep_that_costs_more_than_a_step_may_is_rough() -> None:
     blocks = Blocks(TUNING)
     assert not taken(blocks, WINDOW, 0.3).rough
     blocks = Blocks(TUNING)
-    plan = taken(blocks, WINDOW, 0.3, sweep=SweepCost(1e4, 0.0))
+    plan = taken(blocks, WINDOW, 0.3, sweep=(1e4, 0.0))
     assert plan.rough
     assert not plan.sweep
 
@@ -157,11 +157,6 @@ def test_less_effort_does_less(level: int) -> None:
         return float(np.mean([cells(taken(blocks, WINDOW, effort=effort)).mean() for _ in range(30)]))
 
     assert share(level) < share(level - 1)
-
-
-def test_efforts_beyond_the_levels_are_the_nearest() -> None:
-    assert effort_of(-1) is EFFORTS[0]
-    assert effort_of(99) is EFFORTS[-1]
 
 
 def test_a_rectangle_grows_while_its_rim_is_urgent() -> None:

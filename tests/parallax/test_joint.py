@@ -18,7 +18,6 @@ from alight.parallax.pose_refinement import kernels
 from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.pose_refinement.gaussian import PoseGaussian, between, corrected_pose, regress_on
 from alight.parallax.pose_refinement.kernels import PLANE, POSE
-from alight.parallax.pose_refinement.solve import thinning
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.navigation.given import GivenLane
 from alight.records import Datum, ElevationMap, Frame, Heights, KeyframePosterior, Motion, Rig, RigCamera, View
@@ -169,7 +168,7 @@ def test_a_posterior_replaces_the_distribution_and_the_rest_follows() -> None:
     T[np.ix_(np.arange(9, 27), np.arange(9, 27))] = Q
     T[np.ix_(rest, rest)] = left + gain @ Q[:12, :12] @ gain.T
     T = np.triu(T) + np.triu(T, 1).T
-    assert then.times == (0, 1, 2, 3)
+    assert tuple(then.poses) == (0, 1, 2, 3)
     assert_allclose(then.covariance, T, atol=1e-10)
     assert np.linalg.eigvalsh(then.covariance).min() > 0
     assert_allclose(then.plane, (gain @ error)[:3], atol=1e-9)
@@ -178,7 +177,7 @@ def test_a_posterior_replaces_the_distribution_and_the_rest_follows() -> None:
     kept = then.kept({0, 3})
     rows = np.r_[0:9, 21:27]
     assert_array_equal(kept.covariance, then.covariance[np.ix_(rows, rows)])
-    assert kept.times == (0, 3)
+    assert tuple(kept.poses) == (0, 3)
 
 
 def test_poses_of_separate_posteriors_are_independent() -> None:
@@ -187,12 +186,6 @@ def test_poses_of_separate_posteriors_are_independent() -> None:
     for m in ms:
         joint = joint.with_posterior(KeyframePosterior((m,), m.covariance))
     assert_array_equal(joint.covariance, np.eye(15))
-
-
-def test_some_cells_of_a_grid() -> None:
-    rows, cols = thinning(GRID, 100)
-    assert 60 < EAST[rows, cols].size < 160
-    assert EAST[thinning(GRID, 10**6)].size == EAST.size
 
 
 def test_errors_in_common_are_passed_on_whole() -> None:
@@ -254,7 +247,7 @@ def flown(
         poses = posterior(seen) if posterior else KeyframePosterior((motion,), motion.covariance)
         estimator.push([view], poses if refine else None)
         parts = estimator.step(GRID, elevation.read(GRID), -4.0, 4.0)
-        elevation.add_plane(estimator.plane, estimator.about)
+        elevation.add_plane(estimator.alignment.plane, estimator.alignment.about)
         for part in parts:
             elevation.add(part, replace_all=True)
             datum = part.datum
@@ -360,7 +353,7 @@ def test_pictures_of_nothing_change_nothing() -> None:
         for view, motion in off(white(6)):
             estimator.push([replace(view, image=paint())], KeyframePosterior((motion,), motion.covariance))
             parts = estimator.step(GRID, elevation.read(GRID), -4.0, 4.0)
-            assert np.isfinite(estimator.plane).all()
+            assert np.isfinite(estimator.alignment.plane).all()
             for part in parts:
                 elevation.add(part, replace_all=True)
         left = elevation.read(GRID)

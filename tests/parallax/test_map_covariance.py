@@ -11,7 +11,7 @@ from point_flight import NOISE, PointFlight, run
 from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose, skew, so3_exp
 from alight.motion.ekf.keyframe_posterior import relative_inflation, rigid_posterior
-from alight.parallax.datum import Matched, sensitivity, shared_error, steepness, with_datum
+from alight.parallax.datum import Matched, sensitivity, steepness, with_datum
 from alight.parallax.pose_refinement.gaussian import between, corrected_pose
 from alight.records import ElevationMap, Flag, KeyframePosterior, Motion, View
 
@@ -160,18 +160,20 @@ def test_errors_of_each_pose_bend_the_map_and_the_claim_holds() -> None:
     motions, rng = motions_of(), np.random.default_rng(7)
     sigma = np.tile(np.repeat([5e-3, 1e-4], 3), 6)
     joint = KeyframePosterior(motions, np.diag(sigma**2))
-    shared = shared_error(a_map(), [Matched(GRID, views_of(motions))], joint)
-    assert shared is not None
+    found = with_datum(a_map(), [Matched(GRID, views_of(motions))], joint)  # level: only the bend warps it
+    assert found.datum is not None
+    assert found.warp is not None
+    rows, cols = (i[::7] for i in np.nonzero(found.trusted))
     e, n = GRID.xy()
-    points = np.column_stack([e[shared.cols], n[shared.rows], np.zeros(len(shared.rows))])[::7]
-    B = np.column_stack([np.ones(len(points)), points[:, 0] - shared.datum.east, points[:, 1] - shared.datum.north])
+    points = np.column_stack([e[cols], n[rows], np.zeros(len(rows))])
+    B = np.column_stack([np.ones(len(points)), points[:, 0] - found.datum.east, points[:, 1] - found.datum.north])
     planes, left = [], []
     for _ in range(200):
         dz = (matched(motions, rng.normal(size=36) * sigma, points) - points)[:, 2]
         planes.append(np.linalg.lstsq(B, dz, rcond=None)[0])
         left.append(dz - B @ planes[-1])
-    np.testing.assert_allclose(np.std(planes, axis=0), np.sqrt(np.diag(shared.datum.covariance)), rtol=0.2)
-    assert np.sqrt(np.mean(np.square(left))) == pytest.approx(np.sqrt(np.mean(shared.bend**2)), rel=0.2)
+    np.testing.assert_allclose(np.std(planes, axis=0), np.sqrt(np.diag(found.datum.covariance)), rtol=0.2)
+    assert np.sqrt(np.mean(np.square(left))) == pytest.approx(np.sqrt(np.mean(found.warp[rows, cols] ** 2)), rel=0.2)
 
 
 def test_too_little_map_has_no_datum() -> None:

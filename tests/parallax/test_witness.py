@@ -90,6 +90,7 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
     assert (share > 0.5 * TUNING.most_shared).any() == together
 
 
+@cache
 def rig(moving: bool, count: int = 7, since: int = 0, tall: bool = False) -> list[list[View]]:
     """Views of a rig over level ground; in the west, waves change it between exposures, from number `since` on.
 

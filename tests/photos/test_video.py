@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import cv2
@@ -77,31 +78,19 @@ def test_subtitles_with_the_place_in_brackets(
     assert (row.place, row.coarse) == (place, coarse)
 
 
-def test_a_place_of_few_decimals_is_trusted_little(tmp_path: Path) -> None:
-    path = write_video(tmp_path)
-    rows = path.with_suffix(".SRT").read_text()
-    coarse = re.sub(r"\[latitude: ([-\d.]+)\] \[longitude: ([-\d.]+)\] \[rel_alt: ([-\d.]+) abs_alt: [-\d.]+\]",
-                    lambda m: f"GPS({float(m[1]):.4f},{float(m[2]):.4f},0.0M) BAROMETER:{m[3]}M", rows)  # fmt: skip
-    path.with_suffix(".SRT").write_text(coarse)
-    nav, _ = events(open_source(path))
-    np.testing.assert_allclose(nav[0].sigma_position, [11.0, 11.0, 5.0])
-    assert nav[0].position_world is not None
-    assert nav[0].position_world[2] == pytest.approx(UP, abs=0.01)
-
-
-def write_video(folder: Path) -> Path:
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write a video of six seconds to the east over the drawn relief, 24 m."""
-    folder.mkdir(exist_ok=True)
-    path = folder / "DJI_0001.mp4"
+    path = tmp_path_factory.mktemp("film") / "DJI_0001.mp4"
     size = CAMERA.width, CAMERA.height
-    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), RATE, size)  # type: ignore[attr-defined]
-    if not film.isOpened():
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), RATE, size)  # type: ignore[attr-defined]
+    if not writer.isOpened():
         pytest.skip("this OpenCV writes no mp4")
     ground, rows = texture(3), []
     rotation = enu_from_flu(np.radians(90), np.radians(-90), 0.0) @ BODY_FROM_CAM.rotation
     for k in range(FRAMES):
         centre = np.array([-12.0 + SPEED * k / RATE, 0.0, UP])
-        film.write(np.ascontiguousarray(look(ground, centre, rotation)[..., ::-1]))
+        writer.write(np.ascontiguousarray(look(ground, centre, rotation)[..., ::-1]))
         latitude, longitude, height = (float(v) for v in PLACE.to_geodetic(centre))
         start, end = (f"00:00:{t:06.3f}".replace(".", ",") for t in (k / RATE, (k + 1) / RATE))
         rows.append(
@@ -109,9 +98,27 @@ def write_video(folder: Path) -> Path:
             f"[latitude: {latitude:.8f}] [longitude: {longitude:.8f}] [rel_alt: {UP:.3f} abs_alt: {height:.3f}] "
             "[gb_yaw: 90.0 gb_pitch: -90.0 gb_roll: 0.0]\n"
         )
-    film.release()
+    writer.release()
     path.with_suffix(".SRT").write_text("\n".join(rows))
     return path
+
+
+@pytest.fixture
+def video(film: Path, tmp_path: Path) -> Path:
+    """A copy of the video and its telemetry."""
+    shutil.copy(film.with_suffix(".SRT"), tmp_path)
+    return Path(shutil.copy(film, tmp_path))
+
+
+def test_a_place_of_few_decimals_is_trusted_little(video: Path) -> None:
+    rows = video.with_suffix(".SRT").read_text()
+    coarse = re.sub(r"\[latitude: ([-\d.]+)\] \[longitude: ([-\d.]+)\] \[rel_alt: ([-\d.]+) abs_alt: [-\d.]+\]",
+                    lambda m: f"GPS({float(m[1]):.4f},{float(m[2]):.4f},0.0M) BAROMETER:{m[3]}M", rows)  # fmt: skip
+    video.with_suffix(".SRT").write_text(coarse)
+    nav, _ = events(open_source(video))
+    np.testing.assert_allclose(nav[0].sigma_position, [11.0, 11.0, 5.0])
+    assert nav[0].position_world is not None
+    assert nav[0].position_world[2] == pytest.approx(UP, abs=0.01)
 
 
 def events(source: Source) -> tuple[list[NavSample], list[Frame]]:
@@ -119,9 +126,9 @@ def events(source: Source) -> tuple[list[NavSample], list[Frame]]:
     return [e for e in found if isinstance(e, NavSample)], [e for e in found if isinstance(e, Frame)]
 
 
-def test_frames_are_taken_by_distance_and_know_their_place(tmp_path: Path) -> None:
+def test_frames_are_taken_by_distance_and_know_their_place(video: Path) -> None:
     """With 80 % overlap of a field of 30 m, there is a frame every 6 m."""
-    source = open_source(write_video(tmp_path))
+    source = open_source(video)
     assert (source.kind, source.name) == ("photos", "DJI_0001")
     nav, frames = events(source)
     step = 0.2 * UP * CAMERA.height / CAMERA.fv
@@ -138,14 +145,13 @@ def test_frames_are_taken_by_distance_and_know_their_place(tmp_path: Path) -> No
     rotation = enu_from_flu(np.radians(90), np.radians(-90), 0.0) @ BODY_FROM_CAM.rotation
     drawn = look(texture(3), np.array([-12.0 + SPEED * number / RATE, 0.0, UP]), rotation)
     assert np.corrcoef(np.asarray(frames[1].images[0]).ravel(), drawn.ravel())[0, 1] > 0.95
-    assert source.digest() == open_source(tmp_path / "DJI_0001.mp4").digest()
+    assert source.digest() == open_source(video).digest()
 
 
-def test_a_video_with_heights_above_take_off_alone_says_so(tmp_path: Path) -> None:
-    path = write_video(tmp_path)
-    telemetry = path.with_suffix(".SRT")
+def test_a_video_with_heights_above_take_off_alone_says_so(video: Path) -> None:
+    telemetry = video.with_suffix(".SRT")
     telemetry.write_text(re.sub(r" abs_alt: [-\d.]+", "", telemetry.read_text()))
-    source = open_source(path)
+    source = open_source(video)
     assert source.warnings == [
         "no photo says its altitude: the height above take-off is used, heights above the sea are not known"
     ]

@@ -1,4 +1,4 @@
-"""Memory of the land cover: a puddle that was plain from 10 m stays one from 3 m (docs/method/near-looks.md, T8)."""
+"""Memory of the land cover: a puddle that was plain from 10 m stays one from 3 m (docs/method/p-safe.md, T8)."""
 
 from __future__ import annotations
 

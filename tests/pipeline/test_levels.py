@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -43,7 +44,7 @@ def under(lane: RecursiveMap, view: View, level: int | None = None, share: float
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, share * (seen.max(axis=0) - seen.min(axis=0)) / 2
     (west, south), (east, north) = middle - half, middle + half
     at = lane.level if level is None else level
-    return lane.elevation.read(lane.elevation.window((west, east), (south, north), at))
+    return lane.elevation.read(lane.elevation.layer(at).window((west, east), (south, north)))
 
 
 def errors(m: ElevationMap) -> np.ndarray:
@@ -134,7 +135,7 @@ def test_no_seam_where_levels_meet() -> None:
     lane, _, _ = flown()
     assert lane.elevation is not None
     last = under(lane, down()[-1], -4, share=1.8)
-    own = lane.elevation._layers[-4].read(last.grid)
+    own = lane.elevation.layers[-4].read(last.grid)
     fine = np.isfinite(own["height"])
     assert 0.2 < fine.mean() < 0.9
     x, y = np.meshgrid(*last.grid.xy())
@@ -213,23 +214,23 @@ def test_a_cell_that_was_asked_for_stays() -> None:
 
 
 def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
-    views = [v for v in down() if v.centre[2] < 20]
+    views = [v for v in down() if v.centre[2] < 17]
     lane = BatchMap(
         load_settings("", ["tuning.elevation.tile=192", "elevation.max_sigma=5", "parallax.quality=fine"]).stages()
     )
-    assert lane.find_ground(views[::2]), lane.reason
-    lane.match_tiles(views[::2], lambda share: None)
+    assert lane.find_ground(views[::3]), lane.reason
+    lane.match_tiles(views[::3], lambda share: None)
     assert lane.elevation is not None
-    cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
+    cells = {level: layer.cell for level, layer in lane.elevation.layers.items() if layer.box()}
     assert max(cells.values()) / min(cells.values()) == 4
     last = lane.elevation.read(
-        lane.elevation.window((views[-1].centre[0] - 1, views[-1].centre[0] + 1), (-1.0, 2.0), min(cells))
+        lane.elevation.layer(min(cells)).window((views[-1].centre[0] - 1, views[-1].centre[0] + 1), (-1.0, 2.0))
     )
     assert last.trusted.mean() > 0.8
     assert np.median(np.abs(errors(last))) < 0.0025 * 5
     m = lane.snapshot()
     assert m is not None
-    assert np.median(np.abs(errors(m))) < 0.0025 * 20
+    assert np.median(np.abs(errors(m))) < 0.0025 * 17
 
 
 # -- faults of a flight
@@ -249,6 +250,16 @@ def steps(lane: RecursiveMap, views: Iterable[View]) -> RecursiveMap:
     return lane
 
 
+@cache
+def _over_level_ground() -> RecursiveMap:
+    return steps(lane_of(level()[:8]), level())
+
+
+def over_level_ground() -> RecursiveMap:
+    """A lane after a level flight, for a test of its own."""
+    return copy.deepcopy(_over_level_ground())
+
+
 def worth(lane: RecursiveMap, view: View) -> tuple[float, float, float]:
     """Share of trusted cells, median absolute error, share of errors within two sigma."""
     m = under(lane, view)
@@ -257,15 +268,15 @@ def worth(lane: RecursiveMap, view: View) -> tuple[float, float, float]:
 
 
 def test_a_hover_takes_nothing_away() -> None:
-    """While it yaws on the spot for 40 keyframes, the window keeps its baseline, and heights and sigma stay good."""
-    lane = steps(lane_of(level()[:8]), level())
+    """While it yaws on the spot for 25 keyframes, the window keeps its baseline, and heights and sigma stay good."""
+    lane = over_level_ground()
     at = level()[-1].centre
     before = worth(lane, level()[-1])
-    for k in range(40):
+    for k in range(25):
         lane.step([look(at + 0.02 * np.array([np.sin(k), np.cos(k), 0.3 * np.sin(0.3 * k)]), 100 + k, yaw=0.16 * k)])
     after = worth(lane, level()[-1])
     assert lane.estimator is not None
-    centres = np.array([exposure[0].view.centre for exposure in lane.estimator._kept])
+    centres = np.array([exposure[0].view.centre for exposure in lane.estimator.kept.values()])
     assert np.linalg.norm(centres - at, axis=1).max() > 0.1 * UP
     assert after[0] > before[0] - 0.02
     assert after[1] < 1.2 * before[1]
@@ -274,7 +285,7 @@ def test_a_hover_takes_nothing_away() -> None:
 
 def test_a_gap_without_common_views_starts_anew_and_keeps_the_map() -> None:
     """After 150 m the old map is unchanged, bit for bit, and the new place is mapped as well as the first."""
-    lane = steps(lane_of(level()[:8]), level())
+    lane = over_level_ground()
     first = under(lane, level()[-1])
     later = level_flight(16, UP, start=150.0, first=200)
     steps(lane, later)
@@ -292,7 +303,7 @@ def test_a_map_begins_wherever_the_heights_of_its_frame_begin() -> None:
     """A flight that begins in the air has its origin there, and the ground far below the origin."""
     off = np.array([0.0, 0.0, -400.0])
     low = [replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off)) for v in level()]
-    there, here = (steps(lane_of(views[:8]), views) for views in (low, level()))
+    there, here = steps(lane_of(low[:8]), low), over_level_ground()
     a, b = (under(lane, views[-1]) for lane, views in ((there, low), (here, level())))
     assert a.trusted.mean() > b.trusted.mean() - 0.02
     assert b.trusted.mean() > 0.9
@@ -307,7 +318,7 @@ def test_poses_of_another_frame_do_not_mix() -> None:
         replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off), t_ns=v.t_ns + 10**11)
         for v in level_flight(16, UP, start=3.0, first=50)
     ]
-    lane = steps(lane_of(level()[:8]), level())
+    lane = over_level_ground()
     old = under(lane, level()[-1])
     lane.begin_anew(off)
     assert lane.elevation is not None
@@ -317,14 +328,14 @@ def test_poses_of_another_frame_do_not_mix() -> None:
     assert m.trusted.mean() > 0.9
     assert np.median(errors(m)) == pytest.approx(1.5, abs=0.05)
     assert np.median(np.abs(errors(m) - 1.5)) < 0.0025 * UP
-    mixed = steps(steps(lane_of(level()[:8]), level()), moved)  # the same without `begin_anew`
+    mixed = steps(over_level_ground(), moved)  # the same without `begin_anew`
     m = under(mixed, moved[-1], share=0.5)
     assert not m.trusted.any() or np.median(np.abs(errors(m) - 1.5)) > 0.0025 * UP
 
 
 def test_a_new_frame_remembers_what_moved_about_its_place() -> None:
     """The tie is known to 0.6 m: movement is remembered within 1.2 m of it, on all cells of 0.5 m reached."""
-    lane = steps(lane_of(level()[:8]), level())
+    lane = over_level_ground()
     lane.passed = lane.came = NOWHERE.with_seen(np.array([[4, 6]]), 7)
     lane.begin_anew(np.array([1.0, -2.0, 0.3]), sigma=0.6)
     for kept in (lane.passed, lane.came):
@@ -337,7 +348,7 @@ def test_a_new_frame_leaves_no_tile_of_the_old_one_behind() -> None:
     far: dict[tuple[int, int, int], bytes] = {}
     lane = RecursiveMap(load_settings("", SMALL).stages(), far)
     assert lane.find_ground(list(level()[:8]))
-    steps(lane, level_flight(40, UP, share=0.2))
+    steps(lane, level_flight(25, UP, share=0.2))
     assert far
     lane.begin_anew(np.zeros(3))
     assert not far
@@ -349,13 +360,13 @@ def test_lost_late_and_repeated_keyframes() -> None:
 
     New cells are swept over several keyframes: with a third of these lost, some cells at the rim still wait.
     """
-    whole = worth(steps(lane_of(level()[:8]), level()), level()[-1])
+    whole = worth(over_level_ground(), level()[-1])
     some = [v for k, v in enumerate(level()) if k % 3 != 1]
     some[3], some[4] = some[4], some[3]
     some.insert(7, some[6])
     lane = steps(lane_of(level()[:8]), some)
     assert lane.estimator is not None
-    times = [exposure[0].view.t_ns for exposure in lane.estimator._kept]
+    times = [exposure[0].view.t_ns for exposure in lane.estimator.kept.values()]
     assert times == sorted(set(times))
     found = worth(lane, level()[-1])
     assert found[0] > whole[0] - 0.07
@@ -364,14 +375,14 @@ def test_lost_late_and_repeated_keyframes() -> None:
 
 
 def test_a_long_way_holds_no_more_than_a_short_one() -> None:
-    """The number of tiles and keyframes is the same after 20 and after 60 keyframes."""
+    """The number of tiles and keyframes is the same after 20 and after 40 keyframes."""
     lane = lane_of(level()[:8], forget=True)
     held = []
-    for v in level_flight(60, UP, share=0.2):
+    for v in level_flight(40, UP, share=0.2):
         lane.step([v])
         assert lane.elevation is not None
         assert lane.estimator is not None
-        held.append((sum(len(x._near) for x in lane.elevation._layers.values()), len(lane.estimator._kept)))
+        held.append((sum(len(x.near) for x in lane.elevation.layers.values()), len(lane.estimator.kept)))
     tiles, keyframes = np.array(held).T
     assert tiles[20:].max() <= tiles[:20].max() + 1
     assert keyframes.max() <= 7
@@ -432,7 +443,7 @@ def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
 
 def test_a_vehicle_on_the_ground_asks_for_no_endless_window() -> None:
     """If the map, or the ground, lies higher than the vehicle, the window must not be larger than a picture."""
-    lane = steps(lane_of(level()[:8]), level())
+    lane = over_level_ground()
     lane.ground_here = 25.0  # metres: above the camera
     lane.step([look(level()[-1].centre + np.array([0.8, 0.0, 0.0]), 300)])
     assert lane.ground_here is not None

@@ -24,7 +24,7 @@ from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_live, open_source
 from alight.runs import flown_home
 from alight.settings import Settings
-from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
+from alight.sources.capture import SensorClock
 from alight.sources.growing import GrowingLog, GrowingTable, WaitingExposures
 from alight.sources.live import LiveSource, as_they_arrive, paced
 from alight_sim import fly
@@ -46,25 +46,48 @@ def rows(*stamps_ms: int) -> list[Event]:
 # -- at their own speed
 
 
-def test_events_come_when_they_came_in_flight() -> None:
-    begin = time.perf_counter()
-    arrived = [time.perf_counter() - begin for _ in paced(iter(rows(5000, 5100, 5100, 5400)), 2.0)]
-    np.testing.assert_allclose(arrived, [0.0, 0.05, 0.05, 0.2], atol=0.045)
+class Clock:
+    """Replacement of the module `time`: a sleep moves the clock on at once."""
+
+    def __init__(self) -> None:
+        self.now = 50.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds + 1e-6  # as a real one, it takes a little longer
 
 
-def test_what_comes_late_is_not_waited_for() -> None:
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The clock of recordings that are read at their own speed."""
+    found = Clock()
+    monkeypatch.setattr("alight.sources.live.time", found)
+    return found
+
+
+def test_events_come_when_they_came_in_flight(clock: Clock) -> None:
+    arrived = [clock.now - 50.0 for _ in paced(iter(rows(5000, 5100, 5100, 5400)), 2.0)]
+    np.testing.assert_allclose(arrived, [0.0, 0.05, 0.05, 0.2], atol=1e-4)
+
+
+def test_what_comes_late_is_not_waited_for(clock: Clock) -> None:
     """After a stall of 0.3 s a reader catches up."""
+    begun = threading.Event()
 
     def stalls() -> Iterator[Event]:
         for k, e in enumerate(rows(0, 100, 200, 300, 400)):
             if k == 1:
-                time.sleep(0.3)
+                assert begun.wait(60.0)
+                clock.sleep(0.31)
             yield e
 
-    begin = time.perf_counter()
-    arrived = [time.perf_counter() - begin for _ in paced(stalls(), 1.0)]
-    assert arrived[1] >= 0.29
-    assert arrived[4] == pytest.approx(0.4, abs=0.05)
+    arrived = []
+    for _ in paced(stalls(), 1.0):
+        arrived.append(clock.now - 50.0)
+        begun.set()
+    np.testing.assert_allclose(arrived, [0.0, 0.31, 0.31, 0.31, 0.4], atol=1e-4)
 
 
 def test_reading_ahead_keeps_order_ends_and_errors() -> None:
@@ -185,7 +208,7 @@ def test_an_exposure_has_the_time_of_its_first_camera_though_that_comes_later() 
     for k in range(4):
         waiting.add(1, T0 + k * 10_000_000 - 2_000_000, f"right {k}", 0.0)
         waiting.add(0, T0 + k * 10_000_000, f"left {k}", 0.0)
-    assert waiting.names == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
+    assert waiting.items == {T0 + k * 10_000_000: [f"left {k}", f"right {k}"] for k in range(4)}
 
 
 def test_gps_that_comes_after_the_start_of_a_folder_is_not_used(tmp_path: Path) -> None:
@@ -211,26 +234,35 @@ def test_a_folder_without_calibration_says_so(tmp_path: Path, monkeypatch: pytes
 # -- cameras
 
 
-def image(t_ms: float, value: int = 0) -> StampedImage:
-    return StampedImage(round(t_ms * 1e6), np.full((2, 2), value, np.uint8))
+def matched(waiting: WaitingExposures[int], now: float) -> list[tuple[int, list[int | None]]]:
+    return [(t_ns, items) for t_ns, items, _ in waiting.ready(now)]
 
 
 def test_pairs_are_matched_by_their_stamps() -> None:
     """At 30 images a second, the right ones come 4 ms later; one is missing, and one has no left image."""
-    matcher, out = ExposureMatcher(2), list[Frame]()
+    waiting, out = WaitingExposures[int](2), list[tuple[int, list[int | None]]]()
     for k in range(12):
-        if k != 7:
-            out += matcher.take(0, image(1000 + 33.3 * k, k))
-        if k != 4:
-            out += matcher.take(1, image(1004 + 33.3 * k, k))
-    for k in range(12, 16):
-        out += matcher.take(0, image(1000 + 33.3 * k, k))
-    assert [f.t_ns for f in out[:11]] == [round((1000 + 33.3 * k) * 1e6) for k in range(12) if k != 7]
-    for f in out[:11]:
-        left, right = f.images
-        assert left is not None
-        assert (right is None) == (left[0, 0] == 4)
-        assert right is None or right[0, 0] == left[0, 0]
+        for camera, late in ((0, 0.0), (1, 4.0)):
+            if (camera, k) not in ((0, 7), (1, 4)):
+                waiting.add(camera, round((1000 + 33.3 * k + late) * 1e6), k, k / 30.0)
+            out += matched(waiting, k / 30.0)
+    assert len(out) == 7  # an exposure waits for a partner that may come
+    out += matched(waiting, 1.0)
+    assert [t for t, _ in out] == [round((1000 + 33.3 * k + 4 * (k == 7)) * 1e6) for k in range(12)]
+    assert [items for _, items in out] == [[None if k == 7 else k, None if k == 4 else k] for k in range(12)]
+
+
+def test_images_that_come_too_late_for_their_exposure_delay_no_other() -> None:
+    """The right camera is half a second behind."""
+    waiting, out = WaitingExposures[int](2), list[tuple[float, int, list[int | None]]]()
+    for k in range(60):
+        waiting.add(0, k * 33_000_000, k, k / 30.0)
+        if k >= 15:
+            waiting.add(1, (k - 15) * 33_000_000, k - 15, k / 30.0)
+        out += [(k / 30.0, *found) for found in matched(waiting, k / 30.0)]
+    left = [(now, items[0]) for now, _, items in out if items[0] is not None]
+    assert [k for _, k in left] == list(range(len(left)))
+    assert max(now - k / 30.0 for now, k in left) < 0.2
 
 
 def test_a_sensor_clock_takes_the_smallest_delay() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from alight.records import Frame, Prediction, Rig, RigCamera
 from alight.settings import TracksSettings as Settings
 from alight.tracks import Tracker, corner_response, detect_corners, epipolar_distance, inverse_depth
 from alight.tracks.global_alignment import likely_turns, relocate
-from alight.tracks.patches import GroundPlane, patch_warps
+from alight.tracks.patches import FeaturePatches
 from alight.tracks.view_transfer import Lens
 
 HEIGHT, FOCAL = 20.0, 300.0
@@ -112,7 +114,7 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
     here = pose(0.0) @ Pose(so3_exp([tilt, 0.0, 0.0]))
     then = pose(0.4, -0.2, 0.1) @ Pose(so3_exp([tilt, 0.05, 0.0]))
     pixels = np.array([[160.0, 120.0], [60.0, 200.0], [250.0, 180.0]])
-    below, then_from_here = GroundPlane.under(here, np.full(3, HEIGHT / np.cos(tilt))), then.inverse @ here
+    depth, then_from_here = np.full(3, HEIGHT / np.cos(tilt)), then.inverse @ here
 
     def there(at: np.ndarray) -> np.ndarray:
         rays = camera.rays(at)
@@ -120,15 +122,9 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
         depth = HEIGHT / -world[:, 2] if tilt < 1.0 else np.full(len(at), HEIGHT / np.cos(tilt))
         return camera.project(then_from_here.apply(rays * depth[:, None]))
 
-    found = patch_warps(
-        pixels,
-        Lens(camera),
-        (then_from_here.rotation[None], then_from_here.translation[None]),
-        np.zeros(3, np.int64),
-        below,
-        there(pixels),
-        Lens(camera),
-    )
+    R, t = np.tile(then.rotation, (3, 1, 1)), np.tile(then.translation, (3, 1))
+    patches = replace(FeaturePatches.none(15), pixels=there(pixels), R=R, t=t)
+    found = patches.warps(Lens(camera), pixels, Lens(camera), here, here.rotation[2], depth)
     for k, step in enumerate(np.eye(2)):
         wanted = (there(pixels + step) - there(pixels - step)) / 2
         np.testing.assert_allclose(found[:, :, k], wanted, atol=0.004)

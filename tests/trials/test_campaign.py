@@ -15,23 +15,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from length import first, long
+from length import first, first_rows, long
 
 import alight
-from alight.cli import call
-from alight.cli import campaign as campaign_command
+from alight.cli import call, simulated
 from alight.cluster import do_alike
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.settings import Settings, load_settings
-from alight.trials import campaign as runner
-from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
+from alight.trials.campaign import run as runner
 from alight.trials.campaign.faults import FAULTS, LINK_FAULTS, Happenings
 from alight.trials.campaign.flying import fly_conditions
+from alight.trials.campaign.folder import CampaignFolder
 from alight.trials.campaign.numbers import campaign_numbers, unsafe_bound
 from alight.trials.campaign.plan import MOST_WIND, SUN, conditions_of
+from alight.trials.campaign.run import Campaign, again, continued, fly_campaign, wanted_landings
 from alight.trials.campaign.worlds import scenes_of
 from alight.trials.landing import Landing
 from alight_sim.flight import START_NS
@@ -40,6 +40,7 @@ from alight_sim.steered import SteeredFlight, TrueContact
 S, E = FlightState, FlightEvent
 FLAT = "cover: {cover}\n  size: [60, 60]\n  cell: 0.2\n  relief: []"
 SMALL = ["executive.search_side=12"]
+COARSE = ["executive.search_side=40", "parallax.cell=0.2"]
 
 
 def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
@@ -51,7 +52,7 @@ def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
 
 def small(names: list[str], landings: int = 4, seed: int = 3) -> Campaign:
     """A campaign that takes no time."""
-    return Campaign.of(names, landings, seed, load_settings("", SMALL))
+    return Campaign(names, landings, seed, load_settings("", SMALL))
 
 
 def diary(*steps: tuple[S, E, S]) -> FlightDiary:
@@ -527,7 +528,7 @@ def test_a_scene_or_a_program_that_has_changed_is_another_campaign(
     assert found.not_compared is not None
     assert "another content of" in found.not_compared
     scene(tmp_path)
-    monkeypatch.setattr(runner.run, "sources_digest", lambda: "0123456789abcdef")
+    monkeypatch.setattr(runner, "sources_digest", lambda: "0123456789abcdef")
     with pytest.raises(OutputError, match="another state of Alight's sources"):
         fly_campaign(small(names, 2), out, fly=lands)
     assert len(lines(out)) == 1
@@ -560,19 +561,17 @@ def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None
     assert again(campaign, out, 7, lands).not_compared == f"{out}: holds no line of landing 7"
 
 
-def test_a_real_flight_is_the_same_again() -> None:
-    """A flight of seven seconds, without a landing and with frozen cameras, has the same record again."""
-    fault = FaultRecord(what="cameras frozen", after=4.5, numbers={"seconds": 1.0})
-    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
-    one, two = (
-        fly_conditions(given, load_settings("", ["executive.time_budget=7", "executive.search_side=40"])).record
-        for _ in range(2)
-    )
+@pytest.mark.usefixtures("small_pictures")
+def test_a_real_flight_is_the_same_again(tmp_path: Path) -> None:
+    """A flight of six seconds, without a landing and with frozen cameras, has the same record again."""
+    fault = FaultRecord(what="cameras frozen", after=3.5, numbers={"seconds": 1.0})
+    given = conditions_of((scene(tmp_path),), 1, 0).model_copy(update={"faults": (fault,)})
+    one, two = (fly_conditions(given, load_settings("", [*COARSE, "executive.time_budget=6"])).record for _ in range(2))
     assert one.repeatable() == two.repeatable()
     assert (one.outcome, one.state) == ("wrongly refused", "return")
     assert one.verdicts > 0
     assert one.distance > 2.0
-    assert one.conditions.faults[0].happened == pytest.approx(4.5, abs=0.11)
+    assert one.conditions.faults[0].happened == pytest.approx(3.5, abs=0.11)
 
 
 def test_link_faults_are_drawn_beside_what_is_drawn_without_them() -> None:
@@ -586,20 +585,26 @@ def test_link_faults_are_drawn_beside_what_is_drawn_without_them() -> None:
     assert any(f.takes_control for extra in added for f in extra)
 
 
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-@pytest.mark.parametrize("what", LINK_FAULTS)
-def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(what: str, firmware: str) -> None:
+# each fault on one firmware in turn, then on the other
+TAKERS = [(what, ("ardupilot", "px4")[(k + turn) % 2]) for turn in range(2) for k, what in enumerate(LINK_FAULTS)]
+
+
+@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.parametrize(("what", "firmware"), first_rows(len(LINK_FAULTS), TAKERS))
+def test_whoever_takes_control_keeps_it_and_a_short_fault_is_outlasted(
+    what: str, firmware: str, tmp_path: Path
+) -> None:
     """The pilot that flies vehicles is given each fault in the search, over the protocol."""
     kind = LINK_FAULTS[what]
     numbers = {name: low for name, (low, _) in kind.ranges.items()}
     fault = FaultRecord(what=what, after=2.0, state="search", numbers=numbers, takes_control=kind.takes_control)
-    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,), "firmware": firmware})
-    record = fly_conditions(given, load_settings("", ["executive.time_budget=9", "executive.search_side=40"])).record
+    given = conditions_of((scene(tmp_path),), 1, 0).model_copy(update={"faults": (fault,), "firmware": firmware})
+    record = fly_conditions(given, load_settings("", [*COARSE, "executive.time_budget=7"])).record
     assert record.error is None
     assert record.conditions.faults[0].happened == pytest.approx(2.0, abs=0.1)
     assert (record.outcome == "handed over") is kind.takes_control
-    assert record.is_right is kind.takes_control  # 9 s are too short for a landing
-    assert record.seconds < 8.0 or not kind.takes_control
+    assert record.is_right is kind.takes_control  # 7 s are too short for a landing
+    assert record.seconds < 6.0 or not kind.takes_control
 
 
 @long
@@ -839,7 +844,7 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
 
 
 def test_a_line_of_a_landing_is_never_certain(capsys: pytest.CaptureFixture[str]) -> None:
-    campaign_command.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
+    simulated.print_landing(runner.Ended(made(0, "landed safely", 0.9999, ()), 1, 1, 0.0))
     assert "P(safe) > 0.999" in capsys.readouterr().err
 
 

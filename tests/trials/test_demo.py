@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
 from pathlib import Path
 
 import pytest
-from length import long
+from length import first, long
 
+from alight import cli
 from alight.evaluation import evaluate
 from alight.outputs import FILES
+from alight.trials import demo
+from alight_sim.steered import SteeredFlight
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]
 Done = tuple[Path, subprocess.CompletedProcess[str]]
@@ -22,11 +28,18 @@ def call(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*ALIGHT, *map(str, words)], capture_output=True, text=True, timeout=600)
 
 
-@pytest.fixture(scope="module")
-def landed(tmp_path_factory: pytest.TempPathFactory) -> Done:
-    """Run `alight demo` once."""
+@pytest.fixture(scope="module", params=first(1, ["from near", "as it is"]))
+def landed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    """Run `alight demo` once: from a lower start with one small camera and a coarse map, or as it is."""
     out = tmp_path_factory.mktemp("demo") / "out"
-    return out, call("demo", "--out", out)
+    if request.param == "as it is":
+        return out, call("demo", "--out", out)
+    said, warned = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(warned):
+        patch.setattr(demo, "START", (*demo.START[:2], 12.0))
+        patch.setattr(demo, "SteeredFlight", partial(SteeredFlight, size=(200, 150), stereo=False))
+        code = cli.call(["demo", "--out", str(out), "--set", "parallax.cell=0.1"])
+    return out, subprocess.CompletedProcess([], code, said.getvalue(), warned.getvalue())
 
 
 @pytest.fixture(scope="module")

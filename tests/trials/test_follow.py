@@ -116,6 +116,7 @@ def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> N
         shift, sure = cv2.phaseCorrelate(seen, drawn, cv2.createHanningWindow(SIZE, cv2.CV_32F))
         assert sure > 0.7, t_ns
         assert np.hypot(*shift) < 0.5, t_ns
+    r.dt = 0.05
     r.answered(r.vehicle.set_mode(FlightMode.LAND))
     assert r.run(60.0, lambda: follower.touchdown is not None)
     found = follower.touchdown

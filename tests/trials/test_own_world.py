@@ -14,7 +14,8 @@ from alight.cli import call
 from alight.records import Frame, OutputError
 from alight.records.executive import FlightState
 from alight.settings import load_settings
-from alight.trials.campaign import Campaign, CampaignFolder, again, continued, fly_campaign
+from alight.trials.campaign.folder import CampaignFolder
+from alight.trials.campaign.run import Campaign, again, continued, fly_campaign
 from alight.trials.landing import Landing
 from alight_sim import SceneWorld, World, build
 from alight_sim.oracle import OracleLander, judge_touchdown
@@ -38,6 +39,7 @@ def gives_up(vehicle: SteeredFlight, *_: object) -> Landing:
     return Landing(FlightState.RETURN)
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_a_landing_is_flown_in_a_world_that_is_not_the_simulators(tmp_path: Path) -> None:
     """The whole way: searched, found between the boxes, landed on, and judged by the world's own truth."""
     quick = ["--no-look-again", "--set", "executive.search_side=30", "--set", "parallax.cell=0.1", "--seed", "1"]
@@ -50,19 +52,19 @@ def test_a_landing_is_flown_in_a_world_that_is_not_the_simulators(tmp_path: Path
 
 def test_a_campaign_goes_on_in_worker_processes_and_repeats(tmp_path: Path) -> None:
     out, settings = tmp_path / "out", load_settings("", ["executive.search_side=12"])
-    fly_campaign(Campaign.of([PLANE], 1, 3, settings), out, fly=gives_up)
-    fly_campaign(continued(out, 3), out, jobs=2, fly=gives_up)
+    fly_campaign(Campaign([PLANE], 1, 3, settings), out, fly=gives_up)
+    fly_campaign(continued(out, 2), out, jobs=2, fly=gives_up)
     records = CampaignFolder(out).read()
     assert {r.outcome for r in records.values()} == {"wrongly refused"}
     assert all(0.1 < (r.safe_share or 0.0) < 0.9 for r in records.values())  # the boxes take the rest
-    assert len({r.conditions.world_seed for r in records.values()}) == 3
-    assert again(continued(out), out, 2, gives_up).differing == []
+    assert len({r.conditions.world_seed for r in records.values()}) == 2
+    assert again(continued(out), out, 1, gives_up).differing == []
     head = json.loads((out / "campaign.json").read_text())
     (module,) = head["files"]
     assert Path(module).name == "plane_world.py"
     (out / "campaign.json").write_text(json.dumps({**head, "files": {module: "0"}}))
     with pytest.raises(OutputError, match=r"another content of .*plane_world\.py"):
-        fly_campaign(Campaign.of([PLANE], 3, 3, settings), out, fly=gives_up)
+        fly_campaign(Campaign([PLANE], 2, 3, settings), out, fly=gives_up)
 
 
 def test_a_car_on_command_is_in_its_pictures_in_the_way_and_in_the_truth() -> None:

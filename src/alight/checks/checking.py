@@ -44,10 +44,11 @@ def check_evidence(evidence: RigEvidence) -> list[CheckResult]:
     # the accelerometer is not used where the pictures are compared with GPS/INS and IMU
     wrong = (r.name for r in navigation if r.verdict is Judged.BAD and r.name != "accelerometer unit")
     motion, flow = check_motion(evidence, next(wrong, ""))
-    if not evidence.matches:
+    (first, _), *others = evidence.by_camera
+    if not others:
         rig = [unknown("stereo", "one camera only")]
     elif motion[0].verdict is Judged.BAD:
         rig = [unknown("stereo", "first mend the mounting")]
     else:
-        rig = [check_stereo(evidence.rig, m, flow) for m in evidence.matches]
+        rig = [check_stereo(first, other, seen.matches, flow) for other, seen in others]
     return [check_frames(evidence), *check_rows(evidence), *pictures, *rig, *navigation, *motion]

@@ -92,24 +92,6 @@ def integrated(seconds: F64, rates: F64) -> Rotation:
     return path
 
 
-@dataclass(frozen=True, eq=False)
-class RigMatches:
-    """Matches between camera 0 and another one, all exposures together."""
-
-    camera: int
-    t_ns: I64  # (N,) of the exposure
-    first: F64  # (N, 2) px in camera 0
-    other: F64  # (N, 2) px in the other one
-    pairs: int  # exposures that were matched
-
-    @classmethod
-    def of(cls, camera: int, parts: Sequence[tuple[int, F64, F64]]) -> RigMatches:
-        """Join the matches of each exposure: its time, pixels in camera 0, pixels in the other one."""
-        times = [np.full(len(a), t, dtype=np.int64) for t, a, _ in parts]
-        first, other = (np.concatenate([np.empty((0, 2)), *(p[i] for p in parts)]) for i in (1, 2))
-        return cls(camera, np.concatenate([np.empty(0, np.int64), *times]), first, other, len(parts))
-
-
 @dataclass(eq=False)
 class CameraEvidence:
     """Measurements from the pictures of one camera."""
@@ -158,7 +140,6 @@ class RigEvidence:
     nav: NavTable
     imu: ImuTable
     cameras: tuple[CameraEvidence, ...]
-    matches: tuple[RigMatches, ...]
     warnings: tuple[str, ...] = ()  # of the source
     promised: tuple[str, ...] = ()  # streams that the source's notes list
 
@@ -212,5 +193,5 @@ def gather_evidence(
     return RigEvidence(
         rig, np.array(stamps, dtype=np.int64), np.array(present, dtype=bool),
         NavTable.of([r for r in nav if low <= r.t_ns <= high]), ImuTable.of([r for r in imu if low <= r.t_ns <= high]),
-        cameras, tuple(RigMatches.of(k, c.matches) for k, c in enumerate(cameras) if k),
+        cameras,
     )  # fmt: skip

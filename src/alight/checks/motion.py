@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,18 +15,9 @@ from alight.geometry import Pose
 
 FINE = np.arange(-0.5, 0.501, 0.05)  # s, time offsets that are tried
 COARSE = FINE[::2]
-UNEXPLAINED = 0.35  # of the flow: with more left, the checks cannot tell
+UNEXPLAINED = 0.35  # of the flow: with more left there is no verdict
 TILTED = np.radians(5.0)  # by which a mounting may be off: the attitude of GPS/INS is no better
 CHECKS = ("mounting", "time offset", "focal length")
-
-
-@dataclass(frozen=True, eq=False)
-class CameraMotion:
-    """Flow of one camera with its fit."""
-
-    name: str
-    predicted: PredictedFlow
-    fit: FlowFit
 
 
 def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult], FlowFit | None]:
@@ -55,13 +46,13 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
     mounting = _mounting(usable, motion, evidence)
     if mounting.verdict is Judged.BAD:
         return cannot_tell("first mend the mounting", mounting)
-    fits = [CameraMotion(n, p, p.fit(p.scan(FINE)[1])) for n, p in usable.items()]
-    left = max(f.fit.unexplained for f in fits)
+    fits = {name: flow.fit(flow.scan(FINE)[1]) for name, flow in usable.items()}
+    left = max(f.unexplained for f in fits.values())
     if left > UNEXPLAINED:
         why = f"{100 * left:.0f} % of the flow is left: the pictures do not show level ground that stands still"
         return cannot_tell(why, mounting)
-    first = fits[0].fit if fits[0].name == evidence.rig.cameras[0].name else None
-    return [_tilt(mounting, fits), _offset(fits, motion), _focal(fits)], first
+    results = [_tilt(mounting, fits), _offset(list(fits.values()), motion.turned_by), _focal(fits)]
+    return results, fits.get(evidence.rig.cameras[0].name)
 
 
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
@@ -110,16 +101,16 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
     return None
 
 
-def _tilt(mounting: CheckResult, fits: list[CameraMotion]) -> CheckResult:
+def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
     """Check the mountings for errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
     found, vague = Check(mounting.name, [mounting.evidence]), False
-    for f in fits:
-        turn, sigma = f.fit.parameters[MOUNTING], f.fit.sigma[MOUNTING]
+    for name, fit in fits.items():
+        turn, sigma = fit.parameters[MOUNTING], fit.sigma[MOUNTING]
         pitch, yaw, roll = np.degrees(turn)
         found.measured.append(
-            f"{f.name} fits turned by pitch {pitch:+.1f}, yaw {yaw:+.1f}, roll {roll:+.1f} degrees about its x, y, z "
+            f"{name} fits turned by pitch {pitch:+.1f}, yaw {yaw:+.1f}, roll {roll:+.1f} degrees about its x, y, z "
             f"(1-sigma {np.degrees(sigma.max()):.1f})"
         )
         if (np.abs(turn) > np.maximum(TILTED, 5.0 * sigma)).any():
@@ -130,36 +121,32 @@ def _tilt(mounting: CheckResult, fits: list[CameraMotion]) -> CheckResult:
     return found.result
 
 
-def _weighted(fits: list[CameraMotion], index: int) -> tuple[float, float]:
-    """Mean over the cameras, and its sigma: they share most of their errors, so more cameras do not reduce it."""
-    values, sigma = (np.array([getattr(f.fit, k)[index] for f in fits]) for k in ("parameters", "sigma"))
-    w = 1.0 / sigma**2
-    return float((w * values).sum() / w.sum()), float(max(sigma.min(), np.ptp(values) / 2))
-
-
-def _offset(fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
+def _offset(fits: list[FlowFit], turned_by: str) -> CheckResult:
+    """Check the mean time offset of the cameras: they share most of their errors, so more of them do not reduce it."""
     name = CHECKS[1]
-    offset, sigma = _weighted(fits, OFFSET)
+    offsets, sigmas = np.array([f.parameters[OFFSET] for f in fits]), np.array([f.sigma[OFFSET] for f in fits])
+    w = 1.0 / sigmas**2
+    offset, sigma = float((w * offsets).sum() / w.sum()), float(max(sigmas.min(), np.ptp(offsets) / 2))
     evidence = (
-        f"camera stamps are {1e3 * offset:+.1f} +- {1e3 * sigma:.1f} ms (1-sigma) ahead of the {motion.turned_by}, "
-        f"from the flow of {sum(f.predicted.pairs for f in fits)} pairs of pictures"
+        f"camera stamps are {1e3 * offset:+.1f} +- {1e3 * sigma:.1f} ms (1-sigma) ahead of the {turned_by}, "
+        f"from the flow of {sum(len(f.depth_seconds) for f in fits)} pairs of pictures"
     )
     if sigma > 0.01:  # s
         return unknown(name, f"{evidence}: the aircraft turned too little")
     if abs(offset) > 0.48:
         return unknown(name, f"{evidence}: at the border of what is searched")
-    limit = 0.02 if motion.turned_by == "gyroscope" else 0.03  # s
+    limit = 0.02 if turned_by == "gyroscope" else 0.03  # s
     if abs(offset) > max(limit, 4.0 * sigma):
         mend = f"set motion.filter.time_offset={offset:.3f}, or stamp the middle of the exposure on one clock"
         return bad(name, evidence, mend)
     return good(name, evidence)
 
 
-def _focal(fits: list[CameraMotion]) -> CheckResult:
+def _focal(fits: dict[str, FlowFit]) -> CheckResult:
     name = CHECKS[2]
-    parts = [(f.name, f.fit.parameters[FOCAL], f.fit.sigma[FOCAL], f.predicted.focal) for f in fits]
+    parts = [(camera, f.parameters[FOCAL], f.sigma[FOCAL], f.focal) for camera, f in fits.items()]
     evidence = "; ".join(
-        f"{n} {f:.1f} px, the flow asks for {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
+        f"{n} {f:.1f} px, the flow gives {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
     )
     vague = 0.02  # 1-sigma
     off = [n for n, s, e, _ in parts if e < vague and abs(s) > max(0.045, 4.0 * e)]

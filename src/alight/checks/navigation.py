@@ -67,25 +67,29 @@ def _centred(vectors: F64) -> F64:
     return vectors - np.median(vectors, axis=0)
 
 
-class ImuPath:
-    """Orientation and angles integrated from the gyroscope, as functions of time."""
+class NavAndImu:
+    """GPS/INS and IMU, and hypotheses on their conventions.
 
-    def __init__(self, imu: ImuTable) -> None:
-        self.origin_ns = int(imu.t_ns[0])
+    Args:
+        nav: rows with an attitude, in order.
+    """
+
+    def __init__(self, nav: NavTable, imu: ImuTable) -> None:
+        self.nav, self.imu = nav, imu
         ordered = imu.in_order()
-        self._seconds, rates = seconds_since(ordered.t_ns, self.origin_ns), ordered.angular_velocity_body
+        self._seconds, rates = seconds_since(ordered.t_ns, int(imu.t_ns[0])), ordered.angular_velocity_body
         self._path = Slerp(self._seconds, integrated(self._seconds, rates))
         steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(self._seconds)[:, None]
         self._angles = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
-    def turns(self, nav: NavTable, attitudes: F64, lag: float = 0.0) -> TurnWindows:
+    def turns(self, attitudes: F64, lag: float = 0.0) -> TurnWindows:
         """Return the turns in the windows that both streams cover.
 
         Args:
-            attitudes: (N, 3, 3) of the rows of `nav`.
-            lag: s that is subtracted from the stamps of GPS/INS.
+            attitudes: (N, 3, 3) of the rows of GPS/INS.
+            lag: s that is subtracted from their stamps.
         """
-        t = seconds_since(nav.t_ns, self.origin_ns) - lag
+        t = seconds_since(self.nav.t_ns, int(self.imu.t_ns[0])) - lag
         ends = np.searchsorted(t, t + WINDOW - 1e-6)
         begins = np.flatnonzero((ends < len(t)) & (t >= self._seconds[0]))
         begins = begins[:: max(1, int(0.5 * np.median(ends[begins] - begins)))] if len(begins) else begins
@@ -101,19 +105,10 @@ class ImuPath:
             np.stack(summed, axis=-1),
         )  # fmt: skip
 
-
-@dataclass(frozen=True, eq=False)
-class NavAndImu:
-    """Rows of GPS/INS with an attitude, the IMU, and its path; the hypotheses on their conventions."""
-
-    nav: NavTable
-    imu: ImuTable
-    path: ImuPath
-
     def unexplained(self, attitudes: F64, turns: Sequence[F64]) -> F64:
         """Unexplained share of the turns at the best lag of the clocks, for each assumption on the axes of the IMU."""
         lags = (0.05 * k for k in range(-6, 7))  # s
-        tables = [t for lag in lags if (t := self.path.turns(self.nav, attitudes, lag)).enough]
+        tables = [t for lag in lags if (t := self.turns(attitudes, lag)).enough]
         return np.array([min((t.unexplained(m) for t in tables), default=0.0) for m in turns])
 
     def mean_up(self, attitudes: F64, body_from_imu: F64) -> F64 | None:
@@ -214,7 +209,7 @@ def check_attitude(streams: NavAndImu) -> list[CheckResult]:
     """Axes of the IMU and convention of the attitude, from gravity and from the turns of both."""
     R, eye = streams.nav.world_from_body, np.eye(3)
     upright = float(np.median(R[:, 2, 2]))
-    turned = streams.path.turns(streams.nav, R).enough
+    turned = streams.turns(R).enough
     force, left = streams.mean_up(R, eye), float(streams.unexplained(R, [eye])[0])
     evidence = f"cosine of the tilt {upright:.2f}"
     if force is not None:
@@ -307,8 +302,8 @@ def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[floa
 
 def check_nav_clock(streams: NavAndImu) -> CheckResult:
     """Clock of GPS/INS against that of the IMU: turns of both, shifted in time."""
-    lags, nav = np.arange(-0.5, 0.501, 0.02), streams.nav
-    tables = [streams.path.turns(nav, nav.world_from_body, float(lag)) for lag in lags]
+    lags = np.arange(-0.5, 0.501, 0.02)
+    tables = [streams.turns(streams.nav.world_from_body, float(lag)) for lag in lags]
     here = tables[len(tables) // 2]
     if not here.enough:
         return unknown(CLOCK, "the aircraft hardly turned")
@@ -332,9 +327,8 @@ def check_nav_clock(streams: NavAndImu) -> CheckResult:
 def check_navigation(evidence: RigEvidence) -> list[CheckResult]:
     """Run all checks of GPS/INS and IMU; a check that needs a wrong stream names the fault to mend first."""
     nav, imu = evidence.nav.measured("world_from_body").in_order(), evidence.imu
-    both = len(nav.t_ns) >= 10 and len(imu.t_ns) >= 20
-    streams = NavAndImu(nav, imu, ImuPath(imu)) if both else None
-    turns = streams.path.turns(nav, nav.world_from_body) if streams else None
+    streams = NavAndImu(nav, imu) if len(nav.t_ns) >= 10 and len(imu.t_ns) >= 20 else None
+    turns = streams.turns(nav.world_from_body) if streams else None
     out = [check_velocity(evidence.nav), check_accelerometer_unit(imu), check_gyroscope_unit(turns)]
     if unit := next((r for r in out[1:] if r.verdict is Judged.BAD), None):
         return out + [unknown(n, f"first mend the {unit.name}") for n in (AXES, ATTITUDE, CLOCK)]

@@ -53,23 +53,6 @@ def _width(grey: F32, reach: int = 17) -> float:
     return float(np.percentile(height[strong] / slope[strong], 10.0)) if strong.sum() > 50 else float("nan")
 
 
-class Spot(NamedTuple):
-    """A part of the picture that does not show the ground; its sides as shares of the picture's width and height."""
-
-    left: float
-    right: float
-    top: float
-    bottom: float
-    what: str
-
-    def words(self, width: int, height: int) -> str:
-        """Return its position in words, in pixels of a picture of that size."""
-        return (
-            f"u {self.left * width:.0f} to {self.right * width:.0f}, "
-            f"v {self.top * height:.0f} to {self.bottom * height:.0f} px {self.what}"
-        )
-
-
 @dataclass
 class StaticMap:
     """Compares pictures between which the ground has moved: once at the same pixels, once at the same ground.
@@ -113,21 +96,25 @@ class StaticMap:
                 total[valid] += part[valid]
         self.pairs += 1
 
-    def spots(self) -> list[Spot]:
-        """Return the parts of the picture that stand still, are blurred or are covered."""
+    def spots(self, width: int, height: int) -> list[str]:
+        """Return the parts of the picture that stand still, are blurred or are covered, in words, in its pixels."""
         if not self.pairs:
             return []
-        rows, cols = self._sums[0].shape
-        side = max(2, max(rows, cols) // 40)
+        side = max(2, max(self._sums[0].shape) // 40)
         same, ground, here, elsewhere, weight = (cv2.boxFilter(s, -1, (side, side))[::side, ::side] for s in self._sums)
         seen = weight >= 3.0
         with np.errstate(divide="ignore", invalid="ignore"):
             same, ground, here, elsewhere = (x / weight for x in (same, ground, here, elsewhere))
             still = seen & (ground > 5.0) & (same < 0.55 * ground)
             dull = seen & (elsewhere > 4.0) & (here < 0.42 * elsewhere)
-        return _boxes(still, side, (rows, cols), "stands still") + _boxes(
-            dull & ~still, side, (rows, cols), "is blurred or covered"
-        )
+        rows, cols = self._sums[0].shape
+        return [
+            f"u {left * side / cols * width:.0f} to {min((left + wide) * side / cols, 1.0) * width:.0f}, "
+            f"v {top * side / rows * height:.0f} to {min((top + high) * side / rows, 1.0) * height:.0f} px {what}"
+            for mask, what in ((still, "stands still"), (dull & ~still, "is blurred or covered"))
+            for left, top, wide, high, area in _connected(mask)
+            if area >= 3
+        ]
 
 
 def _fine(image: U8) -> F32:
@@ -136,14 +123,7 @@ def _fine(image: U8) -> F32:
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), max(image.shape) / 40.0), dtype=np.float32)
 
 
-def _boxes(mask: Mask, side: int, shape: tuple[int, int], what: str) -> list[Spot]:
-    """Boxes about the connected blocks of `side` pixels in a picture of a shape."""
-    rows, cols = shape
-    found = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)[2][1:].tolist()
-    return [
-        Spot(
-            left * side / cols, min((left + width) * side / cols, 1.0),
-            top * side / rows, min((top + height) * side / rows, 1.0), what,
-        )
-        for left, top, width, height, area in found if area >= 3
-    ]  # fmt: skip
+def _connected(mask: Mask) -> list[list[int]]:
+    """Left, top, width, height and area of the connected parts of a mask."""
+    found: list[list[int]] = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)[2][1:].tolist()
+    return found

@@ -95,7 +95,7 @@ def check_lens(evidence: RigEvidence) -> CheckResult:
             found.incomplete = True
             found.measured.append(f"{cam.name}: the ground moved too little ({pairs} pairs of pictures)")
             continue
-        spots = [s.words(cam.camera.width, cam.camera.height) for s in seen.static.spots()]
+        spots = seen.static.spots(cam.camera.width, cam.camera.height)
         dirty |= bool(spots)
         listed = "; ".join(spots[:5]) + (f"; and {len(spots) - 5} more" if len(spots) > 5 else "")
         found.measured.append(f"{cam.name}: {listed or 'nothing stands still'} ({pairs} pairs of pictures)")

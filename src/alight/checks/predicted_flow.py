@@ -95,6 +95,7 @@ class FlowFit:
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
     normals: F64  # (K, 3) of the ground in the camera; NaN: unknown
     origin_ns: int
+    focal: float  # px, as calibrated
 
     @property
     def depth_error(self) -> float:
@@ -221,7 +222,7 @@ class PredictedFlow:
         unexplained = float(np.median(_length(r))) / max(float(np.median(self.flow)), 1e-6)
         middle = 0.5 * (self._begin + self._end)
         normals = self._normals(calibrated)
-        return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns)
+        return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns, self.focal)
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
         """Residuals, normal matrix and gradient with priors, and the (K, 10) gradients of the pairs."""

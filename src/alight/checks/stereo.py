@@ -5,20 +5,21 @@ The matches are made without the calibration, so that a wrong one cannot hide by
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from alight.arrays import F64
-from alight.checks.evidence import RigMatches, trimmed_rms
+from alight.arrays import F64, I64
+from alight.checks.evidence import trimmed_rms
 from alight.checks.features import LEAST_MATCHES, on_one_geometry
 from alight.checks.navigation import quarter_turns
 from alight.checks.predicted_flow import STEEP, FlowFit
 from alight.checks.result import CheckResult, bad, good, unknown
 from alight.geometry import Camera, Pose, skew, so3_exp
-from alight.records import Rig, RigCamera
+from alight.records import RigCamera
 from alight.spread import nmad
 from alight.tracks import inverse_depth
 
@@ -62,7 +63,9 @@ class StereoCase:
     name: str
     first: RigCamera
     other: RigCamera
-    found: RigMatches
+    exposures: int  # that were matched
+    t_ns: I64  # (N,) of the exposure
+    pixels: tuple[F64, F64]  # (N, 2) in both cameras
     pair: CameraPair
 
     @property
@@ -71,22 +74,26 @@ class StereoCase:
         return self.other.body_from_cam.inverse @ self.first.body_from_cam
 
 
-def check_stereo(rig: Rig, found: RigMatches, flow: FlowFit | None) -> CheckResult:
+def check_stereo(
+    first: RigCamera, other: RigCamera, found: Sequence[tuple[int, F64, F64]], flow: FlowFit | None
+) -> CheckResult:
     """Check one pair of cameras: calibration, order and baseline.
 
     Args:
+        found: matches of each exposure: its time, pixels in the first camera, pixels in the other one.
         flow: fit of the flow of camera 0 with GPS/INS, for the depth; None: unknown.
     """
-    first, other = rig.cameras[0], rig.cameras[found.camera]
     name = f"stereo {first.name} {other.name}"
-    if len(found.first) < LEAST_MATCHES:
-        return unknown(name, f"{len(found.first)} matches in {found.pairs} pairs of pictures, needs {LEAST_MATCHES}")
-    pair = CameraPair.of_pixels(first.camera, other.camera, found.first, found.other)
+    a, b = (np.concatenate([np.empty((0, 2)), *(matches[k] for matches in found)]) for k in (1, 2))
+    if len(a) < LEAST_MATCHES:
+        return unknown(name, f"{len(a)} matches in {len(found)} pairs of pictures, needs {LEAST_MATCHES}")
+    pair = CameraPair.of_pixels(first.camera, other.camera, a, b)
     rigid = on_one_geometry(pair.first, pair.other, pair.focal)
     if rigid.sum() < max(LEAST_MATCHES, 0.3 * len(rigid)):
         return unknown(name, f"only {rigid.sum()} of {len(rigid)} matches follow one geometry")
-    found = replace(found, t_ns=found.t_ns[rigid], first=found.first[rigid], other=found.other[rigid])
-    case = StereoCase(name, first, other, found, CameraPair(pair.first[rigid], pair.other[rigid], pair.focal))
+    t_ns = np.repeat([t for t, *_ in found], [len(pixels) for _, pixels, _ in found])
+    pair = CameraPair(pair.first[rigid], pair.other[rigid], pair.focal)
+    case = StereoCase(name, first, other, len(found), t_ns[rigid], (a[rigid], b[rigid]), pair)
     if np.linalg.norm(case.as_is.translation) < 1e-3:
         return unknown(name, "the calibration gives both cameras one place")
     return _judged(case, flow)
@@ -96,10 +103,10 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
     off = case.pair.residuals(case.as_is)
     own = trimmed_rms(off)
     evidence = (
-        f"{len(off)} matches in {case.found.pairs} pairs, epipolar residual {np.median(np.abs(off)):.2f} px in the "
+        f"{len(off)} matches in {case.exposures} pairs, epipolar residual {np.median(np.abs(off)):.2f} px in the "
         f"median, {own:.2f} px RMS"
     )
-    exchanged = CameraPair.of_pixels(case.other.camera, case.first.camera, case.found.first, case.found.other)
+    exchanged = CameraPair.of_pixels(case.other.camera, case.first.camera, *case.pixels)
     swapped, front = trimmed_rms(exchanged.residuals(case.as_is.inverse)), exchanged.depths(case.as_is.inverse)[0] > 0
     rho, disparity = case.pair.depths(case.as_is)
     behind, shift = float((rho < 0).mean()), float(np.median(np.abs(disparity)))
@@ -203,7 +210,7 @@ def _stale(case: StereoCase, evidence: str, own: float) -> CheckResult:
 def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
     """Check the depths against those of GPS/INS and the flow, after the epipolar lines were found right."""
     rho, disparity = case.pair.depths(case.as_is)
-    seconds = (case.found.t_ns - flow.origin_ns) * 1e-9
+    seconds = (case.t_ns - flow.origin_ns) * 1e-9
     times, at = np.unique(seconds, return_inverse=True)
     normals = np.stack([np.interp(seconds, flow.depth_seconds, n) for n in flow.normals.T], axis=-1)
     ratio = (normals[:, :2] * case.pair.first).sum(axis=1) / normals[:, 2] + 1.0  # of the depth on the optical axis

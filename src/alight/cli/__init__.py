@@ -1,4 +1,4 @@
-"""The command line: the only place that catches, prints and exits. One file a group of commands."""
+"""The command line: the only place that catches, prints and exits. One file a group of commands, one record each."""
 
 import os
 
@@ -6,6 +6,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 try:
+    from alight.cli import flown as flown
+    from alight.cli import recorded as recorded
+    from alight.cli import simulated as simulated
     from alight.cli.app import call, main
 except KeyboardInterrupt:  # Ctrl-C in the first second or two
     raise SystemExit(130) from None

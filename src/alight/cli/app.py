@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Sequence
 from enum import IntEnum
-from importlib import import_module
 from itertools import pairwise
 from typing import Annotated
 
@@ -33,11 +32,6 @@ class ExitCode(IntEnum):
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
-FILES = {  # of each command, in the order of --help
-    "campaign": "campaign", "check": "check", "run": "runs", "evaluate": "runs", "demo": "runs", "settings": "runs",
-    "warmup": "runs", "live": "live", "fly": "fly", "rehearse": "rehearse", "hazards": "hazards",
-    "simulate": "simulate", "terrain": "terrain",
-}  # fmt: skip
 SMALLER = {  # advice where memory ends, by command
     "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
     "simulate": "choose smaller images, a lower rate or a smaller ground in the scene",
@@ -63,21 +57,10 @@ def _top(
         print_line(context.get_help())
 
 
-def _command(words: Sequence[str]) -> str:
-    """The command on a command line; empty: none."""
-    return next((w for w in words if not w.startswith("-")), "")
-
-
-def load_commands(words: Sequence[str] = ()) -> None:
-    """Import the file of the command that is named first; the files of all commands where none is."""
-    command = _command(words)
-    for file in dict.fromkeys([FILES[command]] if command in FILES else FILES.values()):
-        import_module(f"alight.cli.{file}")
-
-
 def _smaller(words: Sequence[str]) -> str:
     """Advice for less memory: first about the user's own settings."""
-    usual = SMALLER.get(_command(words), "choose a larger parallax.cell or a smaller parallax.store_mb")
+    command = next((w for w in words if not w.startswith("-")), "")
+    usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]
     given += [w.removeprefix("--set=") for w in words if w.startswith("--set=")]
     if not given:
@@ -102,7 +85,6 @@ def call(arguments: Sequence[str] | None = None) -> int:
     log_to_stderr()
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        load_commands(words)
         code = int(app(words, prog_name="alight", standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort):
         code = ExitCode.INTERRUPTED

@@ -1,10 +1,13 @@
-"""Options that commands share, and the settings that they stand for."""
+"""Options that commands share, as records, and the settings that they stand for."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, dataclass, fields
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
@@ -12,42 +15,94 @@ if TYPE_CHECKING:
     from alight.settings import Settings
 
 
+def command_of(options: type) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
+    """Make a command of a function of one record: the fields of the record are the options of the command."""
+    hints = get_type_hints(options, include_extras=True)
+    parameters = [
+        Parameter(
+            f.name, Parameter.KEYWORD_ONLY, annotation=hints[f.name],
+            default=Parameter.empty if f.default is MISSING else f.default,
+        )
+        for f in fields(options)
+    ]  # fmt: skip
+
+    def wrap(function: Callable[[Any], None]) -> Callable[..., None]:
+        def command(**given: Any) -> None:
+            function(options(**given))
+
+        command.__doc__, command.__name__ = function.__doc__, function.__name__
+        command.__annotations__, command.__signature__ = hints, Signature(parameters)  # type: ignore[attr-defined]
+        return command
+
+    return wrap
+
+
 def _log_details(verbose: bool) -> None:
     if verbose:
         logging.getLogger("alight").setLevel(logging.INFO)
 
 
-Assignments = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as lander.radius=2.")
-]
-SettingsFile = Annotated[Path | None, typer.Option("--settings", metavar="FILE", help="Settings as YAML.")]
-Force = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
-Out = Annotated[Path, typer.Option("--out", metavar="OUT", help="Folder for the results.")]
-Rig = Annotated[
-    Path | None, typer.Option("--rig", metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
-]
-Separation = Annotated[
-    float | None,
-    typer.Option(
-        "--separation", min=-200.0, max=200.0,
-        help="Ellipsoid minus sea level, m, where the receiver does not report it.",
-    ),
-]  # fmt: skip
-ArmedAt = Annotated[
-    str | None,
-    typer.Option(
-        "--home", metavar="LAT,LON,ALT_MSL", help="Where the vehicle is armed: route.plan counts its heights from it."
-    ),
-]
-Geoid = Annotated[
-    Path | None, typer.Option("--geoid", metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF) for --home.")
-]
-Record = Annotated[
-    bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
-]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", callback=_log_details, help="Log details on stderr.")]
 Firmware = Annotated[Literal["ardupilot", "px4"], typer.Option(help="Dialect of the simulated autopilot.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Another seed, another place.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", callback=_log_details, help="Log details on stderr.")]
+Out = Annotated[Path, typer.Option("--out", metavar="OUT", help="Folder for the results.")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster that does the work: tcp://host:8786.")
+]
+
+
+@dataclass(kw_only=True)
+class SettingsOptions:
+    """Options of a command with settings."""
+
+    settings: Annotated[Path | None, typer.Option("--settings", metavar="FILE", help="Settings as YAML.")] = None
+    assign: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as lander.radius=2.")
+    ] = None
+    verbose: Verbose = False
+
+    def read_settings(self, before: Sequence[str] = (), after: Sequence[str] = ()) -> Settings:
+        """Read the settings; assignments of other options come before or after those of `--set`, and the last one wins.
+
+        Raises:
+            SettingsError: the file cannot be read, a key is unknown, a value is out of range.
+        """
+        from alight.records import SettingsError
+        from alight.settings import load_settings
+
+        text = yaml_text(self.settings) if self.settings else ""
+        try:
+            return load_settings(text, [*before, *(self.assign or ()), *after])
+        except ValueError as e:
+            error = e
+        try:
+            load_settings(text)
+        except ValueError:  # the file alone is at fault
+            raise SettingsError(f"{self.settings}: {error}") from error
+        raise SettingsError(str(error)) from error
+
+
+@dataclass(kw_only=True)
+class ResultOptions(SettingsOptions):
+    """Options of a command that writes the folder of a run."""
+
+    out: Out
+    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False
+
+
+@dataclass(kw_only=True)
+class RouteOptions(ResultOptions):
+    """Options of a command whose route begins where the vehicle is armed."""
+
+    home: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAT,LON,ALT_MSL", help="Where the vehicle is armed; heights of route.plan count from it."
+        ),
+    ] = None
+    geoid: Annotated[Path | None, typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF) for --home.")] = (
+        None
+    )
 
 
 def yaml_text(file: Path) -> str:
@@ -65,48 +120,3 @@ def yaml_text(file: Path) -> str:
         raise SettingsError(f"{file}: cannot be read ({e.strerror}); name a YAML file") from e
     except DocumentError as e:
         raise SettingsError(f"{file}: {e}") from e
-
-
-def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
-    """Read settings from a file and `--set` options.
-
-    Raises:
-        SettingsError: the file cannot be read, a key is unknown, a value is out of range.
-    """
-    from alight.records import SettingsError
-    from alight.settings import load_settings
-
-    text = yaml_text(file) if file else ""
-    try:
-        return load_settings(text, assignments or ())
-    except ValueError as e:
-        error = e
-    try:
-        load_settings(text)
-    except ValueError:  # the file alone is at fault
-        raise SettingsError(f"{file}: {error}") from error
-    raise SettingsError(str(error)) from error
-
-
-def refuse_unused(source: str, follow: bool, rig: Path | None, speed: float = 1.0) -> None:
-    """Refuse options that have no effect on this source.
-
-    Args:
-        source: a recording, a folder, or cameras.
-        follow: the folder is being filled.
-        rig: folder with the calibration of cameras.
-        speed: of a recording.
-
-    Raises:
-        InputError: the message names the option.
-    """
-    from alight.records import InputError
-    from alight.sources.live import is_cameras
-
-    cameras = is_cameras(source)
-    if cameras and follow:
-        raise InputError("--follow: is for a folder that is being filled, and cameras are none; leave it out")
-    if speed != 1.0 and (cameras or follow):
-        raise InputError("--speed: is of a flight log or a recording; cameras and folders that fill have their own")
-    if rig is not None and not cameras:
-        raise InputError(f"--rig: is for cameras; {source} brings its own calibration; leave it out")

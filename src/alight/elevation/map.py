@@ -7,13 +7,12 @@ one. So each layer is the best map at its cell size, except at places that were 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.elevation.levels import double_fields, halve_fields
-from alight.elevation.tiles import FIELDS, Fields, Key, TileCounts, TileLayer, TileStore, is_seen
+from alight.elevation.tiles import FIELDS, Fields, TileLayer, TileStore, is_seen
 from alight.geometry import Grid, box_of
 from alight.records import ElevationMap, Heights, is_trusted
 from alight.settings.tuning import ElevationTuning
@@ -42,69 +41,51 @@ class TiledElevation:
     ) -> None:
         self.cell, self.side, self._tuning = cell, side, tuning or ElevationTuning()
         self._far: TileStore = {} if far is None else far
-        self._layers = {0: TileLayer(0, cell, side, self._far)}
+        self.layers = {0: TileLayer(0, cell, side, self._far)}
 
     # -- rasters
-
-    @property
-    def tiles(self) -> TileCounts:
-        """Number of tiles in memory, and of those that are packed, of all levels."""
-        each = [layer.tiles for layer in self._layers.values()]
-        return TileCounts(sum(t.near for t in each), sum(t.packed for t in each))
 
     def cell_at(self, level: int) -> float:
         """Cell size of a level, metres."""
         return math.ldexp(self.cell, level)
 
-    def _layer_of(self, cell: float) -> TileLayer:
-        return self._layer(round(math.log2(cell / self.cell)))
-
-    def _layer(self, level: int) -> TileLayer:
+    def layer(self, level: int = 0) -> TileLayer:
         """Return the layer of a level; open it, and those between it and the existing layers, if they are missing."""
-        while level < (finest := min(self._layers)):
+        while level < (finest := min(self.layers)):
             self._open(finest - 1)
-        while level > (coarsest := max(self._layers)):
+        while level > (coarsest := max(self.layers)):
             self._open(coarsest + 1)
-            below = self._layers[coarsest]
-            for key in below.keys:
+            below = self.layers[coarsest]
+            for key in (*below.near, *below.packed):
                 self._pass_on(below, below.tile_grid(key))
-        return self._layers[level]
+        return self.layers[level]
 
     def _open(self, level: int) -> None:
-        self._layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
+        self.layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
 
-    def tile_grid(self, key: Key, margin: int = 0, level: int = 0) -> Grid:
-        """Return the grid of one tile, `margin` cells wider on every side."""
-        return self._layer(level).tile_grid(key, margin)
-
-    def cover(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Iterator[Key]:
-        """Yield the tiles that a rectangle (metres) touches, southern rows first."""
-        return self._layer(level).cover(east, north)
-
-    def window(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Grid:
-        """Return the smallest grid of whole cells over a rectangle (metres)."""
-        return self._layer(level).window(east, north)
+    def _layer_of(self, grid: Grid) -> TileLayer:
+        return self.layer(round(math.log2(grid.cell / self.cell)))
 
     # -- content
 
     def add(self, heights: Heights, replace_all: bool = False) -> None:
         """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new height wherever seen)."""
-        layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
+        layer, new = self._layer_of(heights.grid), {k: getattr(heights, k) for k in FIELDS}
         seen = is_seen(new["flags"])
         take = seen if replace_all else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
-        r, c = box_of(take)
-        if r.stop > r.start:
-            grid = heights.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
-            layer.write(grid, {k: v[r, c] for k, v in new.items()}, take[r, c])
-            while layer.level < max(self._layers):
+        box = box_of(take)
+        if take[box].size:
+            grid = heights.grid.part(box)
+            layer.write(grid, {k: v[box] for k, v in new.items()}, take[box])
+            while layer.level < max(self.layers):
                 grid = self._pass_on(layer, grid)
-                layer = self._layers[layer.level + 1]
+                layer = self.layers[layer.level + 1]
 
     def _pass_on(self, layer: TileLayer, grid: Grid) -> Grid:
         """Write the means of a grid into the next coarser layer; return the grid of these coarse cells."""
         south, north, west, east = (n // 2 for n in layer.numbers(grid))
         means = halve_fields(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
-        coarser = self._layers[layer.level + 1]
+        coarser = self.layers[layer.level + 1]
         above = coarser.cells(south, north, west, east)
         coarser.write(above, means, is_seen(means["flags"]))
         return above
@@ -113,7 +94,7 @@ class TiledElevation:
         """Return the layer's cells; where it has none, those of the next coarser layer, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
-        coarser = self._layers.get(layer.level + 1)
+        coarser = self.layers.get(layer.level + 1)
         if coarser is None or seen.all():
             return out
         south, north, west, east = layer.numbers(grid)
@@ -128,23 +109,21 @@ class TiledElevation:
 
     def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
         """Add a plane (3,), `plane[0]` metres up at `about` (2,), rising east and north, to the near tiles."""
-        for layer in self._layers.values():
+        for layer in self.layers.values():
             layer.add_plane(plane, about)
 
     def read(self, grid: Grid) -> ElevationMap:
         """Return a copy of the best heights on a grid of whole cells of any level."""
-        return self._map(grid, 1.0)
+        return ElevationMap(grid, **self._known(self._layer_of(grid), grid, 1.0))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
         """Return the start of a step: as `read`, with sigma inflated where only coarser levels have seen a cell."""
-        return self._map(grid, self._tuning.less_sure)
-
-    def _map(self, grid: Grid, inflation: float) -> ElevationMap:
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, inflation))  # type: ignore[arg-type]
+        inflated = self._known(self._layer_of(grid), grid, self._tuning.less_sure)
+        return ElevationMap(grid, **inflated)  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory does not grow with the flight."""
-        for layer in self._layers.values():
+        for layer in self.layers.values():
             layer.roll(centre, radius)
 
     def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
@@ -153,14 +132,14 @@ class TiledElevation:
         The level is the finest one with at least `least_share` of the largest seen area; a coarser one if the map would
         have more than `most_cells` cells.
         """
-        boxes = {level: box for level, layer in self._layers.items() if (box := layer.box())}
+        boxes = {level: box for level, layer in self.layers.items() if (box := layer.box())}
         if not boxes:
             return None
-        area = {level: self._layers[level].count() * 4.0**level for level in boxes}
+        area = {level: self.layers[level].count() * 4.0**level for level in boxes}
         level = min(k for k in boxes if area[k] >= self._tuning.least_share * max(area.values()))
         while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 1:
             level += 1
-        return self.read(self._layer(level).cells(*_about(boxes, level)))
+        return self.read(self.layer(level).cells(*_about(boxes, level)))
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:

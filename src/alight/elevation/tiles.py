@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, MutableMapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import lz4.frame
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid, box_of, plane_on
+from alight.geometry import Box, Grid, box_of, plane_on
 from alight.records import Flag, is_flagged
 
 Key = tuple[int, int]  # (row, column) of a tile; rows count north
 Name = tuple[int, int, int]  # level, row, column
 TileStore = MutableMapping[Name, bytes]  # packed tiles: a dict, a file, or nothing at all
 Fields = dict[str, NDArray[Any]]  # (R, C) arrays, rgb (R, C, 3), by the names of FIELDS
-Part = tuple[slice, slice]
 
 FIELDS = {
     "height": (np.float32, np.nan),
@@ -60,17 +59,10 @@ def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return ~is_flagged(flags, Flag.UNSEEN)
 
 
-def _extent(tile: Fields) -> tuple[Part, int]:
+def _extent(tile: Fields) -> tuple[Box, int]:
     """Bounding box and number of the seen cells."""
     seen = is_seen(tile["flags"])
     return box_of(seen), int(seen.sum())
-
-
-class TileCounts(NamedTuple):
-    """Number of tiles."""
-
-    near: int  # in memory
-    packed: int
 
 
 class NullStore(dict[Name, bytes]):
@@ -85,9 +77,9 @@ class TileLayer:
 
     def __init__(self, level: int, cell: float, side: int, far: TileStore) -> None:
         self.level, self.cell, self.side = level, cell, side
-        self._near: dict[Key, Fields] = {}
+        self.near: dict[Key, Fields] = {}  # tiles in memory
         self._far = far
-        self._left: dict[Key, tuple[Part, int]] = {}  # extent and number of seen cells of each packed tile
+        self.packed: dict[Key, tuple[Box, int]] = {}  # extent and number of seen cells of each packed tile
 
     # -- the raster
 
@@ -120,7 +112,7 @@ class TileLayer:
         north, west = round(grid.north / self.cell - 0.5), round(grid.east / self.cell - 0.5)
         return north - grid.rows + 1, north, west, west + grid.cols - 1
 
-    def _overlaps(self, grid: Grid) -> Iterator[tuple[Key, Part, Part]]:
+    def _overlaps(self, grid: Grid) -> Iterator[tuple[Key, Box, Box]]:
         """Yield the tiles under a grid: (key, slices in the tile, slices in the grid)."""
         south, north, west, east = self.numbers(grid)
         for r in range(south // self.side, north // self.side + 1):
@@ -143,17 +135,17 @@ class TileLayer:
                     cv2.copyTo(fields[k][here], mask, tile[k][at])  # 20 times as fast as NumPy's for the colours
 
     def _tile(self, key: Key) -> Fields:
-        if key not in self._near:
-            packed = self._far.pop((self.level, *key)) if self._left.pop(key, None) else None
-            self._near[key] = nothing((self.side, self.side)) if packed is None else unpack_tile(packed, self.side)
-        return self._near[key]
+        if key not in self.near:
+            packed = self._far.pop((self.level, *key)) if self.packed.pop(key, None) else None
+            self.near[key] = nothing((self.side, self.side)) if packed is None else unpack_tile(packed, self.side)
+        return self.near[key]
 
     def read(self, grid: Grid) -> Fields:
         """Return a copy of the cells of a grid."""
         out = {k: np.empty(_shape(k, grid.shape), t) for k, (t, _) in FIELDS.items()}
         for key, at, here in self._overlaps(grid):  # all cells, each once
-            tile = self._near.get(key)
-            if tile is None and key in self._left:
+            tile = self.near.get(key)
+            if tile is None and key in self.packed:
                 tile = unpack_tile(self._far[self.level, *key], self.side)
             for k, (_, none) in FIELDS.items():
                 out[k][here] = none if tile is None else tile[k][at]
@@ -161,34 +153,21 @@ class TileLayer:
 
     def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
         """Add a plane to the tiles that are near."""
-        for key, tile in self._near.items():
+        for key, tile in self.near.items():
             tile["height"] += plane_on(*self.tile_grid(key).xy(), plane, about)
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle."""
-        for key in list(self._near):
+        for key in list(self.near):
             middle = (np.array(key)[::-1] + 0.5) * self.side * self.cell
             if np.hypot(*(middle - centre)) > radius + self.side * self.cell:
-                self._pack(key)
+                tile, name = self.near.pop(key), (self.level, *key)
+                self._far[name] = pack_tile(tile)
+                if name in self._far:
+                    self.packed[key] = _extent(tile)
 
-    def _pack(self, key: Key) -> None:
-        tile, name = self._near.pop(key), (self.level, *key)
-        self._far[name] = pack_tile(tile)
-        if name in self._far:
-            self._left[key] = _extent(tile)
-
-    @property
-    def tiles(self) -> TileCounts:
-        """Number of tiles in memory, and of those that are packed."""
-        return TileCounts(len(self._near), len(self._left))
-
-    @property
-    def keys(self) -> list[Key]:
-        """All tiles that are held, near and far."""
-        return [*self._near, *self._left]
-
-    def _extents(self) -> dict[Key, tuple[Part, int]]:
-        return self._left | {k: _extent(t) for k, t in self._near.items()}
+    def _extents(self) -> dict[Key, tuple[Box, int]]:
+        return self.packed | {k: _extent(t) for k, t in self.near.items()}
 
     def count(self) -> int:
         """Number of cells that were seen."""

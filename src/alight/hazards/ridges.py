@@ -1,4 +1,4 @@
-"""Straight ridges in the heights: kerbs, low walls, pipes, beams (docs/method/near-looks.md, G7i)."""
+"""Straight ridges in the heights: kerbs, low walls, pipes, beams (docs/method/p-safe.md, G7i)."""
 
 from __future__ import annotations
 

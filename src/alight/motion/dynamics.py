@@ -38,61 +38,44 @@ def propagate(
     """Propagate by `dt`; return the step, its (15, 15) transition and noise, without the walk of the biases.
 
     Args:
-        here: pose and velocity before.
         rate: (3,) rad/s, angular velocity, where no IMU drives the motion.
         m: inertial measurements over `dt`; None: without IMU.
-        dt: s.
-        noise: of the motion.
-        first: the state as predicted, before it was corrected; None: as `here`.
+        first: the state as predicted, before it was corrected; None: as `here`. With these first-estimates Jacobians
+            (Huang et al. 2008) the transitions of successive steps multiply to that of one long step, and yaw and
+            position stay unobservable to the cameras.
     """
-    if m is None:
-        return constant_step(here, rate, dt), *constant_transition(here.R, rate, dt, noise)
-    after = inertial_step(here, m)
-    return after, *inertial_transition(first or here, after, m)
+    return _constant(here, rate, dt, noise) if m is None else _inertial(here, m, first or here)
 
 
-def inertial_step(here: Step, m: Preintegral) -> Step:
-    """Propagate pose and velocity by preintegrated inertial measurements (M8; Forster et al. 2017)."""
-    return Step(
-        here.R @ m.rotation,
-        here.position + here.velocity * m.dt + GRAVITY * (m.dt**2 / 2.0) + here.R @ m.position,
-        here.velocity + GRAVITY * m.dt + here.R @ m.velocity,
-    )
-
-
-def constant_step(here: Step, rate: F64, dt: float) -> Step:
-    """Propagate a pose at constant velocity and angular velocity (M9, the model of the paper)."""
-    R = here.R if dt > MAX_RATE_AGE else here.R @ so3_exp(rate * dt)
-    return Step(R, here.position + here.velocity * dt, here.velocity)
-
-
-def inertial_transition(first: Step, after: Step, m: Preintegral) -> tuple[F64, F64]:
-    """Return the (15, 15) transition and noise of the motion's errors for `inertial_step`.
-
-    `first` is the state as predicted, before it was corrected. With these first-estimates Jacobians (Huang et al. 2008)
-    the transitions of successive steps multiply to that of one long step, and yaw and position stay unobservable to the
-    cameras.
-    """
+def _inertial(here: Step, m: Preintegral, first: Step) -> tuple[Step, F64, F64]:
+    """Propagate by preintegrated inertial measurements (M8; Forster et al. 2017)."""
     dt = m.dt
+    after = Step(
+        here.R @ m.rotation,
+        here.position + here.velocity * dt + GRAVITY * (dt**2 / 2.0) + here.R @ m.position,
+        here.velocity + GRAVITY * dt + here.R @ m.velocity,
+    )
     moved = after.position - first.position - first.velocity * dt - GRAVITY * (dt**2 / 2.0)
     speed_up = after.velocity - first.velocity - GRAVITY * dt
     F, Q = np.empty(_SHAPE), np.empty(_SHAPE)
     inertial_transition_into(first.R, after.R, moved, speed_up, dt, m.bias_jacobian, m.covariance, F, Q)
-    return F, Q
+    return after, F, Q
 
 
-def constant_transition(R: F64, rate: F64, dt: float, noise: FilterSettings) -> tuple[F64, F64]:
-    """Return the (15, 15) transition and noise of `constant_step`, driven by white accelerations."""
+def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[Step, F64, F64]:
+    """Propagate at constant velocity and angular velocity, driven by white accelerations (M9, the paper's model)."""
+    turn = so3_exp(rate * dt)
     F, Q = np.eye(_SHAPE[0]), np.zeros(_SHAPE)
     F[AT.pos, AT.vel] = np.eye(3) * dt
-    F[AT.att, AT.gyro] = R @ so3_exp(rate * dt) @ right_jacobian(rate * dt) * dt
     _add_white_noise(Q, AT.pos, AT.vel, np.eye(3), noise.acceleration_sigma**2, dt)
     if dt > MAX_RATE_AGE:
-        F[AT.att, AT.gyro], F[AT.gyro, AT.gyro] = 0.0, 0.0
+        F[AT.gyro, AT.gyro] = 0.0
         Q[AT.att, AT.att], Q[AT.gyro, AT.gyro] = np.eye(3) * _OPEN_ATTITUDE_SIGMA**2, np.eye(3) * OPEN_RATE_SIGMA**2
-        return F, Q
-    _add_white_noise(Q, AT.att, AT.gyro, R, noise.angular_acceleration_sigma**2, dt)
-    return F, Q
+    else:
+        F[AT.att, AT.gyro] = here.R @ turn @ right_jacobian(rate * dt) * dt
+        _add_white_noise(Q, AT.att, AT.gyro, here.R, noise.angular_acceleration_sigma**2, dt)
+    R = here.R if dt > MAX_RATE_AGE else here.R @ turn
+    return Step(R, here.position + here.velocity * dt, here.velocity), F, Q
 
 
 def _add_white_noise(Q: F64, value: slice, rate: slice, rotation: F64, density: float, dt: float) -> None:

@@ -74,14 +74,6 @@ def whites(sigma: F64, noise: FilterSettings) -> F64:
     return np.asarray(np.minimum(white, sigma))
 
 
-def _mounting_sigma(sample: NavSample, noise: FilterSettings) -> float:
-    """Return the 1-sigma in rad of the rotation from the INS to the cameras, at a start with this row."""
-    if noise.mounting_sigma is not None:
-        return noise.mounting_sigma
-    is_photo_tag = sample.velocity_world is None
-    return _GIMBAL_MOUNTING_SIGMA if is_photo_tag else 0.0
-
-
 def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> FilterState | None:
     """Make the first state from a row with position and attitude; None: the row lacks one.
 
@@ -97,43 +89,45 @@ def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> Filte
         slow, fast = (np.diag(s[quantity.rows] ** 2) for s in (sigma, white))
         P[value, value], P[drift, drift] = slow + fast, slow  # value = measured - slow error - white error
         P[value, drift] = P[drift, value] = -slow
+    mounting = noise.mounting_sigma
+    if mounting is None:  # a row without velocity is the tag of a photo
+        mounting = _GIMBAL_MOUNTING_SIGMA if sample.velocity_world is None else 0.0
     if sample.velocity_world is None:
         P[AT.vel, AT.vel] = np.eye(3) * _OPEN_VELOCITY_SIGMA**2
         P[AT.vel, AT.nav_vel] = P[AT.nav_vel, AT.vel] = 0.0
     else:
         core[AT.vel] = sample.velocity_world
-    P[AT.mount, AT.mount] = np.eye(3) * _mounting_sigma(sample, noise) ** 2
+    P[AT.mount, AT.mount] = np.eye(3) * mounting**2
     core[AT.time], P[AT.time, AT.time] = noise.time_offset, noise.time_offset_sigma**2
     return FilterState(sample.t_ns, np.array(sample.world_from_body), core, P)
 
 
-def measurements(state: FilterState, sample: NavSample, sigma: F64, noise: FilterSettings) -> list[NavMeasurement]:
-    """Return position (M14), attitude (M15) and velocity (M16), each where the row holds it."""
-    core, out = state.core, list[tuple[Quantity, F64, F64]]()
+def measurements(
+    state: FilterState, sample: NavSample, sigma: F64, noise: FilterSettings, inertial: bool
+) -> list[NavMeasurement]:
+    """Return position (M14), attitude (M15) and velocity (M16), each where the row holds it.
+
+    Without an IMU that drives the motion (`inertial`) also the angular velocity.
+    """
+    core, R, out = state.core, sample.world_from_body, list[NavMeasurement]()
+
+    def add(quantity: Quantity, residual: F64, variance: F64, *parts: slice) -> None:
+        H = np.zeros((3, CORE))  # adds up these parts of the core's errors
+        for part in parts:
+            H[:, part] = np.eye(3)
+        out.append(NavMeasurement(quantity, residual, H, variance))
+
+    position, attitude, velocity = np.split(whites(sigma, noise) ** 2, 3)
     if sample.position_world is not None:
         residual = sample.position_world - (core[AT.pos] + core[AT.offset] + core[AT.nav_pos])
-        out.append((Quantity.POSITION, residual, _selector(AT.pos, AT.offset, AT.nav_pos)))
-    if sample.world_from_body is not None:
+        add(Quantity.POSITION, residual, position, AT.pos, AT.offset, AT.nav_pos)
+    if R is not None:
         expected = so3_exp(core[AT.nav_att]) @ state.R
-        out.append((Quantity.ATTITUDE, so3_log(sample.world_from_body @ expected.T), _selector(AT.att, AT.nav_att)))
+        add(Quantity.ATTITUDE, so3_log(R @ expected.T), attitude, AT.att, AT.nav_att)
     if sample.velocity_world is not None:
         residual = sample.velocity_world - core[AT.vel] - core[AT.nav_vel]
-        out.append((Quantity.VELOCITY, residual, _selector(AT.vel, AT.nav_vel)))
-    white = whites(sigma, noise) ** 2
-    return [NavMeasurement(quantity, residual, H, white[quantity.rows]) for quantity, residual, H in out]
-
-
-def rate_measurement(state: FilterState, sample: NavSample, noise: FilterSettings) -> NavMeasurement | None:
-    """Return the angular velocity as a measurement of the state's; only used where no IMU drives the motion."""
-    if sample.angular_velocity_body is None:
-        return None
-    residual = sample.angular_velocity_body - state.core[AT.gyro]
-    return NavMeasurement(Quantity.RATE, residual, _selector(AT.gyro), np.full(3, noise.nav_rate_white**2))
-
-
-def _selector(*parts: slice) -> F64:
-    """Return the (3, CORE) matrix that adds up some parts of the core's errors."""
-    H = np.zeros((3, CORE))
-    for part in parts:
-        H[:, part] = np.eye(3)
-    return H
+        add(Quantity.VELOCITY, residual, velocity, AT.vel, AT.nav_vel)
+    if not inertial and sample.angular_velocity_body is not None:
+        residual = sample.angular_velocity_body - core[AT.gyro]
+        add(Quantity.RATE, residual, np.full(3, noise.nav_rate_white**2), AT.gyro)
+    return out

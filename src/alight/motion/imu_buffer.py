@@ -14,11 +14,7 @@ _LONGEST_NS = 60_000_000_000  # ns of samples that are kept, where old ones are 
 
 
 class ImuBuffer:
-    """The newest samples, in order of time; old ones are forgotten from the front.
-
-    Args:
-        samples: to begin with.
-    """
+    """The newest samples, in order of time; old ones are forgotten from the front."""
 
     def __init__(self, samples: Iterable[ImuSample] = ()) -> None:
         self._samples = list[ImuSample]()

@@ -45,8 +45,7 @@ class Preintegral:
     position: F64  # (3,) m in the earlier body frame, without gravity
     bias_jacobian: F64  # (9, 6) of the errors by (gyro, accelerometer) bias
     covariance: F64  # (9, 9)
-    gyro_bias: F64  # (3,) rad/s, at which it was integrated
-    accelerometer_bias: F64  # (3,) m/s^2
+    bias: F64  # (6,) of gyro [rad/s] and accelerometer [m/s^2], at which it was integrated
 
 
 def right_jacobian(phi: F64) -> F64:
@@ -92,20 +91,23 @@ def _samples_about(imu: ImuBuffer, begin_ns: int, end_ns: int) -> tuple[float, f
     return (int(times[after]) - int(times[after - 1])) * 1e-9 if after < len(times) else since, since
 
 
-def preintegrate(parts: Segments, gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings) -> Preintegral:
-    """Integrate segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6)."""
+def preintegrate(imu: ImuBuffer, start_ns: int, end_ns: int, bias: F64, noise: FilterSettings) -> Preintegral:
+    """Integrate from `start_ns` to `end_ns` by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6).
+
+    `bias`: (6,) of gyro and accelerometer.
+    """
+    parts, bias = segments(imu, start_ns, end_ns), bias.copy()
     R, v, p, J, C = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((9, 6)), np.empty((9, 9))
-    bias = np.concatenate([gyro_bias, accelerometer_bias])
     dt = preintegrate_segments(parts.dt, parts.rates, bias, _variance(parts, noise), R, v, p, J, C)
-    return Preintegral(dt, R, v, p, J, C, bias[:3], bias[3:])
+    return Preintegral(dt, R, v, p, J, C, bias)
 
 
-def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preintegral:
-    """Return the preintegral at other biases, to first order (M5)."""
-    d = m.bias_jacobian @ np.concatenate([gyro_bias - m.gyro_bias, accelerometer_bias - m.accelerometer_bias])
+def corrected(m: Preintegral, bias: F64) -> Preintegral:
+    """Return the preintegral at another bias (6,), to first order (M5)."""
+    d = m.bias_jacobian @ (bias - m.bias)
     return replace(
         m, rotation=m.rotation @ so3_exp(d[:3]), velocity=m.velocity + d[3:6], position=m.position + d[6:],
-        gyro_bias=gyro_bias.copy(), accelerometer_bias=accelerometer_bias.copy(),
+        bias=bias.copy(),
     )  # fmt: skip
 
 

@@ -9,31 +9,19 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Hashable, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from threading import Lock
-from typing import NamedTuple
 
 import numpy as np
 
-from alight.arrays import F64, U8, U16
+from alight.arrays import F64, I64, U8, U16
 from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
-from alight.parallax.views import (
-    Prepared,
-    centres_of,
-    choose_views,
-    enlarged,
-    halved_view,
-    maps,
-    picture_at,
-    prepare_view,
-    rgb_of,
-    stack,
-    toned,
-)
+from alight.parallax.views import Kept, Prepared, centres_of, choose_views, colour_at, maps, prepare_view, stack
+from alight.raster import upsample
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning
@@ -62,7 +50,7 @@ class Images:
         self.views = views
         self.cell = cell
         self.heights = np.broadcast_to(height, len(views))  # metres, of the ground in each: for its sampling distance
-        self._ready: OrderedDict[Hashable, list[Prepared]] = OrderedDict()
+        self._ready: OrderedDict[Hashable, Kept] = OrderedDict()
         self._most_bytes = most_bytes
         self._lock = Lock()
 
@@ -77,22 +65,25 @@ class Images:
         key = self.views[index].key
         with self._lock:
             if key not in self._ready:
-                self._ready[key] = [prepare_view(self.views[index], self.cell, float(self.heights[index]))]
-                each = 4 / 3 * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)  # with all halvings
+                view = self.views[index]
+                fine = prepare_view(view, self.cell, float(self.heights[index]))
+                self._ready[key] = Kept(view.without_image, [fine])
+                each = 4 / 3 * (fine.grey.nbytes + fine.norm.nbytes)  # with all halvings
                 while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                     self._ready.popitem(last=False)
             self._ready.move_to_end(key)
-            return halved_view(self._ready[key], halved)
+            return self._ready[key].halved(halved)
 
 
-class Match(NamedTuple):
-    """Heights, and the views that they were matched with."""
+@dataclass(frozen=True, eq=False)
+class MatchedBlock:
+    """Heights, and the numbers of the views that they were matched with."""
 
     heights: Heights
-    views: list[View]
+    chosen: I64
 
 
-def match_tile(images: Images, grid: Grid, low: float, high: float, settings: ParallaxSettings) -> Match | None:
+def match_tile(images: Images, grid: Grid, low: float, high: float, settings: ParallaxSettings) -> MatchedBlock | None:
     """Estimate the heights of one grid from the views that see it (docs/method/parallax.md).
 
     Args:
@@ -124,17 +115,15 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     if not np.isfinite(start).any():
         return None
     seen = refine.view_geometry(fine, grid, start, ground)
-    per_px = enlarged(seen.metres_per_px, grid.shape, refine.SEEN_BLOCK)
     centres, whole = centres_of(fine), (slice(0, grid.rows), slice(0, grid.cols))
     skyline = refine.Skyline.of(start, grid, centres)
-    visible = skyline.visible(centres, whole, per_px, settings.refinement.occlusion_px)
-    fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement)
+    visible = skyline.visible(centres, whole, seen.metres_per_px, settings.refinement.occlusion_px)
+    fit = refine.gauss_newton(fine, grid, start, seen.metres_per_px, visible, settings.refinement)
     rgb = colour(views, fine, fit, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
-    sampling = enlarged(seen.sampling, grid.shape, refine.SEEN_BLOCK)
-    heights = trust.judged(fit, ratio, fine, (low, high), sampling, rgb, settings.uncertainty)
+    heights = trust.judged(fit, ratio, fine, (low, high), seen.sampling, rgb, settings.uncertainty)
     flags = heights.flags | _moves(images, chosen, fit, settings.consistency)
-    return Match(replace(heights, flags=flags), views)
+    return MatchedBlock(replace(heights, flags=flags), np.array(chosen, np.int64))
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: ConsistencyTuning) -> U16:
@@ -159,10 +148,9 @@ def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8
         for i in order:
             if not left.any():
                 return out
-            mx, my = maps(fine[i], grid, height)
-            ok = left & (mx >= 0) & ((enlarged(visible[i], grid.shape, 2) > 0) | (not strict))
+            mx, my = maps(fine[i], xs, ys, height)
+            ok = left & (mx >= 0) & ((upsample(visible[i], 2, grid.shape) > 0) | (not strict))
             if ok.any():
-                seen = toned(picture_at(rgb_of(views[i].image), views[i].camera, fine[i], mx, my), views[i])
-                out[ok] = seen[ok]
+                out[ok] = colour_at(views[i], fine[i], mx, my)[ok]
                 left &= ~ok
     return out

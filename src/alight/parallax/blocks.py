@@ -43,11 +43,6 @@ class Effort:
 EFFORTS = (Effort(1.0, 1), Effort(0.6, 3), Effort(0.4, 3), Effort(0.25, 3))  # full, ..., least
 
 
-def effort_of(level: int) -> Effort:
-    """The effort of a level from 0 (full) to 3 (least); levels beyond count as the nearest."""
-    return EFFORTS[min(max(level, 0), len(EFFORTS) - 1)]
-
-
 class Rectangle(NamedTuple):
     """Rectangle of blocks; `bottom` and `right` are outside."""
 
@@ -70,13 +65,6 @@ class Counts(NamedTuple):
     known: F32  # with a height, that two views see
 
 
-class SweepCost(NamedTuple):
-    """Cost of the sweep of a block."""
-
-    layers: float  # samples a cell: planes times views, at the sweep's cells
-    reach: float  # cells about a block that rays through it cross as well, a cell of distance from below the camera
-
-
 class Plan(NamedTuple):
     """The work of one step."""
 
@@ -86,15 +74,11 @@ class Plan(NamedTuple):
 
 
 class Blocks:
-    """The blocks under a window, numbered on the map's raster, and the work done on each.
-
-    Args:
-        tuning: of the recursive step.
-    """
+    """The blocks under a window, numbered on the map's raster, and the work done on each."""
 
     def __init__(self, tuning: RecursiveTuning) -> None:
         self._tuning, self._step = tuning, 0
-        self._begins = True
+        self.begins = True  # most blocks of the last plan are new
         self._rate = 0.0  # samples of first sweeps in a step, until none is due
         self._first = np.zeros(2, np.int64)  # row and column in the raster of the first block
         self._offset = np.zeros(2, np.int64)  # rows and columns from its corner to the window
@@ -110,7 +94,7 @@ class Blocks:
     def begin_anew(self) -> None:
         """Make all blocks new, and the map one that begins."""
         self.forget(self.recolour)
-        self._begins = True
+        self.begins = True
 
     def move_to(self, grid: Grid) -> None:
         """Begin a step over this window."""
@@ -130,15 +114,21 @@ class Blocks:
         rows, cols = (_members(n, every, int(at), blocks) for n, at, blocks in edges)
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
 
-    def plan(self, counts: Counts, below: tuple[float, float], sweep: SweepCost, effort: Effort) -> Plan:
-        """Choose the work of a step; `below`: row and column of the window under the newest view."""
+    def plan(self, counts: Counts, below: tuple[float, float], layers: float, reach: float, effort: Effort) -> Plan:
+        """Choose the work of a step.
+
+        Args:
+            below: row and column of the window under the newest view.
+            layers: samples that the sweep of a cell takes: planes times views, at the sweep's cells.
+            reach: cells about a block that rays through it cross as well, a cell of distance from below the camera.
+        """
         middle = [SIDE * (np.arange(n) + 0.5) - at for n, at in zip(self._count.shape, self._offset, strict=True)]
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
-        away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
+        away, costs = np.hypot(dr, dc), (SIDE + reach * dr) * (SIDE + reach * dc) * layers
         seen = counts.fresh + counts.known >= LEAST
-        self._begins = not seen.any() or float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
+        self.begins = not seen.any() or float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
         cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells)
-        most = effort.share * min(self._tuning.share * (AT_START if self._begins else 1), 1.0) * cells
+        most = effort.share * min(self._tuning.share * (AT_START if self.begins else 1), 1.0) * cells
         dear = costs > self._tuning.most_sweep
         swept = self._to_sweep(counts, np.where(dear, costs / ROUGH, costs), most, effort)
         beside = np.hypot(np.maximum(dr - SIDE / 2, 0), np.maximum(dc - SIDE / 2, 0))
@@ -149,11 +139,6 @@ class Blocks:
         fine, rough = (cover(np.where(swept & some, 1.0, TAKEN), away, np.inf) for some in (~dear, dear))
         return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
 
-    @property
-    def beginning(self) -> bool:
-        """True if most blocks of the last plan are new: heights of a part need not be typical of the rest."""
-        return self._begins
-
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
         """Blocks whose sweep is due, the longest waiting first; only a share of them where many are due."""
         some = counts.fresh >= ENOUGH
@@ -161,7 +146,7 @@ class Blocks:
         many = counts.fresh >= np.maximum(counts.waiting, PART * (counts.fresh + counts.waiting + counts.known))
         ready = some & (many | (self._step - self._since >= self._tuning.patience))
         self._rate = max(self._rate, float(costs[ready].sum()) / self._tuning.backlog) if ready.any() else 0.0
-        most_samples = self._tuning.most_sweep * (SWEPT_AT_START if self._begins else 1)
+        most_samples = self._tuning.most_sweep * (SWEPT_AT_START if self.begins else 1)
         budget = effort.share * min(max(self._rate, self._tuning.least_sweep), most_samples)
         order = np.argsort(self._since.ravel(), kind="stable")  # neighbours together: one sweep
         return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)

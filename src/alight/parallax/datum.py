@@ -9,13 +9,13 @@ eqs. 26 and 27).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from alight.arrays import F32, F64, I64, Mask
+from alight.arrays import F32, F64, Mask
 from alight.geometry import Camera, Grid, skew
 from alight.parallax.views import inside_picture
 from alight.raster import gradient, nearest_known
@@ -35,7 +35,7 @@ class Matched(NamedTuple):
     @classmethod
     def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
         """Keep the grid and the views without their pictures."""
-        return cls(grid, tuple(replace(v, image=np.empty((0, 0), np.uint8)) for v in views))
+        return cls(grid, tuple(v.without_image for v in views))
 
     def holds(self, east: F64, north: F64) -> Mask:
         """True for places (metres, east and north) that lie in the tile."""
@@ -44,51 +44,36 @@ class Matched(NamedTuple):
         return np.asarray(inside)
 
 
-@dataclass(frozen=True, eq=False)
-class Shared:
-    """Errors that neighbouring cells share, of the S sampled cells."""
-
-    datum: Datum
-    rows: I64  # (S,) of the map
-    cols: I64  # (S,)
-    bend: F64  # (S,) metres up, 1-sigma of the rest that the plane leaves
-    shift: F64  # (S,) metres east or north, 1-sigma of the cell's place beside the shift of all cells
-
-
 def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> ElevationMap:
-    """The map with its datum: offset and tilt of the plane, and as `warp` the rest that a plane leaves."""
-    shared = shared_error(found, matched, joint)
-    if shared is None:
-        return found
-    out, known = np.zeros((2, *found.grid.shape), np.float32), np.zeros(found.grid.shape, dtype=bool)
-    at = shared.rows, shared.cols
-    out[:, *at], known[at] = (shared.bend, shared.shift), True
-    bend, shift = (nearest_known(v, known) for v in out)
-    return replace(found, datum=shared.datum, warp=np.hypot(bend, shift * steepness(found)))
-
-
-def shared_error(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> Shared | None:
-    """Propagate the joint covariance of the views to the map; None where too little of the map is known.
+    """The map with its datum: offset and tilt of the plane, and as `warp` the rest that a plane leaves.
 
     Args:
-        found: the map.
+        found: the map; it stays as it is where too little of it is known.
         matched: the tiles it was matched from; a later one covers an earlier.
-        joint: covariance of the poses of the recording.
+        joint: covariance of the poses of the recording, propagated to sampled cells of the map.
     """
-    rows, cols, points = _sampled(found)
+    trusted, lattice = found.trusted, np.zeros(found.grid.shape, np.bool_)
+    step = max(1, int(np.sqrt(trusted.sum() / SAMPLES)))
+    lattice[step // 2 :: step, step // 2 :: step] = True
+    rows, cols = np.nonzero(trusted & lattice)
+    e, n = found.grid.xy()
+    points = np.column_stack([e[cols], n[rows], found.height[rows, cols].astype(np.float64)])
     J = _through(points, matched, joint)
     known = np.isfinite(J[:, 0, 0])
     if known.sum() < LEAST:
-        return None
-    J, points, rows, cols = J[known], points[known], rows[known], cols[known]
+        return found
+    J, points, at = J[known], points[known], (rows[known], cols[known])
     centre = points[:, :2].mean(axis=0)
     B = np.column_stack([np.ones(len(points)), points[:, :2] - centre])
     L = np.asarray(np.linalg.pinv(B) @ J[:, 2])
     covariance = L @ joint.covariance @ L.T
     datum = Datum(float(centre[0]), float(centre[1]), 0.5 * (covariance + covariance.T))
-    bend = _sigma(J[:, 2:] - (B @ L)[:, None], joint.covariance)
-    shift = _sigma(J[:, :2] - J[:, :2].mean(axis=0), joint.covariance) / np.sqrt(2.0)
-    return Shared(datum, rows, cols, bend, shift)
+    sampled, out = np.zeros(found.grid.shape, np.bool_), np.zeros((2, *found.grid.shape), np.float32)
+    sampled[at] = True
+    out[0][at] = _sigma(J[:, 2:] - (B @ L)[:, None], joint.covariance)  # metres up, of the rest that the plane leaves
+    out[1][at] = _sigma(J[:, :2] - J[:, :2].mean(axis=0), joint.covariance) / np.sqrt(2.0)  # east or north
+    bend, shift = (nearest_known(v, sampled) for v in out)
+    return replace(found, datum=datum, warp=np.hypot(bend, shift * steepness(found)))
 
 
 def steepness(found: ElevationMap) -> F32:
@@ -102,17 +87,6 @@ def steepness(found: ElevationMap) -> F32:
     level = blurred(height * known) / share
     north, east = gradient(level, found.grid.cell)
     return np.sqrt(blurred((north**2 + east**2).astype(np.float32) * known) / share)
-
-
-def _sampled(found: ElevationMap) -> tuple[I64, I64, F64]:
-    """Rows, columns and places (S, 3) of trusted cells, evenly spaced."""
-    trusted = found.trusted
-    step = max(1, int(np.sqrt(trusted.sum() / SAMPLES)))
-    lattice = np.zeros_like(trusted)
-    lattice[step // 2 :: step, step // 2 :: step] = True
-    rows, cols = np.nonzero(trusted & lattice)
-    e, n = found.grid.xy()
-    return rows, cols, np.column_stack([e[cols], n[rows], found.height[rows, cols].astype(np.float64)])
 
 
 def _through(points: F64, matched: Sequence[Matched], joint: KeyframePosterior) -> F64:

@@ -17,6 +17,7 @@ from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
+from alight.raster import upsample
 from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
@@ -50,13 +51,13 @@ def median_height(height: F32, none: float = 0.0) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ViewGeometry:
-    """Geometry of the views at each block of cells."""
+    """Geometry of the views at each cell, (R, C): that of its block of `SEEN_BLOCK` cells."""
 
     baseline: F32  # metres between the outermost views that see it
     count: U8  # of these views
     metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
     sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
-    views: Mask  # (N, ...) True for these views
+    views: Mask  # (N, R / SEEN_BLOCK, C / SEEN_BLOCK), rounded up: True for these views
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: float) -> ViewGeometry:
@@ -72,12 +73,16 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: flo
     np.copyto(inner, known, where=np.isfinite(known))
     columns = np.empty((len(prepared), *wide.shape), np.float32)
     for p, out in zip(prepared, columns, strict=True):
-        out[:] = maps(p, wide, level)[0]
+        out[:] = maps(p, *wide.xy(), level)[0]
     centres, focal = centres_of(prepared), np.array([p.camera.fu for p in prepared])
     baseline, per_px, sampling = (np.empty(wide.shape, np.float32) for _ in range(3))
     count = np.empty(wide.shape, np.uint8)
     view_kernels.seen_from(columns, centres, focal, *wide.xy(), level, grid.cell, baseline, count, per_px, sampling)
-    return ViewGeometry(baseline, count, per_px, sampling, columns >= 0)
+    n, shape = SEEN_BLOCK, grid.shape
+    return ViewGeometry(
+        upsample(baseline, n, shape), upsample(count, n, shape), upsample(per_px, n, shape),
+        upsample(sampling, n, shape), columns >= 0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +140,7 @@ def gauss_newton(
     grid: Grid,
     height: F32,
     metres_per_px: F32,
-    visible: U8 | None,
+    visible: U8,
     tuning: RefinementTuning,
     buffers: Buffers | None = None,
 ) -> Fit:
@@ -154,8 +159,7 @@ def gauss_newton(
     centres, scale = centres_of(prepared), np.float32(tuning.residual_scale)
     for _ in range(tuning.iterations):
         samples = stack(prepared, grid, h, held)
-        if visible is not None:
-            uncertainty_kernels.veil(visible, samples)
+        uncertainty_kernels.veil(visible, samples)
         kernels.normal_equations(
             samples, network(len(samples)), scale, centres, *xs_ys, h, grid.cell, mean, used, seen, lam, eta, s2
         )  # fmt: skip

@@ -51,34 +51,6 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
     return slice(top, bottom), slice(left, right)
 
 
-class _Sums:
-    """Sums over the views of a block so far, and the pixels that want another view."""
-
-    def __init__(self, grid: Grid, wants: Mask) -> None:
-        self.total, self.number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
-        self.finest, self.wants = np.full(grid.shape, np.inf, np.float32), wants
-        self.seen, self.use = np.empty((*grid.shape, 3), np.uint8), np.empty(grid.shape, np.bool_)
-        self.pixel = np.empty(grid.shape, np.float32)
-
-    def add(self, view: View, grid: Grid, height: F32, at: Box, level: float, count: int) -> None:
-        """Add one view where a window wants it, brought to the exposure of the views before."""
-        camera, part = view.camera, grid.part(at)
-        picture, exposures = np.asarray(view.image), np.empty((part.rows, kernels.EXPOSURES))
-        seen, use, pixel = self.seen[at], self.use[at], self.pixel[at]
-        kernels.sample_view(
-            np.ascontiguousarray(picture if picture.ndim == 3 else picture[..., None]), tone_of(view),
-            *ground_projection(camera, view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
-            camera.coefficients, camera.code, radius2_limit(camera), rolling_of(view), view.centre, *part.xy(),
-            np.ascontiguousarray(height[at]), level, COARSER, self.wants[at], self.finest[at], self.total[at],
-            self.number[at], seen, use, pixel, exposures,
-        )  # fmt: skip
-        both, before, now = np.split(exposures.sum(axis=0), (1, 4))
-        gain = before / np.maximum(now, both) if both[0] > SAME * self.wants.size else np.ones(3)
-        kernels.add_view(
-            seen, use, pixel, gain, count, self.total[at], self.number[at], self.finest[at], self.wants[at]
-        )
-
-
 def _block(
     views: Sequence[View], rays: Sequence[F64], grid: Grid, height: F32, wants: Mask, count: int
 ) -> tuple[F32, F32, F32]:
@@ -91,14 +63,28 @@ def _block(
     level, low, high = float(np.median(height)), float(height.min()), float(height.max())
     middle = np.array([xs.mean(), ys.mean(), level])
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
-    sums = _Sums(grid, wants)
-    for i in np.argsort(away, kind="stable"):
-        box = _window(rays[i], views[i].centre, grid, low, high)
+    number, finest, pixels = (np.full(grid.shape, v, np.float32) for v in (0.0, np.inf, np.nan))
+    total, colours = (np.zeros((*grid.shape, 3), t) for t in (np.float32, np.uint8))
+    used = np.zeros(grid.shape, np.bool_)
+    for view, its_rays in ((views[i], rays[i]) for i in np.argsort(away, kind="stable")):
+        box = _window(its_rays, view.centre, grid, low, high)
         r, c = (slice(o.start + s.start, o.start + s.stop) for o, s in zip(box, box_of(wants[box]), strict=True))
-        if wants[(at := (r, c))].size:
-            sums.add(views[i], grid, height, at, level, count)
-    mean = sums.total / np.maximum(sums.number, 1)[..., None]
-    return np.asarray(mean, np.float32), sums.number, sums.finest
+        at, camera, part = (r, c), view.camera, grid.part((r, c))
+        if not wants[at].size:
+            continue
+        picture, exposures = np.asarray(view.image), np.empty((part.rows, kernels.EXPOSURES))
+        seen, use, pixel = colours[at], used[at], pixels[at]
+        kernels.sample_view(
+            np.ascontiguousarray(picture if picture.ndim == 3 else picture[..., None]), tone_of(view),
+            *ground_projection(camera, view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
+            camera.coefficients, camera.code, radius2_limit(camera), rolling_of(view), view.centre, *part.xy(),
+            np.ascontiguousarray(height[at]), level, COARSER, wants[at], finest[at], total[at], number[at], seen, use,
+            pixel, exposures,
+        )  # fmt: skip
+        both, before, now = np.split(exposures.sum(axis=0), (1, 4))
+        gain = before / np.maximum(now, both) if both[0] > SAME * wants.size else np.ones(3)
+        kernels.add_view(seen, use, pixel, gain, count, total[at], number[at], finest[at], wants[at])
+    return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number, finest
 
 
 def _without_black(mean: F32) -> U8:
@@ -106,13 +92,6 @@ def _without_black(mean: F32) -> U8:
     out = np.rint(mean).clip(0, 255).astype(np.uint8)
     np.maximum(out, 1, out=out, where=out[..., 1:2] == 0)
     return out
-
-
-def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:
-    """Fine pixels a cell, each way, that keep the resolution of the views: a power of two, `MOST` at most."""
-    level = float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
-    finest = min((ground_sampling(v, level) for v in views), default=elevation.grid.cell)
-    return int(np.clip(2 ** math.ceil(math.log2(max(0.95 * elevation.grid.cell / finest, 1e-3))), 1, MOST))
 
 
 def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, most: int = LARGE) -> tuple[U8, F32]:
@@ -129,8 +108,10 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
         seen: black in a view is made one level brighter.
         Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
     """
-    grid, wanted = elevation.grid, pixels_a_cell(views, elevation)
-    factor = wanted
+    grid, level = elevation.grid, float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
+    finest = min((ground_sampling(v, level) for v in views), default=grid.cell)
+    # as fine as the views, by a power of two
+    factor = wanted = int(np.clip(2 ** math.ceil(math.log2(max(0.95 * grid.cell / finest, 1e-3))), 1, MOST))
     while factor > 1 and elevation.height.size * factor**2 > most:
         factor //= 2
     narrowest = np.float32(grid.cell / factor if factor < wanted else 0.0)

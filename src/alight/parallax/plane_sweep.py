@@ -8,7 +8,7 @@ a cell can match at the height of the ground, and objects seen from the side wer
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,7 +19,8 @@ from alight.arrays import F32, F64, I32, I64, Mask
 from alight.geometry import Box, Grid, box_of
 from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Prepared, centres_of, enlarged, maps, sample, when_exposed
+from alight.parallax.views import Prepared, centres_of, maps, sample, when_exposed
+from alight.raster import upsample
 from alight.settings.tuning.parallax import SweepTuning
 
 SEEN_BLOCK = 8  # cells: resolution at which the border of the reference is known
@@ -48,6 +49,11 @@ class Swept(NamedTuple):
 
     height: F32  # metres
     ratio: F32  # best over second-best cost, near 1 where a second height fits
+
+    @classmethod
+    def nothing(cls, grid: Grid) -> Swept:
+        """The result where nothing is seen."""
+        return cls(*np.full((2, *grid.shape), np.nan, np.float32))
 
 
 def parallax_per_metre(centres: F64, height: float) -> float:
@@ -94,7 +100,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span
     level = np.full(wide.shape, ground, np.float32)
     pictures = np.empty((len(prepared), *wide.shape), np.float32)
     for i, p in enumerate(prepared):
-        sample(p.norm, *maps(p, wide, level), out=pictures[i], how=cv2.INTER_CUBIC)
+        sample(p.norm, *maps(p, *wide.xy(), level), out=pictures[i], how=cv2.INTER_CUBIC)
     sees = np.isfinite(pictures[:, ::SEEN_BLOCK, ::SEEN_BLOCK]).any(axis=(1, 2))
     inner = pictures[reference, pad : pad + grid.rows, pad : pad + grid.cols]
     return Registered(wide, ground, pictures[sees], centres[sees], np.ascontiguousarray(inner))
@@ -110,7 +116,7 @@ def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) 
     (top, bottom), (left, right) = ((math.floor(i.min()), math.ceil(i.max()) + 1) for i in grid.index(east, north))
     wide = grid.window(top, left, bottom - top, right - left)
     seen = np.full(wide.coarser(SEEN_BLOCK).shape, ground, np.float32)
-    rows, cols = box_of(maps(reference, wide.coarser(SEEN_BLOCK), seen)[0] >= 0)
+    rows, cols = box_of(maps(reference, *wide.coarser(SEEN_BLOCK).xy(), seen)[0] >= 0)
     top, left = max(rows.start - 1, 0) * SEEN_BLOCK, max(cols.start - 1, 0) * SEEN_BLOCK
     bottom, right = min((rows.stop + 1) * SEEN_BLOCK, wide.rows), min((cols.stop + 1) * SEEN_BLOCK, wide.cols)
     return wide.window(top, left, max(bottom - top, 1), max(right - left, 1))
@@ -133,20 +139,23 @@ def sweep_unseen(
         searched: lowest and highest height, metres.
         known: heights (R, C), NaN where there are none; those about a region narrow the search there.
     """
-    out = _nothing(grid)
+    out = Swept.nothing(grid)
     left, tried = wanted.copy(), list[tuple[Box, int]]()
     for _ in range(tuning.most_references):
         for where in regions(left, tuning.least_wanted, tuning.least_blocks):
             part = grid.part(where)
-            before = [
+            before = {
                 k for its, k in tried
                 if all(a.start < b.stop and b.start < a.stop for a, b in zip(its, where, strict=True))
-            ]  # fmt: skip
+            }  # fmt: skip
             reference = best_reference(pyramid[0], part, ground, left[where], before)
             if reference is None:
                 continue
             tried.append((where, reference))
-            heights = searched if known is None else heights_about(known, where, searched)
+            heights = searched
+            if known is not None:
+                near = known[tuple(slice(max(s.start - ABOUT, 0), s.stop + ABOUT) for s in where)]
+                heights = narrowed(near, searched, MARGIN_ABOUT, LEAST_ABOUT)
             found = sweep(pyramid, part, heights, ground, reference, tuning)
             take = left[where] & np.isfinite(found.height)
             for whole, new in zip(out, found, strict=True):
@@ -155,18 +164,7 @@ def sweep_unseen(
     return out
 
 
-def _nothing(grid: Grid) -> Swept:
-    """The result where nothing is seen."""
-    return Swept(np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32))
-
-
-def heights_about(known: F32, where: Box, searched: Span) -> Span:
-    """The heights to search in a part of a tile: those `known` (R, C) about it, with a margin, if there are enough."""
-    rows, cols = (slice(max(s.start - ABOUT, 0), s.stop + ABOUT) for s in where)
-    return _narrowed(known[rows, cols], searched, MARGIN_ABOUT, LEAST_ABOUT)
-
-
-def _narrowed(found: F32, searched: Span, margin: float, least: int) -> Span:
+def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
     """The part of the heights `searched` about those `found`, with a margin (metres), if there are at least so many."""
     known = found[np.isfinite(found)]
     if len(known) < least:
@@ -192,25 +190,22 @@ def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Box]:
 
 
 def best_reference(
-    prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask, but: Sequence[int] = ()
+    prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask, but: Collection[int]
 ) -> int | None:
     """The view that sees most of the `wanted` cells if they lie at `ground`, steep views preferred; None: none sees.
 
-    Args:
-        but: views that are left out.
+    The views `but` are left out.
     """
     wide = grid.coarser(SEEN_BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
     level = np.full(wide.shape, ground, np.float32)
     x, y = np.meshgrid(*wide.xy())
-    worth = []
+    worth = np.zeros(len(prepared))
     for k, p in enumerate(prepared):
-        if k in but:
-            worth.append(0.0)
-            continue
-        tangent = np.hypot(x - p.centre[0], y - p.centre[1]) / (p.centre[2] - ground)
-        worth.append(float((share * (maps(p, wide, level)[0] >= 0) * np.maximum(1.0 - tangent, 0.1)).sum()))
-    return int(np.argmax(worth)) if max(worth) > 0 else None
+        if k not in but:
+            tangent = np.hypot(x - p.centre[0], y - p.centre[1]) / (p.centre[2] - ground)
+            worth[k] = (share * (maps(p, *wide.xy(), level)[0] >= 0) * np.maximum(1.0 - tangent, 0.1)).sum()
+    return int(np.argmax(worth)) if worth.max() > 0 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +221,7 @@ class Spans:
         return cls(np.zeros(shape, np.int32), np.full(shape, count - 1, np.int32))
 
     @classmethod
-    def about(cls, found: F32, shape: tuple[int, int], levels: F32, reach: Reach = NARROW) -> Spans:
+    def about(cls, found: F32, shape: tuple[int, int], levels: F32, reach: Reach) -> Spans:
         """Planes about the heights found at twice the cells (R / 2, C / 2), of a cell and those beside it.
 
         Beside a step a ray tries the heights on both sides of it and between (Rothermel et al. 2012, tSGM).
@@ -239,7 +234,7 @@ class Spans:
         low[none] = high[none] = levels[0]
         spacing, last = levels[1] - levels[0], len(levels) - 1
         ends = np.floor((low - levels[0]) / spacing) - reach.slack, np.ceil((high - levels[0]) / spacing) + reach.slack
-        wide = (enlarged(v, shape, 2) for v in ends)
+        wide = (upsample(v, 2, shape) for v in ends)
         return cls(*(np.clip(v, 0, last).astype(np.int32) for v in wide))
 
     @property
@@ -252,13 +247,8 @@ class Spans:
     @property
     def first(self) -> I64:
         """(R, C) index of each ray's first cost."""
-        ends = np.cumsum((self.high - self.low + 1).ravel(), dtype=np.int64)
-        return np.concatenate([np.zeros(1, np.int64), ends[:-1]]).reshape(self.low.shape)
-
-    @property
-    def size(self) -> int:
-        """Number of costs of all rays."""
-        return int((self.high - self.low + 1).sum(dtype=np.int64))
+        count = (self.high - self.low + 1).astype(np.int64)
+        return np.cumsum(count).reshape(count.shape) - count
 
 
 def sweep(
@@ -271,7 +261,6 @@ def sweep(
     Args:
         pyramid: the views at the cells of `grid`, then at cells twice as large and so on. The coarsest tries all
             planes that its views can separate, each finer one those about the heights of the coarser.
-        grid: the cells.
         searched: lowest and highest height, metres; heights nearer to the lowest view than `CLOSE` are left out.
         ground: metres, approximate height of most of it.
         reference: the view along whose rays heights are tried.
@@ -280,14 +269,14 @@ def sweep(
     about = pyramid[0][reference].centre
     lowest = float(centres_of(pyramid[0])[:, 2].min())
     if lowest <= searched[0]:
-        return _nothing(grid)
+        return Swept.nothing(grid)
     searched = searched[0], min(searched[1], lowest - CLOSE * (lowest - searched[0]))
     ground = min(ground, searched[1])
     rays = ray_lattice(grid, ground, searched, pyramid[0][reference])
     of = [rays]
     while len(of) < len(pyramid) and min(of[-1].shape) >= 2 * LEAST_SIDE:
         of.append(of[-1].coarser(2))
-    found, ratio = np.empty((0, 0), np.float32), np.empty((0, 0), np.float32)
+    found = ratio = np.empty((0, 0), np.float32)
     for k in reversed(range(len(of))):
         views = register(pyramid[k], of[k], ground, searched, reference)
         slide = parallax_per_metre(views.centres, 0.5 * (searched[0] + searched[1]))
@@ -297,8 +286,9 @@ def sweep(
         first, reach = k == len(of) - 1, NARROW if narrow else BROAD
         spans = Spans.whole(of[k].shape, len(levels)) if first else Spans.about(found, of[k].shape, levels, reach)
         found, doubt = along_rays(views, of[k], levels, spans, about, tuning)
-        ratio = np.fmax(doubt, enlarged(ratio, rays.shape, 2)) if narrow else doubt
-        searched = narrowed(found, searched, float(levels[1] - levels[0]))
+        ratio = np.fmax(doubt, upsample(ratio, 2, rays.shape)) if narrow else doubt
+        # smaller cells try the heights found, and a margin for objects too thin for these
+        searched = narrowed(found, searched, MARGIN_PLANES * float(levels[1] - levels[0]))
     return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
 
 
@@ -311,15 +301,10 @@ def extremes(found: F32, reach: int) -> tuple[F32, F32]:
     return np.asarray(low, np.float32), np.asarray(high, np.float32)
 
 
-def narrowed(found: F32, searched: Span, spacing: float) -> Span:
-    """Heights to search with smaller cells: those `found`, and a margin for objects too thin for the larger ones."""
-    return _narrowed(found, searched, MARGIN_PLANES * spacing, 1)
-
-
 def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: F64, tuning: SweepTuning) -> Swept:
     """Heights and best/second cost (R, C) of `rays` to `about`, of the planes `levels` those in their `spans`."""
     first, near, everywhere = spans.first, spans.neighbours, Spans.whole(rays.shape, len(levels))
-    cost = np.empty(spans.size, np.float32)
+    cost = np.empty((spans.high - spans.low + 1).sum(dtype=np.int64), np.float32)  # of all rays
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
     pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - views.ground)))
     seen, truncation = np.zeros(rays.shape, np.int32), np.float32(tuning.truncation)
@@ -346,22 +331,16 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
     """Move heights found along the rays to `about` to the world grid: of several in one cell, the highest.
 
-    Small gaps are filled. No cost belongs to their heights, so their ratio is 1: another height may be as good.
+    Gaps of a few cells are filled with the lowest height beside them: ground hidden by a step lies at its foot. No cost
+    belongs to their heights, so their ratio is 1: another height may be as good.
     """
     height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     to = np.array(
         [rays.east - grid.east, rays.north - grid.north, about[0] - grid.east, about[1] - grid.north, about[2]]
     )
     kernels.splat(found, ratio, ground, rays.cell, to, height, which)
-    height = close_gaps(height, gap)
+    known, near = np.isfinite(height), np.ones((2 * gap + 1,) * 2, np.uint8)
+    hidden = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, near).astype(np.bool_) & ~known
+    height = np.where(hidden, cv2.erode(np.where(known, height, np.float32(np.inf)), near), height)
     np.copyto(which, np.float32(1), where=np.isnan(which) & np.isfinite(height))
     return Swept(height, which)
-
-
-def close_gaps(height: F32, reach: int) -> F32:
-    """Fill gaps of a few cells with the lowest height beside them: ground hidden by a step lies at its foot."""
-    known = np.isfinite(height)
-    near = np.ones((2 * reach + 1,) * 2, np.uint8)
-    gap = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, near).astype(np.bool_) & ~known
-    lowest = cv2.erode(np.where(known, height, np.float32(np.inf)), near)
-    return np.where(gap, lowest, height)

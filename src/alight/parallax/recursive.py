@@ -13,14 +13,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U8, Mask
+from alight.arrays import F32, U8, Mask
 from alight.geometry import Box, Grid
 from alight.parallax import gauss_newton as refine
-from alight.parallax.blocks import Blocks, Effort, Plan, SweepCost, effort_of
+from alight.parallax.blocks import EFFORTS, Blocks, Effort, Plan
 from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment
-from alight.parallax.views import Buffers, Kept, enlarged
-from alight.parallax.window import APART, Refiner, Window, first_of_twins
+from alight.parallax.views import Buffers, Kept
+from alight.parallax.window import APART, BESIDE, Window, first_of_twins
+from alight.raster import upsample
 from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
 
@@ -32,38 +33,18 @@ class RecursiveParallax:
         self._settings, self._tuning = settings, settings.recursive
         # cells that one view does not see may wait for the next keyframe
         self._sweep_tuning = settings.sweep.model_copy(update={"most_references": 1})
-        self._unswept = np.float32(settings.recursive.unknown_ratio)
+        self._unswept = self._unknown = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
-        self._kept: list[list[Kept]] = []
-        self._unknown = self._unswept
+        self.kept = dict[int, list[Kept]]()  # the views of each exposure, by its time, oldest first
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: sweep anew
-        self._blocks, self._refiner = Blocks(settings.recursive), Refiner(settings, Buffers())
-        self._alignment = Alignment(settings.ring, settings.poses)
-        self._came = list[tuple[Grid, Mask]]()
-
-    @property
-    def plane(self) -> F64:
-        """Error of the map that the last step found: (3,) up, and rise a metre towards east and north."""
-        return self._alignment.plane
-
-    @property
-    def about(self) -> F64:
-        """The place (2,) east and north to which the offset of `plane` refers."""
-        return self._alignment.about
-
-    def plane_on(self, grid: Grid) -> F32:
-        """`plane` at the cells of a grid, (R, C) metres."""
-        return self._alignment.plane_on(grid)
+        self._blocks, self._buffers = Blocks(settings.recursive), Buffers()
+        self.alignment = Alignment(settings.ring, settings.poses)
+        self.came = list[tuple[Grid, Mask]]()  # rectangles of the last step, and where somebody came to stand (eq. 16e)
 
     @property
     def beginning(self) -> bool:
         """True while most of the window is little refined: heights of a part need not be typical of the rest."""
-        return self._blocks.beginning
-
-    @property
-    def came(self) -> list[tuple[Grid, Mask]]:
-        """Rectangles of the last step, with the cells (R, C) of each where somebody came to stand (eq. 16e)."""
-        return self._came
+        return self._blocks.begins
 
     def work_at(self, cell: float, ground: float) -> None:
         """Set the cell size and the ground's height, metres; for a new `cell` the kept pictures are prepared anew.
@@ -76,7 +57,7 @@ class RecursiveParallax:
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute the sweep
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
-            self._kept = [[Kept.of(k.view, cell, ground) for k in exposure] for exposure in self._kept]
+            self.kept = {t: [Kept.of(k.view, cell, ground) for k in e] for t, e in self.kept.items()}
 
     def reset_sweep(self) -> None:
         """Sweep every cell again before its height is used, as at the beginning."""
@@ -88,84 +69,77 @@ class RecursiveParallax:
 
         `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
         """
-        if any(exposure[0].view.t_ns == views[0].t_ns for exposure in self._kept):
+        if views[0].t_ns in self.kept:
             return  # a repeated time: a picture would agree with itself
-        self._kept.append([Kept.of(v, self._cell, self._ground) for v in views])
-        self._kept.sort(key=lambda exposure: exposure[0].view.t_ns)
-        centres = np.array([exposure[0].view.centre for exposure in self._kept])
+        self.kept[views[0].t_ns] = [Kept.of(v, self._cell, self._ground) for v in views]
+        exposures = sorted(self.kept.items())
+        centres = np.array([exposure[0].view.centre for _, exposure in exposures])
         drop = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / drop
-        self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span)]
+        self.kept = dict(exposures[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span))
         if poses is not None:
-            times = {exposure[0].view.t_ns for exposure in self._kept}
-            self._alignment.update_posterior(poses, times, drop)
+            self.alignment.update_posterior(poses, set(self.kept), drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
         """Improve the heights of a part of a window with the present keyframe window (docs/method/recursive.md).
 
         Args:
             grid: the window, cells on the map's raster.
-            known: the map there.
             low, high: heights searched where nothing is known, metres.
             effort: level of the effort, from 0 (full) to 3 (least).
 
         Returns:
             The refined rectangles, with their new heights; none while no cell has seen enough parallax.
         """
-        ratio, chosen, self._came = self._carried(grid), effort_of(effort), []
-        self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
-        if self.plane.any():
-            known = replace(known, height=known.height + self.plane_on(grid))
-        drop = float(self._kept[-1][0].view.centre[2]) - self._ground
-        views = self._taking_part(drop, chosen)
-        window = Window.of(views, grid, known, (low, high), drop)
-        plan = self._plan(window, ratio, drop, chosen)
-        start, wrong = self._swept(window, ratio, plan, drop)
-        self._ratio = (grid, ratio)
+        ratio, chosen = np.full(grid.shape, self._unknown), EFFORTS[min(effort, len(EFFORTS) - 1)]
+        if self._ratio is not None:
+            ratio = self._ratio[0].nearest_on(grid, self._ratio[1], float(self._unknown))
+        self.kept = self.alignment.align(self.kept, grid, known, np.isnan(ratio), self._ground)
+        if self.alignment.plane.any():
+            known = replace(known, height=known.height + self.alignment.plane_on(grid))
+        window = self._window(grid, known, ratio, (low, high), chosen)
+        plan = self._plan(window, chosen)
+        start, wrong = self._swept(window, plan)
+        self._ratio, self.came = (grid, ratio), []
         if not plan.refine:
             return []
         skyline = refine.Skyline.of(start, grid, np.array([k.fine.centre for k in window.kept]))
-        datum, out = self._alignment.datum(grid), []
+        datum, out = self.alignment.datum(grid), []
         for box in plan.refine:
             recolour = self._blocks.recolour and self._blocks.never_visited(box)
-            found = self._refiner.refined(window, skyline, start, ratio, wrong, box, recolour)
+            found = window.refined(skyline, start, wrong, box, recolour)
             self._settle(None if found is None else found.heights, known, box)
             if found is not None:
                 ratio[box][found.changed] = np.nan  # swept again; untrusted until then
                 out.append(replace(found.heights, datum=datum))
                 if found.came.any():
-                    self._came.append((found.heights.grid, found.came))
+                    self.came.append((found.heights.grid, found.came))
         return out
 
-    def _taking_part(self, drop: float, effort: Effort) -> list[Kept]:
-        """All views, or with less effort one camera of each rig and the whole rig in some exposures.
+    def _window(
+        self, grid: Grid, known: ElevationMap, ratio: F32, searched: tuple[float, float], effort: Effort
+    ) -> Window:
+        """The window with all views, or with less effort one camera of each rig and the whole rig in some exposures.
 
         Whole rigs show moving things (eq. 15a).
         """
-        views = [k for exposure in self._kept for k in exposure]
-        rigs = {exposure[0].view.t_ns for exposure in self._kept[:: -effort.rigs]}
+        times, views = list(self.kept), [k for exposure in self.kept.values() for k in exposure]
+        drop, rigs = float(self.kept[times[-1]][0].view.centre[2]) - self._ground, times[:: -effort.rigs]
         first = first_of_twins(views, APART * drop)
-        return [k for i, k in enumerate(views) if first[i] == i or k.view.t_ns in rigs]
+        kept = [k for i, k in enumerate(views) if first[i] == i or k.view.t_ns in rigs]
+        ground = float(kept[-1].view.centre[2]) - drop
+        seen = refine.view_geometry([k.fine for k in kept], grid, known.height, ground)
+        twins = (first_of_twins(kept, share * drop) for share in (BESIDE, APART))
+        return Window(self._settings, self._buffers, grid, known, kept, seen, ratio, searched, drop, *twins)
 
-    def _carried(self, grid: Grid) -> F32:
-        out = np.full(grid.shape, self._unknown, np.float32)
-        if self._ratio is not None:
-            old, values = self._ratio
-            (row, r), (col, c) = (_shared(*i) for i in zip(old.index(*grid.xy()), old.shape, strict=True))
-            if r.size and c.size:
-                same = old.cell == grid.cell  # then both are ranges, and array views are copied fast
-                there = values[row[0] : row[-1] + 1, col[0] : col[-1] + 1] if same else values[np.ix_(row, col)]
-                out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
-        return out
-
-    def _views_of(self, window: Window, box: Box, ratio: F32, fresh: Mask, drop: float) -> list[Kept]:
+    def _views_of(self, window: Window, box: Box, fresh: Mask) -> list[Kept]:
         """The views that sweep a rectangle: of a few exposures over about twice the least baseline.
 
         More exposures blur the edges of objects. A longer baseline takes more planes, and later steps have it.
         """
         seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
-        wanted = max(1.0, float(np.median(self._wanted(ratio)[fresh])))
-        span, newest = 2 * wanted * self._tuning.first_baseline * drop, seen[-1].view.centre
+        wanted = max(1.0, float(np.median(self._wanted(window.ratio[box])[fresh])))
+        span, newest = 2 * wanted * self._tuning.first_baseline * window.drop, seen[-1].view.centre
         near = [k for k in seen if np.linalg.norm(k.view.centre - newest) <= span]
         times = sorted({k.view.t_ns for k in near})
         at = np.linspace(0, len(times) - 1, min(self._tuning.first_exposures, len(times)))
@@ -182,13 +156,12 @@ class RecursiveParallax:
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
         return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
 
-    def _plan(self, window: Window, ratio: F32, drop: float, effort: Effort) -> Plan:
+    def _plan(self, window: Window, effort: Effort) -> Plan:
         """Plan the step from counts in a sample of the cells."""
-        every = refine.SEEN_BLOCK
+        every, drop = refine.SEEN_BLOCK, window.drop
         k = min(every // 2, *(n - 1 for n in window.grid.shape))
-        h, r = window.known.height[k::every, k::every], ratio[k::every, k::every]
-        rows, cols = h.shape
-        baseline, count = window.seen.baseline[:rows, :cols], window.seen.count[:rows, :cols]
+        at, seen = (slice(k, None, every), slice(k, None, every)), window.seen
+        h, r, baseline, count = window.known.height[at], window.ratio[at], seen.baseline[at], seen.count[at]
         new, enough = np.isnan(h) | np.isnan(r), self._has_baseline(baseline, count, r, drop)
         kinds = np.array([new & enough, new & ~enough & (count > 0), ~new & (count >= 2)])
         self._blocks.move_to(window.grid)
@@ -199,8 +172,7 @@ class RecursiveParallax:
         planes = plane_count(slide, low, high, window.grid.cell, self._sweep_tuning.most_planes)
         up = float(newest[2])
         reach = drop / max(up - high, 0.1 * drop) - drop / max(up - low, 0.1 * drop)
-        sweep = SweepCost(self._tuning.first_exposures * planes, reach)
-        return self._blocks.plan(counts, (row, col), sweep, effort)
+        return self._blocks.plan(counts, (row, col), self._tuning.first_exposures * planes, reach, effort)
 
     def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
         """Note which heights of a rectangle were replaced, or lost or gained trust."""
@@ -213,8 +185,10 @@ class RecursiveParallax:
         changed = ((h - h0) ** 2 > 9 * (s**2 + s0**2)) | (is_trusted(f) != is_trusted(f0))
         return self._blocks.visited(box, before, changed, every)
 
-    def _swept(self, window: Window, ratio: F32, plan: Plan, drop: float) -> tuple[F32, Mask]:
-        """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
+    def _swept(self, window: Window, plan: Plan) -> tuple[F32, Mask]:
+        """Sweep the cells that have enough baseline for the first time since the restart.
+
+        The window's `ratio` gets their ambiguity.
 
         The map is shifted to the sweep as a whole and keeps its shape, except where they differ by more than
         `same_px`. Cells not swept yet are left out of the step.
@@ -222,16 +196,15 @@ class RecursiveParallax:
         Returns:
             Initial heights (R, C) metres, and the mask of cells whose height in the map is wrong.
         """
-        anew = np.isnan(ratio)
+        anew = np.isnan(window.ratio)
         start, wrong = np.where(anew, np.float32(np.nan), window.known.height), np.zeros(anew.shape, np.bool_)
         for box in plan.sweep + plan.rough:
-            before, per_px, doubt = window.known.height[box], window.per_px[box], ratio[box]
-            baseline, count = window.part_of(window.seen.baseline, box), window.part_of(window.seen.count, box)
-            fresh = (np.isnan(before) | anew[box]) & self._has_baseline(baseline, count, doubt, drop)
+            before, per_px, doubt = window.known.height[box], window.seen.metres_per_px[box], window.ratio[box]
+            seen = window.seen.baseline[box], window.seen.count[box]
+            fresh = (np.isnan(before) | anew[box]) & self._has_baseline(*seen, doubt, window.drop)
             if not fresh.any():
                 continue
-            views = self._views_of(window, box, doubt, fresh, drop)
-            new, found = self._sweep(window, views, box, fresh, 1 if box in plan.sweep else 2)
+            new, found = self._sweep(window, box, fresh, 0 if box in plan.sweep else 1)
             both = fresh & np.isfinite(before) & np.isfinite(new)
             shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
             new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
@@ -240,20 +213,13 @@ class RecursiveParallax:
             np.copyto(doubt, np.where(np.isnan(new), self._wanted(doubt), found), where=fresh)
         return start, wrong
 
-    def _sweep(self, window: Window, views: list[Kept], box: Box, fresh: Mask, coarser: int) -> Swept:
-        """Sweep the `fresh` cells of a rectangle, with cells `coarser` times as large."""
-        grid, ground = window.grid.part(box), float(np.clip(self._ground, *window.searched))
-        ready = [v.fine if coarser == 1 else v.coarse for v in views]
+    def _sweep(self, window: Window, box: Box, fresh: Mask, halvings: int) -> Swept:
+        """Sweep the `fresh` cells of a rectangle, with cells doubled so many times."""
+        grid, ground, coarser = window.grid.part(box), float(np.clip(self._ground, *window.searched)), 1 << halvings
+        ready = [v.halved(halvings) for v in self._views_of(window, box, fresh)]
         wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
         found = sweep_unseen([ready], grid.coarser(coarser), window.searched, ground, wanted, self._sweep_tuning)
-        return Swept(*(enlarged(v, grid.shape, coarser) for v in found))
-
-
-def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows (or columns) that two grids share: indices (K,) in the grid of `size` rows, and in the other grid."""
-    nearest = np.rint(index).astype(np.intp)
-    has = np.flatnonzero((nearest >= 0) & (nearest < size))
-    return nearest[has], has
+        return Swept(*(upsample(v, coarser, grid.shape) for v in found))
 
 
 def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:

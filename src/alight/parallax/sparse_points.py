@@ -7,14 +7,14 @@ it works alike for video and for photos far apart, with poses from any source.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from alight.arrays import F32, F64, U8
+from alight.arrays import F32, F64
 from alight.parallax.views import grey_of
 from alight.records import View
 from alight.settings.tuning.parallax import PointsTuning
@@ -31,33 +31,20 @@ class ViewFeatures(NamedTuple):
 
     @classmethod
     def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
-        """Detect the features of a view."""
+        """Detect the features of a view; on plain ground, as gravel from far, weak ones too."""
         grey = grey_of(view.image).astype(np.uint8)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        found, descriptors = _detected(small, tuning)
+        contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
+        while True:
+            sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
+            found, descriptors = sift.detectAndCompute(small, None)
+            if len(found) >= tuning.enough_features or contrast <= least:
+                break
+            contrast = max(0.5 * contrast, least)
         pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
         rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
         return cls(view.centre, rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors)
-
-
-def _detected(grey: U8, tuning: PointsTuning) -> tuple[Sequence[cv2.KeyPoint], F32]:
-    """Features of an image, and their descriptors (N, 128); on plain ground, as gravel from far, weak ones too."""
-    contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
-    while True:
-        sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
-        found, descriptors = sift.detectAndCompute(grey, None)
-        if len(found) >= tuning.enough_features or contrast <= least:
-            return found, descriptors
-        contrast = max(0.5 * contrast, least)
-
-
-def _matches(a: ViewFeatures, b: ViewFeatures, ratio: float) -> NDArray[np.int64]:
-    if len(a.rays) < 2 or len(b.rays) < 2:
-        return np.empty((0, 2), int)
-    best = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.descriptors, b.descriptors, k=2)
-    good = [(m.queryIdx, m.trainIdx) for m, n in (p for p in best if len(p) == 2) if m.distance < ratio * n.distance]
-    return np.array(good, dtype=int).reshape(-1, 2)
 
 
 def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F64]:
@@ -83,7 +70,10 @@ def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple
 
     No points (`NO_POINTS`) where most rays meet at too small an angle: the others are wrong matches, all too near.
     """
-    m = _matches(a, b, tuning.descriptor_ratio)
+    if len(a.rays) < 2 or len(b.rays) < 2:
+        return NO_POINTS, np.inf
+    best, ratio = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.descriptors, b.descriptors, k=2), tuning.descriptor_ratio
+    m = np.array([(i.queryIdx, i.trainIdx) for i, second in best if i.distance < ratio * second.distance])
     if len(m) < 12:
         return NO_POINTS, np.inf
     points, angle, miss = triangulate_pair(a.centre, a.rays[m[:, 0]], b.centre, b.rays[m[:, 1]])
@@ -98,12 +88,10 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
     The stride between the views of a pair doubles until their rays meet at 0.06 rad, or the overlap ends.
     """
     views = [v for v in views if v.cam == views[0].cam]
-    features: dict[int, ViewFeatures] = {}
 
+    @lru_cache(maxsize=64)
     def of(i: int) -> ViewFeatures:
-        if i not in features:
-            features[i] = ViewFeatures.of(views[i], tuning)
-        return features[i]
+        return ViewFeatures.of(views[i], tuning)
 
     found, stride, count = [], 1, len(views)
     starts = np.linspace(0, max(count - 2, 0), min(tuning.most_pairs, max(count - 1, 1))).astype(int)
@@ -118,8 +106,6 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
                 points, angle = pair_points(of(i), of(i + stride), tuning)
             found.append(points)
             break
-        for k in [k for k in features if k < i]:
-            del features[k]
     points = np.concatenate(found) if found else NO_POINTS
     return supported(points, float(np.median([v.centre[2] for v in views])), tuning)
 

@@ -18,8 +18,7 @@ import numpy as np
 from alight.arrays import F32, I64, U8, U16, Mask
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit
-from alight.parallax.views import enlarged
-from alight.raster import block_mean
+from alight.raster import block_mean, upsample
 from alight.records import ElevationMap, Flag, View, is_trusted
 from alight.settings.tuning.parallax import ConsistencyTuning
 
@@ -66,7 +65,7 @@ def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTu
         return np.zeros(fit.grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
     bits = np.where(share > tuning.most_shared, np.uint16(Flag.MOVING), np.uint16(0))
-    return enlarged(bits, fit.grid.shape, BLOCK)
+    return upsample(bits, BLOCK, fit.grid.shape)
 
 
 def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTuning) -> Mask:
@@ -95,7 +94,7 @@ def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTunin
     most = np.max([cv2.blur(b, window) for b in between], axis=0)
     enough = count >= 2 * SIDE * tuning.least_seen * BLOCK * BLOCK
     found = enough & (most > tuning.changed * whole) & (whole > tuning.least_change * count)
-    return enlarged(found.astype(np.uint8), samples.shape[1:], BLOCK) > 0
+    return upsample(found, BLOCK, samples.shape[1:])
 
 
 class Contradicted(NamedTuple):
@@ -128,7 +127,7 @@ def contradicted(samples: F32, known: ElevationMap, least: int, tuning: Consiste
     share = _by_blocks(trusted.astype(np.float32))
     alike = (share > tuning.least_seen) & (before < tuning.alike_before * share)
     wrong, came = enough & (own > tuning.most_unlike * square), enough & alike & (own > tuning.came_unlike * square)
-    return Contradicted(*(enlarged(found.astype(np.uint8), known.grid.shape, BLOCK) > 0 for found in (wrong, came)))
+    return Contradicted(*(upsample(found, BLOCK, known.grid.shape) for found in (wrong, came)))
 
 
 def _by_blocks(values: F32) -> F32:

@@ -124,7 +124,7 @@ def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
     """Mean grey level of the views at half resolution for heights (R / 2, C / 2), NaN where no view sees."""
     total, count = np.zeros(height.shape, np.float32), np.zeros(height.shape, np.float32)
     for p in prepared:
-        grey = sample(p.grey, *maps(p, grid.coarser(2), height))
+        grey = sample(p.grey, *maps(p, *grid.coarser(2).xy(), height))
         seen = np.isfinite(grey)
         total += np.where(seen, grey, 0)
         count += seen

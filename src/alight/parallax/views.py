@@ -43,21 +43,10 @@ class Prepared:
         return replace(self, H=H, b=b, centre=np.array(world_from_cam.translation))
 
 
-def rgb_of(image: Pixels) -> NDArray[np.uint8]:
-    """The image with three channels."""
-    pixels = np.asarray(image)
-    return np.asarray(pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
-
-
 def tone_of(view: View) -> U8:
     """(256, 3) table from the levels of a view to colours that all views of the same ground share."""
     levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
-
-
-def toned(pixels: U8, view: View) -> U8:
-    """Colours (..., 3) of a view brought to those that all views of the same ground share."""
-    return pixels if view.gain is None else np.asarray(cv2.LUT(pixels, tone_of(view)[None]))
 
 
 def grey_of(image: Pixels) -> F32:
@@ -99,23 +88,18 @@ def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
     return np.asarray(half, np.float32), replace(camera.scaled(0.5), width=cols, height=rows)
 
 
-def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, float]:
-    """Halve while a cell spans two pixels, then blur for the rest; returns pixels a cell as well."""
-    while ratio >= 1.9:
-        grey, camera = halved(grey, camera)
-        ratio /= 2
-    sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling is then even in its phase
-    return cv2.GaussianBlur(grey, (0, 0), sigma), camera, ratio
-
-
 def prepare_view(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel).
 
     A camera no higher than the ground, because of a wrong height, keeps `LEAST_SIDE` pixels.
     """
-    image = grey_of(view.image)
-    most = max(min(image.shape) / LEAST_SIDE, 1.0)
-    grey, camera, ratio = _smoothed(image, view.camera, min(cell / ground_sampling(view, height), most))
+    grey, camera = grey_of(view.image), view.camera
+    ratio = min(cell / ground_sampling(view, height), max(min(grey.shape) / LEAST_SIDE, 1.0))
+    while ratio >= 1.9:  # a cell spans two pixels
+        grey, camera = halved(grey, camera)
+        ratio /= 2
+    sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling is then even in its phase
+    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma), np.float32)
     H, b = ground_projection(camera, view.world_from_cam)
     norm = _normalised(grey, ratio)
     return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio, rolling_of(view))
@@ -132,22 +116,9 @@ def _normalised(grey: F32, ratio: float) -> F32:
     return norm
 
 
-def coarser(fine: Prepared) -> Prepared:
-    """Return the same view for cells of twice the size, at half the pixels."""
-    grey, camera = halved(fine.grey, fine.camera)
-    return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=camera)
-
-
-def halved_view(levels: list[Prepared], halvings: int) -> Prepared:
-    """A view at the cells of the map, halved so many times; `levels` keeps those that were made."""
-    while len(levels) <= halvings:
-        levels.append(coarser(levels[-1]))
-    return levels[halvings]
-
-
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A view of the window, prepared for matching."""
+    """A view prepared for matching."""
 
     view: View
     levels: list[Prepared]  # at the cells of the map, at twice their size...; each is made at its first use
@@ -162,10 +133,13 @@ class Kept:
         """The prepared view at the cells of the map."""
         return self.levels[0]
 
-    @property
-    def coarse(self) -> Prepared:
-        """The prepared view at half the resolution."""
-        return halved_view(self.levels, 1)
+    def halved(self, times: int) -> Prepared:
+        """The prepared view with its picture halved so many times, for cells as much larger."""
+        while len(self.levels) <= times:
+            fine = self.levels[-1]
+            grey, camera = halved(fine.grey, fine.camera)
+            self.levels.append(replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=camera))
+        return self.levels[times]
 
     def posed(self, world_from_cam: Pose) -> Kept:
         """The view with another pose of its camera."""
@@ -197,19 +171,17 @@ def when_exposed(p: Prepared, grid: Grid, height: float) -> Prepared:
     if not p.rolling.size:
         return p
     x, y = (float(v.mean()) for v in grid.xy())
-    row = float(maps_at(p, np.array([x]), np.array([y]), np.full((1, 1), height, np.float32))[1][0, 0])
+    row = float(maps(p, np.array([x]), np.array([y]), np.full((1, 1), height, np.float32))[1][0, 0])
     share = (row + 0.5) / p.camera.height - 0.5 if row >= 0 else 0.0
     way = np.array([p.H[:, 0], p.H[:, 1], p.b]) @ p.rolling[:3]  # the columns of H and b are the world's axes
     return replace(p, centre=p.centre + share * way)
 
 
-def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
-    """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
-    return maps_at(p, *grid.xy(), h, buffers)
+def maps(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
+    """Pixel coordinates (R, C) of places at height `h` (eqs. 1 to 3); negative outside of the picture.
 
-
-def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
-    """Pixel coordinates for columns evenly spaced at `xs` and rows at any `ys`; negative outside of the picture."""
+    Columns are evenly spaced at `xs`, rows lie at any `ys`.
+    """
     held, camera = buffers or Buffers(), p.camera
     out = held.get("mapx", h.shape), held.get("mapy", h.shape)
     lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
@@ -227,18 +199,12 @@ def sample(
     return np.asarray(cv2.remap(image, mapx, mapy, how, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
 
 
-def enlarged(values: NDArray[Any], shape: tuple[int, int], factor: int) -> NDArray[Any]:
-    """Repeat the value of each block of `factor` x `factor` cells on all of them, cut to `shape`."""
-    size = (values.shape[1] * factor, values.shape[0] * factor)
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: shape[0], : shape[1]]
-
-
 def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None = None) -> F32:
     """The normalised samples of every view on the grid at height `h`, (N, R, C), NaN outside an image."""
     held = buffers or Buffers()
     out = held.get("samples", (len(prepared), *grid.shape))
     for i, p in enumerate(prepared):
-        sample(p.norm, *maps(p, grid, h, held), out=out[i])
+        sample(p.norm, *maps(p, *grid.xy(), h, held), out=out[i])
     return out
 
 
@@ -305,8 +271,11 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
     return sorted(chosen)
 
 
-def picture_at(picture: U8, camera: Camera, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
-    """The picture (H, W, 3) of a view's camera at maps of its prepared image, (R, C, 3)."""
-    scale = np.float32(camera.fu / prepared.camera.fu)
+def colour_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
+    """Colour of a view at maps of its prepared image, (R, C, 3), as all views of the same ground share it."""
+    picture = np.asarray(view.image)
+    rgb = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+    scale = np.float32(view.camera.fu / prepared.camera.fu)
     offset = np.float32(0.5) * scale - np.float32(0.5)
-    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))
+    seen = cv2.remap(rgb, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR)
+    return np.asarray(seen if view.gain is None else cv2.LUT(seen, tone_of(view)[None]))

@@ -156,7 +156,7 @@ def _keys(cells: I64) -> I64:
 
 @dataclass(frozen=True, eq=False)
 class CoverMemory:
-    """The most familiar look at every cell of the newest map, by value, in its frame (docs/method/near-looks.md, T8).
+    """The most familiar look at every cell of the newest map, by value, in its frame (docs/method/p-safe.md, T8).
 
     The land cover is fitted to pictures from several metres and more. A puddle that is plain from 10 m looks like wet
     asphalt from 3 m, and its novelty (T6) is larger there. So the odds of the look with the least novelty stay.

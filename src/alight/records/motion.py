@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -84,6 +84,11 @@ class View:
     def centre(self) -> F64:
         """The camera centre C in the world, (3,) metres."""
         return np.asarray(self.world_from_cam.translation)
+
+    @property
+    def without_image(self) -> View:
+        """The view without its picture, which takes most of its memory."""
+        return replace(self, image=np.empty((0, 0), np.uint8))
 
     @property
     def key(self) -> tuple[int, int, bytes]:

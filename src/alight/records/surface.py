@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, U8, U16
-from alight.geometry import Grid
+from alight.geometry import Box, Grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +119,12 @@ class Heights:
     residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
     sampling: F32  # (R, C) metres of ground that one sample of the match covers: its cell or, if larger, its pixel
     datum: Datum | None = None  # None: not known, as for poses that came without covariance
+
+    def part(self, where: Box) -> Self:
+        """A rectangle of the cells, copied, without what describes the map as a whole."""
+        rasters = ("height", "sigma", "flags", "views", "rgb", "residual", "sampling")
+        fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(self, k)[where]) for k in rasters}
+        return type(self)(self.grid.part(where), **fields)
 
 
 @dataclass(frozen=True, eq=False)

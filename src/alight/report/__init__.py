@@ -11,9 +11,9 @@ from alight.report import canvas, facts, figures, maps
 from alight.report.facts import warnings
 from alight.report.figures import Figure
 
-__all__ = ["render", "warnings"]
+__all__ = ["TEMPLATES", "render", "warnings"]
 
-_TEMPLATES = jinja2.Environment(
+TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("alight", "report"),
     autoescape=True,
     finalize=lambda value: printable(value) if isinstance(value, str) else value,
@@ -40,7 +40,7 @@ def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figu
 def render(result: RunResult) -> str:
     """Return one run as a single HTML page with its pictures inside; it needs neither network nor script."""
     overview, beside, below = _pictures(result)
-    return _TEMPLATES.get_template("page.html.j2").render(
+    return TEMPLATES.get_template("page.html.j2").render(
         version=__version__,
         result=result,
         answer=facts.answer(result),

@@ -103,9 +103,7 @@ def shrink(rgba: U8, longest: int = 1400) -> U8:
 def webp(picture: U8) -> bytes:
     """A picture (R, C, 3) RGB or (R, C, 4) RGBA as a file."""
     swapped = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
-    done, data = cv2.imencode(".webp", cv2.cvtColor(picture, swapped), [cv2.IMWRITE_WEBP_QUALITY, 84])
-    if not done:
-        raise ValueError("the picture cannot be encoded")
+    _, data = cv2.imencode(".webp", cv2.cvtColor(picture, swapped), [cv2.IMWRITE_WEBP_QUALITY, 84])
     return data.tobytes()
 
 

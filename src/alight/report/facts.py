@@ -45,18 +45,6 @@ class PlaceTable:
     rows: Sequence[Row]
 
 
-@dataclass(frozen=True)
-class Time:
-    """One stage's time."""
-
-    stage: str
-    steps: int
-    median: str
-    p95: str
-    total: str
-    share: float  # of all, percent
-
-
 def answer(result: RunResult) -> Answer:
     """The answer in one sentence: the site, or the candidates, or the reason why there is neither."""
     if result.sites.sites:
@@ -177,10 +165,9 @@ def _row(result: RunResult, s: Site) -> Row:
         return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), words.factors(s))
     look = ""
     if s.look is not None:
-        east, north, up = s.look.east, s.look.north, s.look.up
         enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
-        aside = math.hypot(east - s.east, north - s.north) > 0.05  # m
-        look = f". View: {words.position(result, east, north, up) if aside else 'straight above'}{enough}"
+        aside = math.hypot(s.look.east - s.east, s.look.north - s.north) > 0.05  # m
+        look = f". View: {words.place(result, s.look) if aside else 'straight above'}{enough}"
     return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
 
 
@@ -240,13 +227,13 @@ def details(result: RunResult) -> list[tuple[str, str]]:
     return [(words.name(k), words.value(v)) for k, v in result.notes.items() if not isinstance(v, str)]
 
 
-def times(timings: Mapping[str, Sequence[float]]) -> list[Time]:
-    """Seconds a stage, in the order of the run."""
+def times(timings: Mapping[str, Sequence[float]]) -> list[tuple[str, int, str, str, str, float]]:
+    """Stage, steps, median, 95th percentile, total, and share of all in percent, in the order of the run."""
     everything = sum(sum(steps) for steps in timings.values()) or 1.0
     found = []
     for stage, steps in timings.items():
         if len(steps):
             values = (float(np.median(steps)), float(np.percentile(steps, 95)), float(sum(steps)))
             median, p95, total = map(words.seconds, values)
-            found.append(Time(stage, len(steps), median, p95, total, round(100 * sum(steps) / everything, 1)))
+            found.append((stage, len(steps), median, p95, total, round(100 * sum(steps) / everything, 1)))
     return found

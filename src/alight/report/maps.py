@@ -39,7 +39,8 @@ def _coded_figure(
         Key(colour, label, words.percent(s)) for (label, colour), s in zip(legend, shares[1:], strict=True) if s > 0
     ]
     as_it_is = none.colour == "ground"
-    colours = paint.by_index(index, [colour for _, colour in legend], "#000000" if as_it_is else none.colour)
+    table = [*(colour for _, colour in legend), "#000000" if as_it_is else none.colour]  # index -1 takes the last
+    colours = np.array([paint.rgb(colour) for colour in table], np.float32)[index]
     uri = c.uri(paint.over_ground(colours, elevation, index >= 0 if as_it_is else None))
     title, alt, caption = texts
     keys = [replace(none, share=words.percent(shares[0])), *keys]
@@ -62,7 +63,9 @@ def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
     return Figure(
         title="Probability of a safe touchdown",
         alt="Map of the probability that a touchdown is safe",
-        uri=c.uri(paint.paint_safe(hazards)),
+        uri=c.uri(
+            paint.rgba(paint.colour_ramp(hazards.p_safe, 0.0, 1.0, paint.SAFE_RAMP), np.isfinite(hazards.p_safe))
+        ),
         height=round(c.height, 1),
         scale=Scale(paint.SAFE_RAMP, "0 %", "50 %", "100 %"),
         caption="Over the worst heading; empty where it cannot be judged.",
@@ -91,7 +94,7 @@ def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
     return Figure(
         title="How sure the heights are",
         alt=f"Map of the heights' standard deviation, 0 to {words.metres(high)}",
-        uri=c.uri(paint.paint_sigma(elevation, high)),
+        uri=c.uri(paint.rgba(paint.colour_ramp(elevation.sigma, 0.0, high, paint.SIGMA_RAMP), elevation.trusted)),
         height=round(c.height, 1),
         scale=Scale(paint.SIGMA_RAMP, "0", words.metres(high / 2), words.metres(high)),
         caption="1-sigma relative to the map: how well a surface fits, not whether it is the right one.",

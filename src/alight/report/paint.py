@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32, U8
 from alight.raster import gradient
-from alight.records import ElevationMap, Flag, Hazard, HazardMap, Terrain
+from alight.records import ElevationMap, Flag, Hazard, Terrain
 
 Colour = tuple[int, int, int]
 Ramp = Sequence[str]
@@ -115,16 +115,6 @@ def paint_heights(elevation: ElevationMap, low: float, high: float) -> U8:
     return rgba(colour_ramp(elevation.height, low, high, HEIGHT_RAMP) * shade[..., None], known)
 
 
-def paint_sigma(elevation: ElevationMap, high: float) -> U8:
-    """1-sigma of the heights that are given out."""
-    return rgba(colour_ramp(elevation.sigma, 0.0, high, SIGMA_RAMP), elevation.trusted)
-
-
-def paint_safe(hazards: HazardMap) -> U8:
-    """Probability of a safe touchdown."""
-    return rgba(colour_ramp(hazards.p_safe, 0.0, 1.0, SAFE_RAMP), np.isfinite(hazards.p_safe))
-
-
 def paint_ortho(elevation: ElevationMap) -> U8:
     """The orthophoto as an image."""
     return rgba(elevation.rgb, elevation.views > 0)
@@ -150,9 +140,3 @@ def first_reason(bits: NDArray[Any], order: Sequence[int]) -> NDArray[np.int8]:
     for i, bit in reversed(list(enumerate(order))):
         first[(bits & bits.dtype.type(bit)) != 0] = i
     return first
-
-
-def by_index(index: NDArray[Any], colours: Sequence[str], none: str) -> NDArray[np.float32]:
-    """Colours (R, C, 3) of indices; -1 takes `none`."""
-    table: NDArray[np.float32] = np.array([*(rgb(c) for c in colours), rgb(none)], dtype=np.float32)
-    return np.asarray(table[index])

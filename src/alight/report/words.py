@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from alight.records import Doubt, Flag, Hazard, RunResult, Site, p_safe_text
+from alight.records import Doubt, Flag, Hazard, NextView, RunResult, Site, p_safe_text
 
 UNKNOWN = "unknown"
 
@@ -117,17 +117,12 @@ def counted(number: int, name: str) -> str:
     return f"{small[number] if number < len(small) else number} {name}{'s' * (number != 1)}"
 
 
-def place(result: RunResult, site: Site) -> str:
-    """Position of a site: geographic, or from the origin where the place on Earth is unknown."""
-    return position(result, site.east, site.north, site.up)
-
-
-def position(result: RunResult, east: float, north: float, up: float) -> str:
-    """A position in the form of `place`; its height is left out."""
+def place(result: RunResult, at: Site | NextView) -> str:
+    """Position of a site or a view: geographic, or from the origin where the place on Earth is unknown; no height."""
     if not result.georeferenced:
-        ew, ns = ("east" if east >= 0 else "west"), ("north" if north >= 0 else "south")
-        return f"{abs(east):.1f} m {ew}, {abs(north):.1f} m {ns} of the origin"
-    latitude, longitude, _ = result.local.to_geodetic([east, north, up])
+        ew, ns = ("east" if at.east >= 0 else "west"), ("north" if at.north >= 0 else "south")
+        return f"{abs(at.east):.1f} m {ew}, {abs(at.north):.1f} m {ns} of the origin"
+    latitude, longitude, _ = result.local.to_geodetic([at.east, at.north, at.up])
     ns, ew = ("N" if latitude >= 0 else "S"), ("E" if longitude >= 0 else "W")
     return f"{abs(float(latitude)):.6f}°\N{NO-BREAK SPACE}{ns}, {abs(float(longitude)):.6f}°\N{NO-BREAK SPACE}{ew}"
 

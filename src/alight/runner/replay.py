@@ -92,7 +92,7 @@ def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> Naviga
     """The lane of the bundle adjustment; None: the settings choose the filter."""
     if not settings.motion.bundles(source.kind):
         return None
-    from alight.photos.lane import BundleLane
+    from alight.photos.bundle.adjust import BundleLane
 
     return BundleLane(source.rig, settings.stages(source.imu_noise).motion.bundle, jobs or InTurn())
 

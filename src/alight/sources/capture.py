@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,17 +17,11 @@ from alight.arrays import U8
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
+from alight.sources.growing import WaitingExposures
 
 SILENT = 10.0  # s without an image after which the cameras are over
 DRIFT = 1e-4  # s of arrival a second by which the smallest delay may grow: clocks drift
-
-
-@dataclass
-class StampedImage:
-    """One image of a camera."""
-
-    t_ns: int
-    image: U8
+StampedImage = tuple[int, U8]  # time in ns, and the image
 
 
 class SensorClock:
@@ -53,36 +46,28 @@ class SensorClock:
         return round((own + self._offset) * 1e9)
 
 
-class CameraThread:
-    """Reads one camera on a thread of its own, and keeps its newest images.
-
-    Raises:
-        InputError: it cannot be opened.
-    """
-
-    def __init__(self, name: str, size: tuple[int, int], put: Callable[[StampedImage | None], None]) -> None:
-        self._size, self._put = size, put
-        self._film = name.startswith("video:")  # has a time of its own, and would come as fast as it can be read
-        self._clock, self.ended = SensorClock(), threading.Event()
-        self._capture = open_capture(name, size)
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        begin = time.monotonic()
-        while not self.ended.is_set():
-            good, image = self._capture.read()
-            if not good:
-                break
-            arrival, own = time.monotonic(), self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
-            if image.ndim == 3:
-                image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-            if self._film:
-                time.sleep(max(0.0, begin + own - arrival))
-            if (image.shape[1], image.shape[0]) == self._size:
-                t_ns = round(own * 1e9) if self._film else self._clock.stamp(own, arrival)
-                self._put(StampedImage(t_ns, image))
-        self._capture.release()
-        self._put(None)
+def _read(
+    capture: Any,
+    own_time: bool,
+    size: tuple[int, int],
+    put: Callable[[StampedImage | None], None],
+    over: threading.Event,
+) -> None:
+    """Read one camera until it ends; one with `own_time`, a film, would come as fast as it can be read."""
+    clock, begin = SensorClock(), time.monotonic()
+    while not over.is_set():
+        good, image = capture.read()
+        if not good:
+            break
+        arrival, own = time.monotonic(), capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        if own_time:
+            time.sleep(max(0.0, begin + own - arrival))
+        if (image.shape[1], image.shape[0]) == size:
+            put((round(own * 1e9) if own_time else clock.stamp(own, arrival), image))
+    capture.release()
+    put(None)
 
 
 def open_capture(name: str, size: tuple[int, int]) -> Any:
@@ -136,75 +121,37 @@ class Cameras(CalibratedFolder):
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
         """Yield an exposure as soon as all cameras have it."""
-        waiting: queue.Queue[tuple[int, StampedImage | None]] = queue.Queue(64)
+        arrived: queue.Queue[tuple[int, StampedImage | None]] = queue.Queue(64)
+        over, open_cameras = threading.Event(), len(self._names)
 
         def put(k: int, image: StampedImage | None) -> None:
             try:
-                waiting.put_nowait((k, image))
+                arrived.put_nowait((k, image))
             except queue.Full:
-                self.findings.lose("images", str(image.t_ns if image else 0), "they came faster than they were used")
+                self.findings.lose("images", str(image[0] if image else 0), "they came faster than they were used")
 
-        threads = [
-            CameraThread(name, (c.camera.width, c.camera.height), partial(put, k))
-            for k, (name, c) in enumerate(zip(self._names, self.rig.cameras, strict=True))
-        ]
-        matcher, over = ExposureMatcher(len(threads)), 0
+        sizes = [(c.camera.width, c.camera.height) for c in self.rig.cameras]
+        captures = [open_capture(name, size) for name, size in zip(self._names, sizes, strict=True)]
+        for k, (capture, size) in enumerate(zip(captures, sizes, strict=True)):
+            arguments = capture, self._names[k].startswith("video:"), size, partial(put, k), over
+            threading.Thread(target=_read, args=arguments, daemon=True).start()
+        waiting = WaitingExposures[U8](len(sizes))
         try:
             while not stopped():
                 try:
-                    k, image = waiting.get(timeout=SILENT)
+                    k, image = arrived.get(timeout=SILENT)
                 except queue.Empty:
                     self.findings.warn(f"no image for {SILENT:.0f} s: the cameras are taken to be off")
                     return
                 if image is None:
-                    over += 1
-                    if over == len(threads):
-                        return
-                    continue
-                for frame in matcher.take(k, image):
-                    self.length += 1
-                    yield frame
+                    open_cameras -= 1
+                else:
+                    waiting.add(k, *image, time.monotonic())
+                for t_ns, images, _ in waiting.ready(time.monotonic() if open_cameras else math.inf):
+                    if images[0] is not None:  # the first camera's exposures count
+                        self.length += 1
+                        yield Frame(t_ns, tuple(images))
+                if not open_cameras:
+                    return
         finally:
-            for t in threads:
-                t.ended.set()
-
-
-class ExposureMatcher:
-    """Groups the images of several cameras by their stamps, those that are nearer than half a frame period.
-
-    An image without partner is an exposure of its own if it is the first camera's, and is dropped otherwise.
-    """
-
-    def __init__(self, cameras: int) -> None:
-        self._images: list[deque[StampedImage]] = [deque() for _ in range(cameras)]
-        self._period = 1.0 / 30.0  # s, of the first camera
-        self._last = 0
-
-    def take(self, camera: int, image: StampedImage) -> list[Frame]:
-        """Take an image; return the exposures that it completes."""
-        self._images[camera].append(image)
-        if camera == 0:
-            step = 1e-9 * (image.t_ns - self._last)
-            if self._last and 0 < step < 1.0:
-                self._period += 0.1 * (step - self._period)
-            self._last = image.t_ns
-        out = []
-        while self._images[0] and (frame := self._first()) is not None:
-            out.append(frame)
-        return out
-
-    def _first(self) -> Frame | None:
-        """The oldest exposure; None while a partner may still come: four images of the first camera wait at most."""
-        left, near = self._images[0][0], self._period * 0.5 * 1e9
-        partners: list[StampedImage | None] = []
-        for others in self._images[1:]:
-            while others and others[0].t_ns < left.t_ns - near:
-                others.popleft()
-            if not others and len(self._images[0]) < 4:
-                return None
-            partners.append(others[0] if others and others[0].t_ns <= left.t_ns + near else None)
-        for others, partner in zip(self._images[1:], partners, strict=True):
-            if partner is not None:
-                others.popleft()
-        self._images[0].popleft()
-        return Frame(left.t_ns, (left.image, *(None if p is None else p.image for p in partners)))
+            over.set()

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from alight.sources.streams import (
 POLL = 0.01  # s between two reads of the folder
 PARTNER = 0.15  # s that an image waits for that of another camera
 WRITTEN = 1.0  # s that an image may take from its row until it is whole
+
+Item = TypeVar("Item")
 
 
 class GrowingTable:
@@ -55,31 +58,41 @@ class GrowingTable:
         return out
 
 
-class WaitingExposures:
-    """Exposures that wait until all cameras have named their image."""
+class WaitingExposures(Generic[Item]):
+    """Exposures that wait until all cameras have given their item: the image, or its name."""
 
     def __init__(self, cameras: int) -> None:
-        self.names: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
-        self.since: dict[int, float] = {}  # s, when it was named first
+        self.items: dict[int, list[Item | None]] = {}  # by stamp, of each camera
+        self._since: dict[int, float] = {}  # s, when the first of them came
         self._cameras = cameras
         self._stamps: deque[int] = deque(maxlen=32)  # the newest of the first camera, ns, for its period
+        self._newest = -1  # stamp of those that were ready
 
-    def add(self, camera: int, t_ns: int, name: str, now: float) -> None:
-        """Add an image to the waiting exposure of its time, else to the nearest one within half a period."""
+    def add(self, camera: int, t_ns: int, item: Item, now: float) -> None:
+        """Add an item to the waiting exposure of its time, else to the nearest one within half a period."""
         if camera == 0:
             self._stamps.append(t_ns)
         steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
         half = max(int(np.median(steps) if len(steps) else 1e9 / 30) // 2, 1)
-        near = [t for t, names in self.names.items() if names[camera] is None and abs(t - t_ns) < half]
-        found = t_ns if t_ns in self.names else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
-        names = self.names.pop(found, [None] * self._cameras)
-        names[camera] = name
+        near = [t for t, items in self.items.items() if items[camera] is None and abs(t - t_ns) < half]
+        found = t_ns if t_ns in self.items else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
+        items = self.items.pop(found, [None] * self._cameras)
+        items[camera] = item
         at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
-        self.names[at], self.since[at] = names, self.since.pop(found, now)
+        self.items[at], self._since[at] = items, self._since.pop(found, now)
 
-    def remove(self, t_ns: int) -> None:
-        """Remove an exposure."""
-        del self.names[t_ns], self.since[t_ns]
+    def ready(self, now: float) -> Iterator[tuple[int, list[Item | None], float]]:
+        """Yield stamp, items and waiting time in order of time, up to one that waits; each is then removed.
+
+        None waits that is older than those before: its partner came alone.
+        """
+        for t_ns in sorted(self.items):
+            items, waited = self.items[t_ns], now - self._since[t_ns]
+            if t_ns > self._newest and waited < PARTNER and any(item is None for item in items):
+                return
+            yield t_ns, items, waited
+            del self.items[t_ns], self._since[t_ns]
+            self._newest = max(self._newest, t_ns)
 
 
 class GrowingLog(CalibratedFolder):
@@ -98,7 +111,7 @@ class GrowingLog(CalibratedFolder):
         self._idle = idle
         self._tables = {name: GrowingTable(self._root / name / "data.csv") for name in ("nav0", "imu0")}
         self._cams = [GrowingTable(self._root / c.name / "data.csv") for c in self.rig.cameras]
-        self._waiting = WaitingExposures(len(self._cams))
+        self._waiting = WaitingExposures[str](len(self._cams))
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
@@ -108,7 +121,7 @@ class GrowingLog(CalibratedFolder):
             found = [*self._new_rows(), *self._new_exposures()]
             yield from sorted(found, key=lambda e: (e.t_ns, isinstance(e, Frame)))
             now = time.monotonic()
-            last = now if found or self._waiting.names else last
+            last = now if found or self._waiting.items else last
             if now - last > self._idle:
                 return
             if not found:
@@ -141,14 +154,9 @@ class GrowingLog(CalibratedFolder):
             for row in rows_of(table.new_lines(), (2,), group, self.findings):
                 if names_file(row, group, self.findings):
                     self._waiting.add(k, row.t_ns, row.fields[0], now)
-        for t_ns, names in sorted(self._waiting.names.items()):
-            waited = now - self._waiting.since[t_ns]
-            if None in names and waited < PARTNER:
-                return  # in order: later exposures wait as well
-            images = self._images(names, waited > WRITTEN)
-            if images is None:
+        for t_ns, names, waited in self._waiting.ready(now):
+            if (images := self._images(names, waited > WRITTEN)) is None:
                 return
-            self._waiting.remove(t_ns)
             if any(i is not None for i in images):
                 self.length += 1
                 yield Frame(t_ns, images, next(n for n in names if n))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import struct
 import warnings
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, TiffTags, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
 from alight.arrays import U8
@@ -49,22 +48,11 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
     return image.size
 
 
-def _not_turned(tiff: bytes) -> bytes:
-    """Return the file with an EXIF orientation of 1: pillow scrambles some images that it turns.
-
-    Raises:
-        ValueError: it is a BigTIFF.
-    """
-    order = "<" if tiff.startswith(b"II") else ">"
-    magic, directory = struct.unpack_from(f"{order}HI", tiff, 2)
-    if magic != 42:  # of a classic TIFF
-        raise ValueError("it is a BigTIFF with an EXIF orientation other than 1; set it to 1")
-    (entries,) = struct.unpack_from(f"{order}H", tiff, directory)
-    upright = bytearray(tiff)
-    for at in range(directory + 2, directory + 2 + 12 * entries, 12):
-        if struct.unpack_from(f"{order}H", tiff, at)[0] == ExifTags.Base.Orientation:
-            struct.pack_into(f"{order}HHIHH", upright, at, ExifTags.Base.Orientation, TiffTags.SHORT, 1, 1, 0)
-    return bytes(upright)
+def _not_turned(path: Path) -> Image.Image:
+    """A TIFF as it is stored: pillow turns them, and damages grey ones that it maps into memory."""
+    with Image.open(BytesIO(path.read_bytes())) as image:
+        image.getexif()[ExifTags.Base.Orientation] = 1
+        return image.copy()  # with the size of the pixels
 
 
 def _pixels(image: Image.Image) -> U8:
@@ -97,9 +85,8 @@ def read_image(path: Path, size: tuple[int, int]) -> U8:
             stored = stored_size(image)
             if stored != size:
                 raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
-            if isinstance(image, TiffImageFile) and image.tag_v2.get(ExifTags.Base.Orientation, 1) in range(2, 9):
-                with Image.open(BytesIO(_not_turned(path.read_bytes()))) as upright:
-                    return _pixels(upright)
+            if isinstance(image, TiffImageFile):
+                return _pixels(_not_turned(path))
             pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
         if jpeg and not has_end(path.read_bytes()):
             raise ValueError("it is truncated: its end is missing")

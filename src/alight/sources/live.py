@@ -29,18 +29,13 @@ class LiveSource:
     telemetry: Callable[[], Telemetry | None] = lambda: None  # newest of the autopilot that gives GPS/INS
 
 
-def never() -> bool:
-    """Return False: never stopped."""
-    return False
-
-
 def is_cameras(name: str) -> bool:
     """True for cameras; else it is the name of a file or a folder."""
     return name.startswith(PREFIXES)
 
 
 def open_sensors(
-    name: str, settings: Settings, rig: Path | None = None, stopped: Callable[[], bool] = never
+    name: str, settings: Settings, rig: Path | None = None, stopped: Callable[[], bool] = lambda: False
 ) -> LiveSource:
     """Open cameras, or a folder that is being filled.
 
@@ -109,7 +104,7 @@ def as_they_arrive(last: Iterator[Event], *others: Iterator[Event], most: int = 
         over.set()
 
 
-def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = never) -> Iterator[Event]:
+def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
     """Yield the events of a recording at the times of their stamps; an event whose time has passed comes at once.
 
     Args:

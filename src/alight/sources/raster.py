@@ -107,27 +107,15 @@ def _band(path: Path, dataset: Any, band: int) -> F32:
     return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
-def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None, list[Path]]:
-    """Sigma of every cell, a warning, and the raster that it was read from.
-
-    A number, a raster, the heights' own second band, or the usual one, with a warning; NaN where a value is no
-    possible 1-sigma of a height.
-    """
-    if given is None and own is None:
-        warning = f"no sigma given: {usual:g} m is taken for every height; P(safe) is no better than that (--sigma)"
-        return np.full(grid.shape, usual, np.float32), warning, []
-    files = list[Path]()
-    if given is not None:
-        try:
-            value = float(given)
-        except ValueError:  # it names a raster
-            own, files = _sigma_raster(Path(given), grid), [Path(given)]
-        else:
-            if not 0 <= value < LARGEST_SIGMA:
-                raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")
-            own = np.full(grid.shape, value, np.float32)
-    assert own is not None
-    return np.where((own >= 0) & (own < LARGEST_SIGMA), own, np.float32(np.nan)), None, files
+def _sigma(given: str, grid: Grid) -> F32:
+    """1-sigma of every cell as the user gives it: metres, or a raster."""
+    try:
+        value = float(given)
+    except ValueError:  # it names a raster
+        return _sigma_raster(Path(given), grid)
+    if not 0 <= value < LARGEST_SIGMA:
+        raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")
+    return np.full(grid.shape, value, np.float32)
 
 
 def _sigma_raster(path: Path, grid: Grid) -> F32:
@@ -183,15 +171,21 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     known = np.isfinite(height)
     if not known.any():
         raise InputError(f"{path}: no height is known; check its nodata value")
-    spread, no_sigma, of_sigma = _sigma(sigma, grid, own, usual_sigma)
+    doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
+    spread = own if sigma is None else _sigma(sigma, grid)
+    if spread is None:
+        spread = np.full(grid.shape, usual_sigma, np.float32)
+        doubts.append(
+            f"no sigma given: {usual_sigma:g} m is taken for every height; P(safe) is no better than that (--sigma)"
+        )
+    doubts += [suspect] if suspect else []
+    spread = np.where((spread >= 0) & (spread < LARGEST_SIGMA), spread, np.float32(np.nan))
     known &= np.isfinite(spread)
     if not known.any():
         raise InputError(f"{path}: no height has a sigma; give --sigma in metres")
-    doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
-    doubts += [doubt for doubt in (no_sigma, suspect) if doubt]
     pixels = None if image is None else _image(image, grid)
-    files = [path, *of_sigma, *([] if image is None else [image])]
-    return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts), tuple(files))
+    files = (path, *(file for file in (sigma and Path(sigma), image) if file and file.is_file()))
+    return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts), files)
 
 
 def _as_map(grid: Grid, height: F32, sigma: F32, known: Mask, image: U8 | None) -> ElevationMap:

@@ -1,8 +1,8 @@
-"""Anchor patches: features are matched with their first appearance, so that errors do not accumulate (M1e)."""
+"""Patches: features are matched with their first appearance, so that errors do not accumulate (M1e)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -26,40 +26,6 @@ def smooth_image(image: U8) -> U8:
 
 
 @dataclass(frozen=True, eq=False)
-class GroundPlane:
-    """The ground under the features in a camera: a level plane through their median depth."""
-
-    up: F64  # (3,) unit, in the camera frame
-    depth: float  # m along the optical axis
-
-    @classmethod
-    def under(cls, pose: Pose | None, depth: F64) -> GroundPlane:
-        """Return the ground under a camera at `pose` (world_from_cam; None: across the view); NaN depth = unknown."""
-        up = pose.rotation[2] if pose is not None else np.array([0.0, 0.0, -1.0])
-        return cls(up, median_depth(depth, 1e6))
-
-
-def patch_warps(
-    pixels: F64, lens: Lens, views: tuple[F64, F64], which: I64, ground: GroundPlane, there: F64, other: Lens
-) -> F64:
-    """Return the (N, 2, 2) derivative of pixels in other views by pixels here, for the ground around features.
-
-    Args:
-        pixels: (N, 2) here.
-        lens: of this view.
-        views: (V, 3, 3), (V, 3) rotation and translation, other_from_here.
-        which: (N,) of them, for each feature.
-        ground: seen from here.
-        there: (N, 2) pixels in the other views.
-        other: lens of the other views.
-    """
-    out = np.empty((len(pixels), 2, 2))
-    R, t, up = (np.array(v, order="C") for v in (*views, ground.up))  # the loop is compiled once, not for each layout
-    warp_patches(pixels, lens.table, R, t, which, up, ground.depth, there, other.table, out)
-    return out
-
-
-@dataclass(frozen=True, eq=False)
 class FeaturePatches:
     """Appearance of N features."""
 
@@ -68,36 +34,48 @@ class FeaturePatches:
     slots: I64  # (N,) which of them
     places: F64  # (N, 2) column and row in it
     pixels: F64  # (N, 2) in the image from which it was cut
-    image_number: I64  # (N,) number of that image
+    R: F64  # (N, 3, 3) pose of the camera of that image, world_from_cam
+    t: F64  # (N, 3)
 
     @classmethod
     def none(cls, window: int) -> FeaturePatches:
         """Return no patches, for a window of that many px; nine px around it are room for rotation and scale."""
         side, empty = window + 2 * 9, np.empty(0, np.int64)
-        return cls(empty, np.empty((0, side, side), np.uint8), empty, np.empty((0, 2)), np.empty((0, 2)), empty)
+        pixels, R, t = (np.empty((0, *shape)) for shape in ((2,), (3, 3), (3,)))
+        return cls(empty, np.empty((0, side, side), np.uint8), empty, pixels, pixels, R, t)
 
     @classmethod
     def whole(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
         """Take a whole smoothed image as the patch of its features: nothing is copied.
 
-        Features too close to its edge have none.
+        Features too close to its edge have none. The world is that of its camera.
         """
         margin, (height, width) = window // 2 + 2, image.shape
         inside = ((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin])).all(axis=1)
         ids, pixels = ids[inside], pixels[inside]
-        zero = np.zeros(len(ids), np.int64)
-        return cls(ids, image[None], zero, pixels, pixels, zero)
+        n = len(ids)
+        return cls(
+            ids, image[None], np.zeros(n, np.int64), pixels, pixels, np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        )
 
     def select(self, which: Mask | I64) -> FeaturePatches:
         """Return the patches of some features; their pixels are shared."""
-        return replace(
-            self, ids=self.ids[which], slots=self.slots[which], places=self.places[which], pixels=self.pixels[which],
-            image_number=self.image_number[which],
-        )  # fmt: skip
+        own = (f.name for f in fields(self) if f.name != "grey")
+        return replace(self, **{name: getattr(self, name)[which] for name in own})
 
-    def with_new(self, image: U8, ids: I64, pixels: F64, image_number: int) -> FeaturePatches:
-        """Return these patches and new ones, cut out of a smoothed image; features too close to its edge get none."""
-        side = self.grey.shape[1]
+    def of(self, ids: I64) -> tuple[FeaturePatches, I64]:
+        """Return the patches of those of some features that have one, and (N,) where these are in `ids`, ascending."""
+        at = np.searchsorted(ids, self.ids)
+        present = np.append(ids, -1)[at] == self.ids
+        return self.select(present), at[present]
+
+    def with_new(self, image: U8, ids: I64, pixels: F64, pose: Pose) -> FeaturePatches:
+        """Return these patches and those of features without one, cut out of a smoothed image.
+
+        Features too close to its edge get none. `pose`: world_from_cam of the image.
+        """
+        side, new = self.grey.shape[1], ~np.isin(ids, self.ids)
+        ids, pixels = ids[new], pixels[new]
         corner = np.rint(pixels).astype(np.int64) - side // 2
         inside = ((corner >= 0) & (corner + side <= image.shape[::-1])).all(axis=1)
         if not inside.any():
@@ -112,8 +90,30 @@ class FeaturePatches:
             order,
             np.concatenate([self.places, pixels - corner])[order],
             np.concatenate([self.pixels, pixels])[order],
-            np.concatenate([self.image_number, np.full(len(ids), image_number)])[order],
+            np.concatenate([self.R, np.tile(pose.rotation, (len(ids), 1, 1))])[order],
+            np.concatenate([self.t, np.tile(pose.translation, (len(ids), 1))])[order],
         )
+
+    def warps(self, own: Lens, pixels: F64, lens: Lens, pose: Pose, up: F64, depth: F64) -> F64:
+        """Return the (N, 2, 2) derivative of the pixels of these patches by those of another view.
+
+        The ground is a level plane through the median depth of all features.
+
+        Args:
+            own: lens of the patches.
+            pixels: (N, 2) in the other view.
+            lens: of the other view.
+            pose: world_from_cam of the other view.
+            up: (3,) unit, upwards in the other camera.
+            depth: (M,) m along its optical axis, of all features, NaN = unknown.
+        """
+        own_from_world, out = self.R.transpose(0, 2, 1), np.empty((len(pixels), 2, 2))
+        off = own_from_world @ (pose.translation - self.t)[..., None]
+        # the loop is compiled once, not for each layout
+        R, t, up = (np.array(v, order="C") for v in (own_from_world @ pose.rotation, off[..., 0], up))
+        which, level = np.arange(len(pixels)), median_depth(depth, 1e6)
+        warp_patches(pixels, lens.table, R, t, which, up, level, self.pixels, own.table, out)
+        return out
 
     def locate(
         self, image: U8, start: F64, warp: F64, settings: TracksSettings, reach: F64 | None = None
@@ -159,72 +159,3 @@ def follow_patches(then: U8, now: U8, pixels: F64, start: F32, settings: TracksS
         (off * off).sum(axis=1) < settings.forward_backward_px**2
     )
     return found, good
-
-
-class AnchorPatches:
-    """Patches of the features of one camera, with the camera poses at which they were cut."""
-
-    def __init__(self, lens: Lens, settings: TracksSettings) -> None:
-        self._lens, self._settings = lens, settings
-        self._span = settings.patch_span * lens.camera.width  # px that a feature may move before it needs a new patch
-        self._window = settings.window_px | 1
-        self.clear()
-
-    def clear(self) -> None:
-        """Drop all patches: their warps are not known any more."""
-        self._numbers, self._next = np.empty(0, np.int64), 0
-        self._R, self._t = np.empty((0, 3, 3)), np.empty((0, 3))  # world_from_cam of each of these images
-        self._patches = FeaturePatches.none(self._window)
-
-    def locate(self, image: U8, ids: I64, pixels: F64, pose: Pose, depth: F64) -> tuple[F64, Mask]:
-        """Locate the anchor patches of features near given pixels.
-
-        Args:
-            image: smoothed.
-            ids: (N,) ascending.
-            pixels: (N, 2) where the search begins.
-            pose: predicted world_from_cam.
-            depth: (N,) m, NaN = unknown.
-
-        Returns:
-            (N, 2) pixels, as given where there is no patch or it does not fit; (N,) which fit.
-        """
-        held, at = self._held_of(ids)
-        out, found = np.array(pixels, dtype=np.float64), np.zeros(len(ids), bool)
-        if not len(at):
-            return out, found
-        then_from_world = self._R.transpose(0, 2, 1)
-        off = then_from_world @ (pose.translation - self._t)[..., None]
-        views, which = (then_from_world @ pose.rotation, off[..., 0]), np.searchsorted(self._numbers, held.image_number)
-        ground = GroundPlane.under(pose, depth)
-        warp = patch_warps(out[at], self._lens, views, which, ground, held.pixels, self._lens)
-        out[at], found[at] = held.locate(image, out[at], warp, self._settings)
-        return out, found
-
-    def retain(self, ids: I64, pixels: F64) -> None:
-        """Keep the patches of features that are still served by them; the others get new ones.
-
-        Args:
-            ids: (N,) ascending.
-            pixels: (N, 2) where they are now.
-        """
-        held, at = self._held_of(ids)
-        moved = pixels[at] - held.pixels
-        self._patches = held.select((moved * moved).sum(axis=1) < self._span**2)
-
-    def _held_of(self, ids: I64) -> tuple[FeaturePatches, I64]:
-        """Return the patches held of given features, and (N,) where these are in `ids`."""
-        at = np.searchsorted(ids, self._patches.ids)
-        present = np.append(ids, -1)[at] == self._patches.ids
-        return self._patches.select(present), at[present]
-
-    def add_missing(self, image: U8, ids: I64, pixels: F64, pose: Pose) -> None:
-        """Cut patches of the features that have none yet."""
-        has = np.zeros(len(ids), bool)
-        has[np.searchsorted(ids, self._patches.ids)] = True
-        used = np.searchsorted(self._numbers, np.unique(self._patches.image_number))
-        self._patches = self._patches.with_new(image, ids[~has], pixels[~has], self._next)
-        self._numbers = np.append(self._numbers[used], self._next)
-        self._R = np.concatenate([self._R[used], pose.rotation[None]])
-        self._t = np.concatenate([self._t[used], pose.translation[None]])
-        self._next += 1

@@ -18,7 +18,7 @@ from alight.records import Frame, Prediction, Rig, Tracks
 from alight.settings import TracksSettings
 from alight.tracks.corners import BORDER, corner_response, detect_corners, oldest_per_cell
 from alight.tracks.global_alignment import common_shift, likely_turns, match_brightness, relocate, warp_affine
-from alight.tracks.patches import AnchorPatches, FeaturePatches, GroundPlane, follow_patches, patch_warps, smooth_image
+from alight.tracks.patches import FeaturePatches, follow_patches, smooth_image
 from alight.tracks.view_transfer import (
     Lens,
     PredictedPixels,
@@ -36,17 +36,19 @@ def grey(image: U8) -> U8:
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
-@dataclass(eq=False)
-class _LastExposure:
-    """The last exposure that had a left image."""
+@dataclass(frozen=True, eq=False)
+class _Exposure:
+    """An exposure with a left image, and its features."""
 
     t_ns: int
     image: U8
     soft: U8  # the same, smoothed for patches
-    poses: Poses | None
+    poses: Poses | None  # predicted
+    pose: Pose | None  # that of the left camera, if the last prediction was good enough for warps
     ids: I64
     pixels: F32  # (N, 2)
     depth: F64  # (N,) metres in the left camera, NaN = unknown
+    patches: FeaturePatches  # ids are the rows of the features
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +61,6 @@ class _Found:
     anchored: Mask  # (N,) settled by their own patch already
 
 
-@dataclass(frozen=True, eq=False)
-class _LeftView:
-    """Features of the present image of the left camera, which are matched in the other ones."""
-
-    image: U8
-    patches: FeaturePatches  # ids are the rows of the features
-    pixels: F32  # (N, 2)
-    depth: F64  # (N,) m, NaN = unknown
-    pose: Pose | None  # world_from_cam, predicted
-
-
 class Tracker:
     """Follows features through the exposures of a rig; `feed` returns one `Tracks` an exposure."""
 
@@ -79,11 +70,11 @@ class Tracker:
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
         self._views = ViewTransfer(self._lenses, self._cam_from_first, settings)
-        self._anchors = AnchorPatches(self._lenses[0], settings)
+        self._anchors = FeaturePatches.none(settings.window_px | 1)  # of the left camera, as features were first seen
         # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
         self._prediction_error = [np.inf] * len(rig.cameras)
         self._next_id = 0
-        self._last: _LastExposure | None = None
+        self._last: _Exposure | None = None
 
     @property
     def last_ns(self) -> int | None:
@@ -108,12 +99,11 @@ class Tracker:
         ids, pixels, depth = found.ids, self._refine_in_time(soft, found, pose), found.depth
         ids, pixels, depth = self._add_corners(soft, ids, pixels, depth)
         if pose is not None:
-            self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
-        patches = FeaturePatches.whole(
-            soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1
-        )
-        observed, depth = self._match_across_rig(frame, _LeftView(image, patches, pixels, depth, pose))
-        self._last = _LastExposure(frame.t_ns, image, soft, poses, ids, pixels, depth)
+            self._anchors = self._anchors.with_new(soft, ids, pixels.astype(np.float64), pose)
+        rows, window = np.arange(len(pixels)), self._settings.window_px | 1
+        patches = FeaturePatches.whole(soft, rows, pixels.astype(np.float64), window)
+        exposure = _Exposure(frame.t_ns, image, soft, poses, pose, ids, pixels, depth, patches)
+        observed, self._last = self._match_across_rig(frame, exposure)
         return self._tracks_of(frame.t_ns, ids, observed, corner_response(image, pixels, self._settings.window_px))
 
     def _track_in_time(self, image: U8, soft: U8, prediction: Prediction | None) -> _Found:
@@ -152,22 +142,20 @@ class Tracker:
         """Return whether the last predictions were so good that patches are found from them at once."""
         return self._prediction_error[cam] < self._settings.close_px
 
-    def _align_in_time(
-        self, m: _LastExposure, soft: U8, predicted: PredictedPixels, pose: Pose
-    ) -> tuple[F32, Mask, Mask]:
+    def _align_in_time(self, m: _Exposure, soft: U8, predicted: PredictedPixels, pose: Pose) -> tuple[F32, Mask, Mask]:
         """Settle features from their predicted pixels by patches alone: their own ones, else those of the last image.
 
         Returns:
             (N, 2) pixels; (N,) which were found; (N,) which of them by their own patch.
         """
         start = predicted.pixels.astype(np.float64)
-        pixels, anchored = self._anchors.locate(soft, m.ids, start, pose, predicted.depth)
+        pixels, anchored = self._locate_anchors(soft, m.ids, start, pose, predicted.depth)
         good = anchored & self._in_search_region(0, pixels, predicted)
         rest = np.flatnonzero(~good)
         if len(rest):
             some = predicted.select(rest)
             moved, same = follow_patches(m.soft, soft, m.pixels[rest].astype(np.float64), some.pixels, self._settings)
-            settled, own = self._anchors.locate(soft, m.ids[rest], moved, pose, predicted.depth)
+            settled, own = self._locate_anchors(soft, m.ids[rest], moved, pose, predicted.depth)
             pixels[rest], good[rest] = settled, same & self._in_search_region(0, settled, some)
             anchored[rest] = own
         self._note_prediction_error(0, pixels, predicted, good)
@@ -176,16 +164,39 @@ class Tracker:
     def _refine_in_time(self, soft: U8, found: _Found, pose: Pose | None) -> F32:
         """Refine matches of Lucas-Kanade by the features' own patches; without a pose their warp is unknown."""
         if pose is None:
-            self._anchors.clear()
+            self._anchors = FeaturePatches.none(self._settings.window_px | 1)
             return found.pixels
         pixels, anchored = found.pixels.astype(np.float64), found.anchored
         if not anchored.any():
-            pixels, anchored = self._anchors.locate(soft, found.ids, pixels, pose, found.depth)
-        self._anchors.retain(found.ids[anchored], pixels[anchored])
+            pixels, anchored = self._locate_anchors(soft, found.ids, pixels, pose, found.depth)
+        held, at = self._anchors.of(found.ids[anchored])
+        moved = pixels[anchored][at] - held.pixels  # far from where a patch was cut, it no longer serves
+        most = self._settings.patch_span * self._lenses[0].camera.width
+        self._anchors = held.select((moved * moved).sum(axis=1) < most**2)
         return pixels.astype(np.float32)
 
+    def _locate_anchors(self, soft: U8, ids: I64, pixels: F64, pose: Pose, depth: F64) -> tuple[F64, Mask]:
+        """Locate the features' own patches near given pixels.
+
+        Args:
+            soft: smoothed image.
+            ids: (N,) ascending.
+            pixels: (N, 2) where the search begins.
+            pose: predicted world_from_cam.
+            depth: (N,) m, NaN = unknown.
+
+        Returns:
+            (N, 2) pixels, as given where there is no patch or it does not fit; (N,) which fit.
+        """
+        held, at = self._anchors.of(ids)
+        out, found, lens = np.array(pixels, dtype=np.float64), np.zeros(len(ids), bool), self._lenses[0]
+        if len(at):
+            warp = held.warps(lens, out[at], lens, pose, pose.rotation[2], depth)
+            out[at], found[at] = held.locate(soft, out[at], warp, self._settings)
+        return out, found
+
     def _predicted_pixels(
-        self, m: _LastExposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
+        self, m: _Exposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
     ) -> PredictedPixels:
         """Predict pixels from the motion; where they move far, their common error is corrected first (M1c)."""
         has_depth = bool(np.isfinite(m.depth).any())
@@ -198,7 +209,7 @@ class Tracker:
         return predicted if has_depth and relative_covariance is not None else replace(predicted, covariance=None)
 
     def _match_in_time(
-        self, m: _LastExposure, image: U8, predicted: PredictedPixels, expected: bool = False
+        self, m: _Exposure, image: U8, predicted: PredictedPixels, expected: bool = False
     ) -> tuple[F32, Mask]:
         then, start = warp_affine(m.image, m.pixels, predicted.pixels)
         return self._match(then, image, start, predicted, 0, expected)
@@ -219,7 +230,6 @@ class Tracker:
         """Match by Lucas-Kanade from `a` to `b` (of camera `cam`), in time forward and backward.
 
         Args:
-            a, b: images.
             pixels: (N, 2) in `a`.
             predicted: in `b`.
             cam: index of the camera of `b`; 0: a match in time.
@@ -270,8 +280,8 @@ class Tracker:
             np.concatenate([depth, np.full(len(new), np.nan)]),
         )
 
-    def _match_across_rig(self, frame: Frame, left: _LeftView) -> tuple[F64, F64]:
-        """Match features of the left camera in all other cameras; pixels (N, cameras, 2) and depths (N,)."""
+    def _match_across_rig(self, frame: Frame, left: _Exposure) -> tuple[F64, _Exposure]:
+        """Match features of the left camera in all other cameras; pixels (N, cameras, 2), and the depths found."""
         observed = np.full((len(left.pixels), len(self._lenses), 2), np.nan)
         observed[:, 0] = left.pixels
         for i in range(1, len(self._lenses)):
@@ -279,9 +289,9 @@ class Tracker:
             if other is not None and len(left.pixels):
                 observed[:, i], z = self._match_stereo(i, left, grey(np.asarray(other)))
                 left = replace(left, depth=np.where(np.isfinite(z), z, left.depth))
-        return observed, left.depth
+        return observed, left
 
-    def _match_stereo(self, i: int, left: _LeftView, right: U8) -> tuple[F64, F64]:
+    def _match_stereo(self, i: int, left: _Exposure, right: U8) -> tuple[F64, F64]:
         """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
         pose, focal = self._cam_from_first[i], self._lenses[i].camera.fu
         pixels, depth = left.pixels, left.depth
@@ -309,16 +319,13 @@ class Tracker:
         return found, z
 
     def _refine_by_patches(
-        self, i: int, left: _LeftView, right: U8, found: F64, good: Mask, reach: F64 | None = None
+        self, i: int, left: _Exposure, right: U8, found: F64, good: Mask, reach: F64 | None = None
     ) -> F64:
         """Refine matches in another camera by their patches; a match that fails is marked in `good`."""
         patched = left.patches.select(good[left.patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
-        ground = GroundPlane.under(left.pose @ to_first if left.pose is not None else None, left.depth)
-        views = to_first.rotation[None], to_first.translation[None]
-        warps = patch_warps(
-            found[at], self._lenses[i], views, np.zeros_like(at), ground, patched.pixels, self._lenses[0]
-        )
+        up = np.array([0.0, 0.0, -1.0]) if left.pose is None else (left.pose @ to_first).rotation[2]
+        warps = patched.warps(self._lenses[0], found[at], self._lenses[i], to_first, up, left.depth)
         out, limit = found.copy(), None if reach is None else reach[at]
         out[at], good[at] = patched.locate(right, found[at], warps, self._settings, limit)
         return out

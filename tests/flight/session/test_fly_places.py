@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from autopilot_rig import HERE, accepted, report
-from length import BOTH, EITHER, first, in_turn
+from length import EITHER, first, in_turn
 from pilot_rig import PLACE, PilotRig, flying, seldom
 
 from alight.flight.autopilot.firmware import ArduPilotFirmware
@@ -46,7 +46,7 @@ def test_positions_that_are_late_or_rare_land_like_others(dialect: str, slow: st
     assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.5
 
 
-@BOTH
+@EITHER
 def test_positions_that_stop_are_held_only_when_they_are_old(dialect: str) -> None:
     r = flying(dialect)
     assert r.fly(S.APPROACH)

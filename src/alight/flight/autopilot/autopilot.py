@@ -36,7 +36,6 @@ class Autopilot:
     Args:
         rates: Hz of further streams, or other rates of the default streams; 0: not requested.
         events: makes GPS/INS rows and IMU samples of the telemetry; None: they are not made.
-        system: number of the vehicle on a link with several; None: the first.
         component: our component number on the link.
     """
 
@@ -44,12 +43,10 @@ class Autopilot:
         self,
         rates: Mapping[str, float] | None = None,
         events: TelemetryReader | None = None,
-        system: int | None = None,
         component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER,
     ) -> None:
-        self._framing = Framing(system or 1, component)
-        self._wanted, self._component = system, component
-        self._events, self._rates = events, dict(rates or {})
+        self._framing = Framing(1, component)
+        self._component, self._events, self._rates = component, events, dict(rates or {})
         self._out: list[bytes] = []
         self._notices: list[Notice] = []
         self._samples: list[NavSample | ImuSample] = []
@@ -114,45 +111,37 @@ class Autopilot:
         """Take bytes as they came, in pieces of any length; no content can raise an exception."""
         self._now_ns = max(now_ns, self._now_ns)
         for received in self._framing.decode(data, now_ns):
+            if received.component != mavlink.MAV_COMP_ID_AUTOPILOT1:
+                continue
             if self.vehicle is None and received.name == "HEARTBEAT":
                 self.vehicle = self._vehicle_of(received)
-            if self.vehicle is not None and received.system == self.vehicle.system and _is_autopilot(received):
-                self._on_message(self.vehicle, received)
-
-    def _on_message(self, vehicle: RemoteVehicle, received: ReceivedMessage) -> None:
-        if not vehicle.on_message(received, self._now_ns) or self._events is None:
-            return
-        if vehicle.starts > self._events.starts:
-            self._events.restart(vehicle.starts)
-        self._samples += self._events.feed(received.name, received.message, vehicle.clock)
+            vehicle, events = self.vehicle, self._events
+            if vehicle is None or received.system != vehicle.system:
+                continue
+            if vehicle.on_message(received, self._now_ns) and events is not None:
+                if vehicle.starts > events.starts:
+                    events.restart(vehicle.starts)
+                self._samples += events.feed(received.name, received.message, vehicle.clock)
 
     def _vehicle_of(self, heartbeat: ReceivedMessage) -> RemoteVehicle | None:
-        """The vehicle of a heartbeat; None: it is of something else, or not supported."""
+        """The vehicle of an autopilot's heartbeat; None: there is none, or it is not supported."""
         m, system = heartbeat.message, heartbeat.system
-        if not _is_autopilot(heartbeat) or m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
-            return None
-        if self._wanted not in (None, system):
+        if m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
             return None
         firmware = FIRMWARES.get(m.autopilot)
         if firmware is None or m.type not in HOVERS:
-            self._refuse(system, "autopilot" if firmware is None else "kind of vehicle")
+            if system not in self._refused:
+                self._refused.add(system)
+                what = "autopilot" if firmware is None else "kind of vehicle"
+                text = f"system {system}: this {what} is not supported (ArduPilot's Copter, PX4's multicopter)"
+                self._note(NoticeKind.FOUND, text, ok=False)
             return None
         self._framing.set_sender(system, self._component)
         self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
         return RemoteVehicle(heartbeat, firmware(), (system, self._component), self._rates, self._send, self._note)
-
-    def _refuse(self, system: int, what: str) -> None:
-        if system not in self._refused:
-            self._refused.add(system)
-            text = f"system {system}: this {what} is not supported (ArduPilot's Copter, PX4's multicopter)"
-            self._note(NoticeKind.FOUND, text, ok=False)
 
     def _send(self, outgoing: Any) -> None:
         self._out.append(self._framing.encode(outgoing))
 
     def _note(self, kind: NoticeKind, text: str, ok: bool = True, **more: Any) -> None:
         self._notices.append(Notice(self._now_ns, kind, text, ok, **more))
-
-
-def _is_autopilot(received: ReceivedMessage) -> bool:
-    return bool(received.component == mavlink.MAV_COMP_ID_AUTOPILOT1)

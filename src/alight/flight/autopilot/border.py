@@ -61,6 +61,11 @@ def metres_between(a: Place, b: Place) -> float:
     return math.hypot(north, east, b.altitude_msl - a.altitude_msl)
 
 
+def shifted(place: Place, latitude: float, longitude: float, up: float) -> Place:
+    """Return the place some degrees north and east of another one, and some metres above it."""
+    return Place(place.latitude + latitude, place.longitude + longitude, place.altitude_msl + up, place.above_home + up)
+
+
 @dataclass(frozen=True, eq=False)
 class EstimateTie:
     """Our position and the autopilot's of the same instant, which tie our world to the autopilot's.
@@ -75,10 +80,4 @@ class EstimateTie:
     def place_of(self, target_world: ArrayLike) -> Place:
         """Return a position (3,) of our world in the autopilot's coordinates, in error by as much as its own is."""
         lat, lon, height = self.local.to_geodetic(np.stack([self.position_world, np.asarray(target_world)]))
-        up = float(height[1] - height[0])
-        return Place(
-            self.place.latitude + float(lat[1] - lat[0]),
-            self.place.longitude + float(lon[1] - lon[0]),
-            self.place.altitude_msl + up,
-            self.place.above_home + up,
-        )
+        return shifted(self.place, *(float(v[1] - v[0]) for v in (lat, lon, height)))

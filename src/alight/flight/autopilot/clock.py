@@ -25,11 +25,6 @@ class _Exchange:
     offset_ns: int  # ours minus theirs
     round_trip: float  # s
 
-    def agrees(self, other: _Exchange) -> bool:
-        """True if both have the same offset, within half of both round trips."""
-        within = _JUMP + (self.round_trip + other.round_trip) / 2
-        return abs(self.offset_ns - other.offset_ns) * 1e-9 <= within
-
 
 class VehicleClock:
     """Offset and drift of the autopilot's clock against ours, from the round trips of TIMESYNC.
@@ -83,7 +78,8 @@ class VehicleClock:
         exchange = _Exchange(theirs_ns, offset_ns, (now_ns - requested_ns) * 1e-9)
         before, self._doubtful = self._doubtful, None
         if self._jumped(exchange):
-            if before is None or not before.agrees(exchange):
+            both = 0.0 if before is None else (before.round_trip + exchange.round_trip) / 2  # s
+            if before is None or abs(before.offset_ns - exchange.offset_ns) * 1e-9 > _JUMP + both:
                 self._doubtful = exchange
                 return True
             self._forget()

@@ -9,7 +9,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Protocol
 
@@ -19,6 +19,13 @@ log = logging.getLogger(__name__)
 
 _CHUNK = 65_535
 _BROKEN = (OSError, ValueError, TypeError)  # the last two: of a socket or a port that another thread has just closed
+_ERRORS: Mapping[int, tuple[type[AlightError], str]] = {
+    errno.EACCES: (OutputError, "no permission; for a serial port add yourself to its group (dialout)"),
+    errno.EPERM: (OutputError, "no permission; name another port"),
+    errno.EADDRINUSE: (OutputError, "the port is taken; end the program that uses it, or name another"),
+    errno.ECONNREFUSED: (InputError, "nobody answers there; start the autopilot or the bridge first"),
+    errno.ENOENT: (InputError, "there is no such host or device"),
+}
 NAMES = (
     "udp:HOST:PORT (listen, as a companion of a ground station), udpout:HOST:PORT (send to), tcp:HOST:PORT, "
     "serial:DEVICE:BAUD"
@@ -26,19 +33,12 @@ NAMES = (
 
 
 class Port(Protocol):
-    """An open socket or serial port. Everything may raise OSError."""
+    """An open socket or serial port; `send` does not wait (BlockingIOError: it is full). All may raise OSError."""
 
-    def fileno(self) -> int:
-        """Its file descriptor, to wait for bytes."""
-
-    def receive(self) -> list[bytes]:
-        """Return the waiting bytes, one entry a datagram or chunk."""
-
-    def send(self, data: bytes) -> None:
-        """Send without waiting; raises BlockingIOError if it is full."""
-
-    def close(self) -> None:
-        """Close it."""
+    def fileno(self) -> int: ...
+    def receive(self) -> list[bytes]: ...  # one entry a datagram or chunk
+    def send(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
 
 
 class Link:
@@ -272,17 +272,7 @@ def open_link(name: str, patient: bool = False, retry: float = 1.0) -> Link:
     """
     try:
         return Link(name, _connector(name), patient, retry)
-    except AlightError:
-        raise
-    except PermissionError as e:
-        raise OutputError(f"{name}: no permission; for a serial port add yourself to its group (dialout)") from e
-    except ConnectionRefusedError as e:
-        raise InputError(f"{name}: nobody answers there; start the autopilot or the bridge first") from e
-    except (FileNotFoundError, socket.gaierror) as e:
-        raise InputError(f"{name}: there is no such host or device") from e
     except OSError as e:
-        if e.errno == errno.EADDRINUSE:
-            raise OutputError(f"{name}: the port is taken; end the program that uses it, or name another") from e
-        if "could not open port" in str(e) and "No such file" in str(e):
-            raise InputError(f"{name}: there is no such host or device") from e
-        raise InputError(f"{name}: {e}") from e
+        number = errno.ENOENT if isinstance(e, socket.gaierror) else e.errno
+        kind, why = _ERRORS.get(number or 0, (InputError, str(e)))
+        raise kind(f"{name}: {why}") from e

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot.border import METRES_PER_DEGREE, metres_between, metres_per_degree_east
+from alight.flight.autopilot.border import METRES_PER_DEGREE, metres_between, metres_per_degree_east, shifted
 from alight.flight.autopilot.clock import VehicleClock
 from alight.records import Place
 from alight.records.telemetry import HIGHEST
@@ -36,13 +36,7 @@ class PositionReport:
     def at(self, boot_ns: int) -> Place:
         """Return the place extrapolated by its velocity to another instant of the autopilot's clock."""
         north, east, down = self.velocity_ned * ((boot_ns - self.boot_ns) * 1e-9)
-        place = self.place
-        return Place(
-            place.latitude + north / METRES_PER_DEGREE,
-            place.longitude + east / metres_per_degree_east(place),
-            place.altitude_msl - down,
-            place.above_home - down,
-        )
+        return shifted(self.place, north / METRES_PER_DEGREE, east / metres_per_degree_east(self.place), -down)
 
     def can_precede(self, new: PositionReport) -> bool:
         """True if the vehicle can have flown from here to the place of a new report."""

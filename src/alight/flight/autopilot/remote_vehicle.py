@@ -17,13 +17,47 @@ from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.firmware import Firmware
 from alight.flight.autopilot.framing import ReceivedMessage
 from alight.flight.autopilot.setpoints import Guidance, Setpoint, Target
-from alight.flight.autopilot.status_text import StatusText, TextJoiner
 from alight.flight.autopilot.streams import StreamKeeper, StreamRate
 from alight.flight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a new start
+
+
+class StatusText(NamedTuple):
+    """A text, and whether it is mere information."""
+
+    text: str
+    ok: bool
+
+
+class TextJoiner:
+    """Joins the pieces of one text, which carry one number. Lost pieces are left out."""
+
+    def __init__(self) -> None:
+        self._number = self._next = self._since_ns = 0  # of the text that is being joined, of its next piece
+        self._pieces: list[StatusText] = []
+
+    def add(self, message: Any, now_ns: int) -> list[StatusText]:
+        """Take a STATUSTEXT; return the texts that it completes: one, two, or none if a piece is to come.
+
+        A piece of less than 50 characters is the last one.
+        """
+        over = self._joined() if message.id != self._number else []
+        if self._pieces and message.chunk_seq < self._next:
+            return over  # it came twice
+        self._number, self._next, self._since_ns = message.id, message.chunk_seq + 1, now_ns
+        self._pieces.append(StatusText(str(message.text), message.severity > mavlink.MAV_SEVERITY_ERROR))
+        return over + (self._joined() if not message.id or len(message.text) < 50 else [])
+
+    def overdue(self, now_ns: int) -> list[StatusText]:
+        """Return the text whose next piece does not come within a second, as far as it came."""
+        return self._joined() if now_ns - self._since_ns > 1_000_000_000 else []
+
+    def _joined(self) -> list[StatusText]:
+        pieces, self._pieces = self._pieces, []
+        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces))] if pieces else []
 
 
 class Displacement(NamedTuple):
@@ -144,7 +178,7 @@ class RemoteVehicle:
             self._aim(Target(now.place))  # the mode is refused without a set-point, and an old one must not be flown
         self._control.ordered(mode, self._timeouts.t_ns)
         # PX4 accepts guided mode after a second of set-points
-        wait_ns = max(1_000_000_000 - self._guidance.sent_for_ns(self._now_ns), 0) if begins else 0
+        wait_ns = max(1_000_000_000 - (self._now_ns - self._guidance.since_ns), 0) if begins else 0
         parameters = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *self.firmware.parameters[mode])
         self._commands.give_up(number)
         t_ns = self._timeouts.t_ns

@@ -115,7 +115,7 @@ class Guidance:
         self._firmware, self._address, self._send, self._commands = firmware, address, send, commands
         self.target: Target | None = None
         self._ahead: Target | None = None  # on the way to it, as it was sent last
-        self._sent_ns = self._since_ns = 0  # the newest set-point; since when they have been sent without a pause
+        self._sent_ns = self.since_ns = 0  # the newest set-point; since when they have been sent without a pause
         self._speeds, self._speeds_ns = (math.inf, math.inf), -_SPEED_AGAIN_NS
         self._tickets: set[int] = set()  # of speeds
         self._refused = False
@@ -123,7 +123,7 @@ class Guidance:
     def aim(self, target: Target, here: Place | None, now_ns: int) -> None:
         """Send a set-point near the vehicle towards a target; the target itself while its place is unknown."""
         if self.target is None:
-            self._since_ns, self._ahead = now_ns, None
+            self.since_ns, self._ahead = now_ns, None
         elif (target.place is None) is not (self.target.place is None):
             self.forget_speeds()  # ArduPilot changes its controller
         self.target, self._sent_ns = target, now_ns
@@ -137,10 +137,6 @@ class Guidance:
         """True if the set-point must be sent again: five times a second, where the firmware needs that."""
         repeated = self.target is not None and self._firmware.repeats_setpoints
         return repeated and now_ns - self._sent_ns >= 200_000_000
-
-    def sent_for_ns(self, now_ns: int) -> int:
-        """Time in ns for which set-points have been sent without a pause."""
-        return now_ns - self._since_ns
 
     def forget_speeds(self) -> None:
         """Send the speeds again with the next set-point, as the controller was started anew."""

@@ -33,7 +33,7 @@ class StreamRate(NamedTuple):
 @dataclass
 class _Stream:
     rate: float
-    received_ns: int = -1
+    received_ns: float = -math.inf
     requested_ns: int | None = None
     wait_ns: int = _FIRST_NS
     begin_ns: int | None = None  # of the count
@@ -56,15 +56,9 @@ class _Stream:
             self.begin_ns, self.count = t_ns, 0
             self.wait_ns = self.wait_ns if self.rates.slow else _FIRST_NS
 
-    def on_request(self, t_ns: int) -> None:
-        self.wait_ns = _FIRST_NS if self.requested_ns is None else min(2 * self.wait_ns, _LONGEST_NS)
-        self.requested_ns, self.begin_ns = t_ns, None
-
-    def has_stopped(self, t_ns: int) -> bool:
-        return t_ns - self.received_ns > _PATIENCE_NS + 3e9 / self.rate
-
     def is_missing(self, t_ns: int) -> bool:
-        return self.received_ns < 0 or self.has_stopped(t_ns)
+        """True if it has not come yet, or comes no more."""
+        return t_ns - self.received_ns > _PATIENCE_NS + 3e9 / self.rate
 
     def is_due(self, t_ns: int) -> bool:
         """True if it must be requested now."""
@@ -106,7 +100,9 @@ class StreamKeeper:
         """Request each stream that has not come, has stopped or is slow, at growing intervals."""
         for name, stream in list(self._streams.items()):
             if stream.is_due(t_ns):
-                stream.on_request(t_ns)
+                again = stream.requested_ns is not None
+                stream.wait_ns = min(2 * stream.wait_ns, _LONGEST_NS) if again else _FIRST_NS
+                stream.requested_ns, stream.begin_ns = t_ns, None
                 number, message = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
                 parameters = (float(message), 1e6 / stream.rate)
                 ticket = self._commands.submit(f"stream {name}", number, parameters, t_ns, flies=False)
@@ -118,4 +114,4 @@ class StreamKeeper:
 
     def rates(self, t_ns: int) -> dict[str, StreamRate]:
         """Return the rates of the messages that come, by name."""
-        return {n: s.rates for n, s in self._streams.items() if not s.has_stopped(t_ns)}
+        return {n: s.rates for n, s in self._streams.items() if not s.is_missing(t_ns)}

@@ -158,14 +158,17 @@ class Executive:
 
     def _trouble(self, now: Situation) -> Event | None:
         over = self._limits.exceeded(now)
-        if self.state is S.HOLD and (enough := self._limits.held_enough(now, self._stage.since, over)) is not None:
-            return enough
+        if self.state is S.HOLD:
+            if (waited := now.t - self._stage.since) > self._limits.patience(now):
+                return E.WAITED, f"for {waited:.0f} s"
+            if over is not None and now.holds:
+                return over
         lost = now.state in (MotionState.LOST, MotionState.INITIALISING)
         flown = self._held if self.state is S.HOLD else self.state
         astray = now.position is None or lost or self._limits.is_too_weak(now, flown, self._left)
         blind = now.picture_age > self._keys.stale
         if self.state is not S.ABORT and (astray or blind):
-            self._limits.missing(now.t)
+            self._limits.missing_at = now.t
             if astray:
                 known = now.position is not None or lost
                 return E.NAVIGATION_LOST, f"the motion is {now.state.name.lower()}" if known else "no position"
@@ -181,7 +184,8 @@ class Executive:
     def _progress(self, now: Situation) -> Event:
         assert now.position is not None or self.state is S.ABORT
         if self.state is S.HOLD:
-            return (E.RECOVERED, "") if self._limits.has_recovered(now.t) else (None, "")
+            recovered = now.t - self._limits.missing_at >= self._keys.recovered  # a flicker does not end a hold
+            return (E.RECOVERED, "") if recovered else (None, "")
         if self.state is S.SEARCH:
             return self._searching(now)
         if self.state is S.ABORT:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 from alight.flight.executive.descent import is_near_ground
 from alight.records import MotionState
@@ -21,7 +20,7 @@ class AttemptLimits:
         self._begun: float | None = None  # s, start of the landing
         self._since: dict[FlightEvent, float] = {}  # s, when each was first beyond its limit
         self._sound_at = -math.inf  # s, when the motion was last not degraded
-        self._missing_at = -math.inf  # s, when motion or pictures were last missing
+        self.missing_at = -math.inf  # s, when motion or pictures were last missing
 
     def observe(self, now: Situation) -> None:
         """Note the start of the landing, and the time when the motion was last not degraded."""
@@ -34,45 +33,24 @@ class AttemptLimits:
 
         Wind and battery count after some time beyond their limits: a gust and a short dip of the voltage do not.
         """
-        beyond = dict(self._beyond(now))
+        k, beyond = self._keys, dict[FlightEvent, str]()
+        if now.wind_speed > k.most_wind:
+            beyond[FlightEvent.WIND] = f"{now.wind_speed:.1f} m/s, limit {k.most_wind:.1f}"
+        if math.isnan(now.battery):
+            beyond[FlightEvent.BATTERY] = "it is not reported any more"
+        if now.battery < k.least_battery:
+            beyond[FlightEvent.BATTERY] = f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
+        if self._begun is not None and now.t - self._begun > k.time_budget:
+            beyond[FlightEvent.TIME] = f"{k.time_budget:.0f} s"
         self._since = {event: self._since.get(event, now.t) for event in beyond}
         for event, words in beyond.items():
-            if event is FlightEvent.TIME or now.t - self._since[event] >= self._keys.lasting:
+            if event is FlightEvent.TIME or now.t - self._since[event] >= k.lasting:
                 return event, words
         return None
-
-    def _beyond(self, now: Situation) -> Iterator[tuple[FlightEvent, str]]:
-        """The limits that are exceeded at this moment, with their numbers in words."""
-        k = self._keys
-        if now.wind_speed > k.most_wind:
-            yield FlightEvent.WIND, f"{now.wind_speed:.1f} m/s, limit {k.most_wind:.1f}"
-        if math.isnan(now.battery):
-            yield FlightEvent.BATTERY, "it is not reported any more"
-        if now.battery < k.least_battery:
-            yield FlightEvent.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
-        if self._begun is not None and now.t - self._begun > k.time_budget:
-            yield FlightEvent.TIME, f"{k.time_budget:.0f} s"
-
-    def missing(self, t: float) -> None:
-        """Note that motion or pictures are missing, at a time in seconds."""
-        self._missing_at = t
-
-    def has_recovered(self, t: float) -> bool:
-        """True if nothing has been missing for `executive.recovered` seconds: a hold does not end at a flicker."""
-        return t - self._missing_at >= self._keys.recovered
 
     def patience(self, now: Situation) -> float:
         """Seconds to wait for lost motion or pictures: longer if the vehicle keeps its place and does not drift."""
         return self._keys.hold if now.holds else self._keys.wait
-
-    def held_enough(
-        self, now: Situation, since: float, over: tuple[FlightEvent, str] | None
-    ) -> tuple[FlightEvent, str] | None:
-        """Event and reason if a vehicle that holds since a time in s is to wait no longer; `over`: exceeded limit."""
-        waited = now.t - since
-        if waited > self.patience(now):
-            return FlightEvent.WAITED, f"for {waited:.0f} s"
-        return over if now.holds else None
 
     def is_too_weak(self, now: Situation, state: FlightState, left: float) -> bool:
         """True if the motion has been degraded for too long for a state (before HOLD, if it holds).

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import compress
 
 import numpy as np
 
@@ -88,14 +89,9 @@ class KnownPlaces:
         self._refused: list[tuple[float, float]] = []
 
     @property
-    def refused(self) -> int:
-        """Number of places that were refused from near by."""
-        return len(self._refused)
-
-    @property
     def fates(self) -> str:
         """Reason why no place was landed on, in words to end a sentence with; empty: no place was known."""
-        refused = f"; {self.refused} places were refused from near by" if self.refused else ""
+        refused = f"; {len(self._refused)} places were refused from near by" if self._refused else ""
         return f"{refused}; something stands beside what is left" if self.best() is not None else refused
 
     def note(self, seen: MapVerdict) -> None:
@@ -104,7 +100,8 @@ class KnownPlaces:
             return
         self._noted_by = seen.number
         listed = [p for p in seen.sites.listed if self._keys.look_again or self.worth_a_visit(p)]
-        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + listed
+        unseen = (opinion(p, seen, self._keys.same_place).standing is Standing.NOT_SEEN for p in self._noted)
+        self._noted = [*compress(self._noted, unseen), *listed]
 
     def refuse(self, place: Site | None) -> None:
         """Never visit a place again."""
@@ -129,28 +126,28 @@ class KnownPlaces:
         After k candidates refused from near by, the next one is a site with a probability of 1 / (k + 2) (rule of
         succession). When that is small, they are not worth the time and the battery.
         """
-        hopeless = self.refused >= self._keys.visits
-        free = [p for p in self._noted if not self.is_refused(p) and (p.kind == "site" or not hopeless)]
-        return next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
+        hopeless = len(self._refused) >= self._keys.visits
+        counts = (p for p in self._ranked() if p.kind == "site" or not hopeless)
+        return next(filter(is_open, counts), None)
 
-    def _rank(self, place: Site) -> tuple[bool, float]:
-        """Sites before candidates; bare and paved ground counts more: near looks settle doubt there, not on grass."""
-        return place.kind == "site", place.p_safe + (
-            self._keys.plain if place.terrain in (Terrain.BARE, Terrain.PAVED) else 0.0
-        )
+    def _ranked(self) -> list[Site]:
+        """Places that were not refused: sites, then candidates by P(safe).
+
+        Bare and paved ground counts more: near looks settle doubt there, not on grass.
+        """
+        plain = {Terrain.BARE: self._keys.plain, Terrain.PAVED: self._keys.plain}
+        free = [p for p in self._noted if not self.is_refused(p)]
+        return sorted(free, key=lambda p: (p.kind == "site", p.p_safe + plain.get(p.terrain, 0.0)), reverse=True)
 
     def worth_a_visit(self, place: Site) -> bool:
         """True if the search is broken off for a place: a site, or a good candidate as long as few were refused."""
-        few = self.refused < self._keys.tries_at_once
+        few = len(self._refused) < self._keys.tries_at_once
         return place.kind == "site" or (few and place.p_safe >= self._keys.at_once)
 
     def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
         """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""
-        others = [p for p in self._noted if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned]
-        free = [p for p in others if not self.is_refused(p) and self.worth_a_visit(p)]
-        best = next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
+        others = (
+            p for p in self._ranked() if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned
+        )
+        best = next((p for p in others if self.worth_a_visit(p) and is_open(p)), None)
         return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None
-
-    def _judged_in(self, place: Site, seen: MapVerdict) -> bool:
-        """True if a verdict has an opinion of its own on a place."""
-        return opinion(place, seen, self._keys.same_place).standing is not Standing.NOT_SEEN

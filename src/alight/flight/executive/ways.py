@@ -95,19 +95,15 @@ class Course:
             to: (3,) metres, end of the way.
             seen: the newest verdict on a map of this frame; None: no obstacles are known.
         """
-        point = self._next_point(position, to, seen, state)
-        if not float(np.linalg.norm(point - self._next)) < NEARER:
-            self._next, self._nearest = point, math.inf
-        return point
-
-    def _next_point(self, position: F64, to: F64, seen: MapVerdict | None, state: FlightState) -> F64:
-        """(3,) metres; no obstacle stands beside a look leg or about its start, but one may at the end of a lane."""
         if state in (FlightState.APPROACH, FlightState.DESCEND):
             to = self._downwards(position, to)
         near = math.hypot(*(to[:2] - position[:2])) < 2 * self._keys.arrived
-        if state is FlightState.LOOK or (near and state is not FlightState.SEARCH):
-            return to
-        return self._upwards(position, to, seen, state is FlightState.DESCEND)
+        # no obstacle stands beside a look leg or about its start, but one may at the end of a lane
+        if state is not FlightState.LOOK and not (near and state is not FlightState.SEARCH):
+            to = self._upwards(position, to, seen, state is FlightState.DESCEND)
+        if not float(np.linalg.norm(to - self._next)) < NEARER:
+            self._next, self._nearest = to, math.inf
+        return to
 
     def is_stuck(self, t: float, position: F64) -> bool:
         """True if the vehicle has come no nearer to the ordered point for `executive.hold` seconds."""

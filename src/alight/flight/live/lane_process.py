@@ -48,6 +48,7 @@ class LaneSpec:
     given: tuple[Any, ...]
     patience: float = START  # s without an answer, after which the process is lost
     memory: str = ""  # attribute of the lane with which one that replaces it begins; empty: none
+    first: Any = None  # memory of the first one
     niceness: int = 0  # larger: lower priority
 
 
@@ -67,14 +68,11 @@ class LaneProcess:
 
     Args:
         spec: recipe of the lane.
-        memory: with which the first process begins, if the lane has one.
         on_lost: called with the lane's name and the reason each time.
     """
 
-    def __init__(
-        self, spec: LaneSpec, memory: Any = None, on_lost: Callable[[str, str], None] = lambda lane, why: None
-    ) -> None:
-        self.memory, self.patience = memory, spec.patience
+    def __init__(self, spec: LaneSpec, on_lost: Callable[[str, str], None] = lambda lane, why: None) -> None:
+        self.memory, self.patience = spec.first, spec.patience
         self.compiled: set[str] = set()  # loops compiled in flight; after the warm-up there should be none
         self.given_up = ""  # the reason why there will be no other process
         self._spec, self._on_lost, self._ready = spec, on_lost, False

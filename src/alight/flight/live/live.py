@@ -16,11 +16,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
-from typing import Any, NamedTuple
+from typing import Any
 
 from alight import terrain
 from alight.arrays import F64
-from alight.flight.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
+from alight.flight.live.health import POSE, STEP, VERDICT, LaneState, Watch
 from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.lanes import NavigationProcess, make_judging, make_mapping
 from alight.flight.live.mailbox import Closed, Mailbox
@@ -67,33 +67,6 @@ class LiveOptions:
     policy: FlightPolicy | None = None  # of the mapping and judging lanes; None: one by `sites.every`
 
 
-class ScheduleLog:
-    """The last exposures that each lane used; the recorder gets every one. Each lane adds entries of its own kind."""
-
-    def __init__(self, most: int | None, recorder: Recorder | None) -> None:
-        self._recorder = recorder
-        self._kinds = {kind: deque[Any](maxlen=most) for kind in Schedule.__dataclass_fields__}
-
-    @property
-    def schedule(self) -> Schedule:
-        """The entries so far."""
-        return Schedule(**{k: tuple(v) for k, v in self._kinds.items()})
-
-    def add(self, kind: str, t_ns: int, **value: Any) -> None:
-        """Add an exposure to a list of `Schedule`, with its `effort` or the place that it is `about`."""
-        self._kinds[kind].append(t_ns)
-        for name, v in value.items():
-            self._kinds[name].append(v)
-        if self._recorder is not None:
-            self._recorder.entry(kind, t_ns, value.get("effort", 0), value.get("about"))
-
-
-class _MapToJudge(NamedTuple):
-    t_ns: int  # of the newest exposure that it holds
-    seen: MapSnapshot
-    about: F64 | None  # (2,) metres in the map's frame, the place that it shows as well
-
-
 class Live:
     """The three lanes as processes. Feed events in the order of arrival, `finish` at the end.
 
@@ -108,55 +81,46 @@ class Live:
         self._options = options = options or LiveOptions()
         self.watch, self.warnings = Watch(LANES), list[str]()
         self._clocks = StreamClocks(self._warn_of_clock) if options.real_time else None
-        self._batcher, self._used = EventBatcher(), ScheduleLog(options.schedule, options.recorder)
+        self._batcher = EventBatcher()
+        self._used = {kind: deque[Any](maxlen=options.schedule) for kind in Schedule.__dataclass_fields__}
         drop, waiting = options.drop, options.waiting
         self._batches = Mailbox[FrameBatch](waiting, self._later_batch if drop else None)
         self._exposures = Mailbox[Navigation](waiting, self._later_exposure if drop else None)
-        self._maps = Mailbox[_MapToJudge](1, (lambda old, new: new) if drop else None)
+        # the newest exposure that a map holds, the map, and (2,) metres in its frame, a place that it shows as well
+        self._maps = Mailbox[tuple[int, MapSnapshot, F64 | None]](1, (lambda old, new: new) if drop else None)
         self.policy, self._judge_waits = options.policy or FlightPolicy(settings.sites.every), threading.Event()
-        self._newest: Motion | None = None
         self._failed: list[BaseException] = []
         self._settings = stages = settings.stages(options.imu)
         folder = options.folder or Path(tempfile.gettempdir())
         # navigation never waits for mapping, nor mapping for judging: the last arguments are the niceness
         specs = (
-            LaneSpec(NAVIGATION, NavigationProcess, (rig, stages), 0.9, "next_frame", 0),
-            LaneSpec(MAPPING, make_mapping, (rig, stages, folder), 15.0, "", 5),
-            LaneSpec(JUDGING, make_judging, (stages, options.appearance), 30.0, "memory", 6),
+            LaneSpec(NAVIGATION, NavigationProcess, (rig, stages), 0.9, "next_frame", 0, 0),
+            LaneSpec(MAPPING, make_mapping, (rig, stages, folder), 15.0, "", None, 5),
+            LaneSpec(JUDGING, make_judging, (stages, options.appearance), 30.0, "memory", JudgingMemory(), 6),
         )
-        memories = {NAVIGATION: 0, JUDGING: JudgingMemory()}
         self.lanes = {
-            s.name: LaneProcess(
-                replace(s, make=options.makers.get(s.name, s.make)), memories.get(s.name), self._replaced
-            )
-            for s in specs
+            s.name: LaneProcess(replace(s, make=options.makers.get(s.name, s.make)), self._replaced) for s in specs
         }
-        self.threads = self._start_threads()
-
-    def _start_threads(self) -> list[Thread]:
-        """A thread for each lane; at its end the mailbox that it feeds is closed."""
-        steps: Sequence[tuple[Callable[[], None], tuple[Mailbox[Any], ...]]] = (
+        steps: Sequence[tuple[Callable[[], None], tuple[Mailbox[Any], ...]]] = (  # and the mailboxes closed then
             (self._navigate, (self._batches, self._exposures)),
             (self._map, (self._exposures, self._maps)),
             (self._judge, (self._maps,)),
         )
-        threads = [Thread(target=self._guarded, args=s, daemon=True) for s in steps]
-        for t in threads:
+        self.threads = [Thread(target=self._guarded, args=s, daemon=True) for s in steps]
+        for t in self.threads:
             t.start()
-        return threads
 
     # -- from outside
 
     @property
     def schedule(self) -> Schedule:
         """The exposures that each lane has used so far; complete after `finish`, where all of it was kept."""
-        return self._used.schedule
+        return Schedule(**{kind: tuple(entries) for kind, entries in self._used.items()})
 
     @property
-    def health(self) -> FlightHealth:
-        """State, rates and counts of the lanes at this moment."""
-        effort = self.policy.effort_control.effort
-        return self.watch.health(effort, self._newest.frame_id if self._newest is not None else None)
+    def health(self) -> str:
+        """State, rates and counts of the lanes at this moment, in one line."""
+        return self.watch.line(self.policy.effort_control.effort)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -222,10 +186,6 @@ class Live:
         finally:
             self.close()
 
-    def timings(self) -> dict[str, Sequence[float]]:
-        """Seconds of the last steps, by stage."""
-        return dict(self.watch.timings.stages)
-
     def close(self) -> None:
         """End all lanes, whatever they do; `finish` does it as well."""
         for box in (self._batches, self._exposures, self._maps):
@@ -245,6 +205,14 @@ class Live:
 
     # -- the threads
 
+    def _use(self, kind: str, t_ns: int, **value: Any) -> None:
+        """Add an exposure to a list of the schedule, with its `effort` or the place that it is `about`."""
+        self._used[kind].append(t_ns)
+        for name, v in value.items():
+            self._used[name].append(v)
+        if self._options.recorder is not None:
+            self._options.recorder.entry(kind, t_ns, value.get("effort", 0), value.get("about"))
+
     def _raise(self) -> None:
         if self._failed:
             raise self._failed[0]
@@ -261,7 +229,7 @@ class Live:
         """Report that a process is lost; the flight goes on."""
         self.watch.restarts[lane] += 1
         if self.lanes[lane].given_up:
-            self.watch.gave_up(lane)
+            self.watch.enter(lane, LaneState.LOST)
         log.warning("the %s lane was lost: %s; it begins anew", lane, why)
         if (count := self.watch.restarts[lane]) <= 3:
             self.warnings.append(f"live: the {lane} lane was lost and began anew ({why})")
@@ -269,14 +237,6 @@ class Live:
             self.warnings.append(f"live: the {lane} lane was lost more than 3 times; the counts give the number")
         self._note(lane, why)
         self._options.listener.lost(lane, why)
-
-    def _adapt_effort(self, seconds: float) -> None:
-        """Adapt the effort of the next step of the map to the time of this one."""
-        self.watch.timings.add(STEP, seconds)
-        control = self.policy.effort_control
-        if control.took(seconds):
-            self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
-            self._note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
 
     def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
         if old.frame is not None:
@@ -321,22 +281,21 @@ class Live:
                 continue
             t_ns = batch.frame.t_ns
             if anew:
-                self._used.add("navigation_anew", t_ns)
+                self._use("navigation_anew", t_ns)
                 anew = False
-            self._used.add("tracked", t_ns)
+            self._use("tracked", t_ns)
             self.watch.counts["frames used"] += 1
             if found is None:
                 continue
             self._exposures.put(replace(found, frame=batch.frame))
             if found.motion is not None:
                 self.watch.reached(POSE, t_ns)
-                self._newest = found.motion
                 if recorder is not None:
                     recorder.motion(found.motion)
                 self._options.listener.motion(found.motion)
 
     def _map(self) -> None:
-        lane, anew = self.lanes[MAPPING], False
+        lane, control, anew = self.lanes[MAPPING], self.policy.effort_control, False
         while True:
             navigation = self._exposures.get()
             t_ns = navigation.frame.t_ns
@@ -346,7 +305,10 @@ class Live:
                     effort = self.policy.effort(navigation)
                     keyframes: int = lane.call("feed", navigation, effort)
                     if keyframes:
-                        self._adapt_effort(time.perf_counter() - begin)
+                        self.watch.timings.add(STEP, seconds := time.perf_counter() - begin)
+                        if control.took(seconds):  # the effort of the next step follows the time of this one
+                            self.watch.counts[f"mapping: effort {control.effort}, times chosen"] += 1
+                            self._note(MAPPING, f"effort {control.effort} after a step of {seconds:.2f} s")
             except LaneLost:
                 self.watch.counts["mapping: exposures left out, lane lost"] += 1
                 anew = True
@@ -354,8 +316,8 @@ class Live:
                     raise Closed from None
                 continue
             if anew:
-                self._used.add("mapping_anew", t_ns)
-            self._used.add("mapped", t_ns, effort=effort)
+                self._use("mapping_anew", t_ns)
+            self._use("mapped", t_ns, effort=effort)
             due = self.policy.due_verdict(navigation, keyframes, self._judge_waits.is_set() or not self._options.drop)
             anew = due is not None and not self._pass_to_judging(navigation, due.about)
 
@@ -367,7 +329,7 @@ class Live:
             return False
         if seen is not None:
             self._judge_waits.clear()
-            self._maps.put(_MapToJudge(navigation.frame.t_ns, seen, about))
+            self._maps.put((navigation.frame.t_ns, seen, about))
         return True
 
     def _judge(self) -> None:
@@ -382,7 +344,7 @@ class Live:
                 if lane.given_up:
                     raise Closed from None
                 continue
-            self._used.add("judged", t_ns, about=None if about is None else (float(about[0]), float(about[1])))
+            self._use("judged", t_ns, about=None if about is None else (float(about[0]), float(about[1])))
             self.watch.reached(VERDICT, t_ns)
             if recorder is not None:
                 recorder.sites(t_ns, verdict.in_world().sites)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from alight.flight.live.health import FlightHealth
 from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder, make_room
@@ -39,7 +38,7 @@ class LiveRequest:
 
 def fly_live(
     source: Source, events: Iterator[Event], request: LiveRequest,
-    on_health: Callable[[FlightHealth], None] = lambda health: None,
+    on_health: Callable[[str], None] = lambda line: None,
 ) -> RunResult:  # fmt: skip
     """Run the lanes on events as they come, until there are no more or Ctrl-C is pressed.
 
@@ -47,7 +46,7 @@ def fly_live(
         source: of the events.
         events: its events, each when it is due.
         request: folder and options.
-        on_health: called with the health of the lanes, about twice a second.
+        on_health: called with the health of the lanes in one line, about twice a second.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written.
@@ -55,7 +54,15 @@ def fly_live(
     run = LiveRun(source, request)
     try:
         run.live.wait_until_ready()
-        _feed(run.live, events, on_health)
+        reported = time.perf_counter()
+        try:
+            for event in events:
+                run.live.feed(event)
+                if isinstance(event, Frame) and time.perf_counter() - reported > 0.5:
+                    on_health(run.live.health)
+                    reported = time.perf_counter()
+        except KeyboardInterrupt:
+            run.live.warnings.append("live: ended by Ctrl-C; what was seen until then is judged")
         return run.finish()
     finally:
         run.close()
@@ -65,10 +72,7 @@ class LiveRun:
     """The lanes with their recording, from the start to the result. Feed `live`, then `finish`; `close` in any case.
 
     A recording in the folder is replaced with the finished run that it is of. That of a run that did not end is kept
-    under another name.
-
-    Raises:
-        AlightError: the input cannot be used, or the output cannot be written.
+    under another name. It raises as `fly_live`.
     """
 
     def __init__(
@@ -100,7 +104,8 @@ class LiveRun:
         self.close()
         recorder = self.recorder
         warnings = [*decision.warnings, *(recorder.warnings if recorder else [])]
-        result = result_of(self._source, self._settings, replace(decision, warnings=warnings), self.live.timings())
+        timings = dict(self.live.watch.timings.stages)  # s, of the last steps
+        result = result_of(self._source, self._settings, replace(decision, warnings=warnings), timings)
         counts = {**result.counts, **self.live.counts}
         if recorder is not None:
             counts |= {f"recording: messages missing, {why}": n for why, n in recorder.lost.items()}
@@ -117,15 +122,3 @@ def for_flight(settings: Settings) -> Settings:
     """Limit the map of the whole flight to a size that a small computer can judge at the end: 500 bytes a cell."""
     most = min(settings.elevation.most_cells, MOST_CELLS)
     return settings.model_copy(update={"elevation": settings.elevation.model_copy(update={"most_cells": most})})
-
-
-def _feed(live: Live, events: Iterator[Event], on_health: Callable[[FlightHealth], None]) -> None:
-    reported = time.perf_counter()
-    try:
-        for event in events:
-            live.feed(event)
-            if isinstance(event, Frame) and time.perf_counter() - reported > 0.5:
-                on_health(live.health)
-                reported = time.perf_counter()
-    except KeyboardInterrupt:
-        live.warnings.append("live: ended by Ctrl-C; what was seen until then is judged")

@@ -25,7 +25,6 @@ class TelemetryFeed:
 
     Args:
         link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
-        local: the world; None: it begins at the first good position.
         separation: metres, ellipsoid minus sea level; None: the receiver's.
         rates: Hz of further streams, as of `Autopilot`.
 
@@ -33,13 +32,10 @@ class TelemetryFeed:
         InputError: the link cannot be opened.
     """
 
-    def __init__(
-        self, link: str, local: LocalFrame | None = None, separation: float | None = None,
-        rates: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, link: str, separation: float | None = None, rates: Mapping[str, float] | None = None) -> None:
         self.name = link
         self.link = open_link(link)
-        self.events_of = TelemetryEvents(local, separation)
+        self.events_of = TelemetryEvents(None, separation)
         self.autopilot = Autopilot(rates, self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
         self._samples: queue.Queue[Event] = queue.Queue()
@@ -108,18 +104,14 @@ class TelemetryFeed:
             while not self._ended.is_set():
                 try:
                     self._receive()
-                except Exception as e:
-                    self._complain(e)
+                except Exception as e:  # logged once if it repeats
+                    if repr(e) != self._trouble:
+                        self._trouble = repr(e)
+                        log.error("%s: %r while listening; going on", self.name, e, exc_info=e)
+                    time.sleep(READ)
         finally:
             if not self._ended.is_set():
                 log.error("%s: the listener has ended; nothing is received any more", self.name)
-
-    def _complain(self, error: Exception) -> None:
-        """Log an error, once if it repeats, and wait a little before the next try."""
-        if repr(error) != self._trouble:
-            self._trouble = repr(error)
-            log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
-        time.sleep(READ)
 
     def _receive(self) -> None:
         datagrams = self.link.read(READ)
@@ -144,7 +136,7 @@ def with_telemetry(opened: LiveSource, link: str, separation: float | None = Non
     source = opened.source
     if not isinstance(source, CalibratedFolder) or not opened.real_time:
         raise InputError(f"{source.name}: has a clock of its own; --telemetry goes with cameras and folders that fill")
-    feed = TelemetryFeed(link, None, separation)
+    feed = TelemetryFeed(link, separation)
     try:
         source.locate(feed.wait_for_position())
     except InputError:

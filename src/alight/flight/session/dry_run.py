@@ -1,32 +1,19 @@
-"""Where the commands of a landing go: to the vehicle, or in a dry run to a printer of them."""
+"""What takes the commands of a landing in a dry run, in place of the vehicle."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot import EstimateTie, Setpoint, metres_between
+from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
 from alight.records import FlightMode, Place
 
 
-class VehicleCommands(Protocol):
-    """Commands of a landing, as `RemoteVehicle` carries them out and `DryRunVehicle` prints them."""
-
-    @property
-    def in_control(self) -> bool: ...
-    def set_mode(self, mode: FlightMode) -> int: ...
-    def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool: ...
-    def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool: ...
-    def disarm(self) -> int: ...
-    def release(self) -> None: ...
-
-
 class DryRunVehicle:
-    """Prints the commands of a landing; nothing is sent.
+    """Prints the commands of a landing as `RemoteVehicle` would carry them out; nothing is sent.
 
     Args:
         on_line: called with each command in words; with a set-point again when it has moved by half a metre.
@@ -84,6 +71,9 @@ class DryRunVehicle:
         self._last = text
         self._on_line(text)
         return 0
+
+
+VehicleCommands = RemoteVehicle | DryRunVehicle  # what takes the commands of a landing
 
 
 def place_text(place: Place) -> str:

@@ -6,34 +6,36 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from alight import compiled
 from alight.checks.result import CheckResult, Judged, bad
-from alight.flight.live.health import FlightHealth
+from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
-from alight.flight.session.dry_run import DryRunVehicle, VehicleCommands
-from alight.flight.session.loop import STEP, TAKEN, FlightLoop
-from alight.flight.session.pilot import LandingPilot, PilotView
+from alight.flight.session.dry_run import DryRunVehicle
+from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
+from alight.flight.session.take_off import TakeOff
 from alight.outputs import prepare_folder
-from alight.outputs.recorder import Recorder
 from alight.pipeline import FlightPolicy
-from alight.records import Event, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
-from alight.records.executive import FlightState, LookRecord, Transition
+from alight.records import Event, FlightMode, Frame, Home, InputError, Notice, NoticeKind, RunResult, Telemetry
+from alight.records.executive import FlightState
 from alight.runs import flown_home, with_home
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, as_they_arrive, open_sensors
 
+STEP = 0.05  # s between two ticks
 PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are accepted
 SHOW_EVERY = 0.2  # s between two statuses, and two recorded reports of the autopilot
 USUAL_RATE = 5.0  # exposures a second, assumed before the first has come
 UNEXPECTED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
+TAKEN = "somebody else flies now: nothing is sent to the vehicle any more"
+UNCONFIRMED = "the vehicle was ordered to hold and has not confirmed it: take over"
 REFUSED = "the checks before the flight found something bad"
 
 
@@ -61,7 +63,7 @@ class FlightRequest:
             raise InputError("--take-off: a dry run sends nothing; leave it out, or leave out --dry-run")
         if self.take_off is not None and self.take_off < executive.search_height:
             raise InputError(
-                f"--take-off {self.take_off:g}: the search begins where the climb ends, before a map tells what stands "
+                f"--take-off {self.take_off:g}: the search begins where the climb ends, before a map shows what stands "
                 f"there; give at least executive.search_height, {executive.search_height:g} m, or lower that"
             )
         if self.settings.too_low:
@@ -78,7 +80,7 @@ class FlightStatus:
     checks: Sequence[CheckResult] = ()
     view: PilotView | None = None
     telemetry: Telemetry | None = None
-    health: FlightHealth | None = None
+    health: str | None = None  # of the lanes, in one line
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +91,6 @@ class FlightOutcome:
     why: str
     state: FlightState | None = None  # None: it was not begun
     result: RunResult | None = None
-    way_point_times: Sequence[float] = ()  # s, exposure to the first order of the verdict that holds it
-    set_point_times: Sequence[float] = ()  # s, exposure to the first set-point relative to its motion
 
 
 OnStatus = Callable[[FlightStatus], None]
@@ -107,7 +107,7 @@ def fly_vehicle(
         on_line: called with one line each for notices of the autopilot, changes of state, orders of a dry run.
 
     Raises:
-        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+        AlightError: the input cannot be used, or the output cannot be written; the message names the remedy.
     """
     plan.validate()
     prepare_folder(plan.out, plan.overwrite)
@@ -118,17 +118,18 @@ def fly_vehicle(
     )
     if any(c.verdict is Judged.BAD for c in machine):
         return FlightOutcome(machine, REFUSED)
-    feed = TelemetryFeed(plan.link, None, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
+    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
     try:
         checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
         if not feed.located:
             return FlightOutcome(checks, REFUSED)
-        session = open_session(plan, opened, feed, machine, on_status, on_line)
+        session = open_session(plan, opened, feed, SessionLog(on_line), on_status)
+        session.machine = machine
         try:
             return session.fly(over)
         finally:
             over.set()
-            session.close()
+            session.run.close()
     finally:
         over.set()
         feed.close()
@@ -164,194 +165,219 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
     return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate)]
 
 
-class FlightChecks:
-    """The checks of a vehicle with its cameras, before it takes off or lands."""
-
-    def __init__(self, plan: FlightRequest, loop: FlightLoop, machine: Sequence[CheckResult]) -> None:
-        self._plan, self._loop, self._machine = plan, loop, machine
-        self.arrivals = preflight.Arrivals()
-        self.failed: list[BaseException] = []  # errors of the source
-
-    def before(self, motion: bool) -> list[CheckResult]:
-        """Check the machine, the autopilot and the cameras; `motion`: the motion as well."""
-        with self._loop.feed.lock:
-            found = [*self._machine, *autopilot_checks(self._plan, self._loop.feed)]
-        facts = self.arrivals.facts(time.monotonic_ns(), self._loop.pilot.inputs.pictures.frozen)
-        found.append(preflight.judge_cameras(facts))
-        found += [bad("source", str(e), "see that it goes on") for e in self.failed]
-        return [*found, self.motion()] if motion else found
-
-    def motion(self) -> CheckResult:
-        """Check that the motion is known."""
-        m = self._loop.pilot.inputs.motion
-        return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
-
-
-class SessionLog:
-    """Log of a landing (`LandingLog`): into the recording, where one is made, and as lines of text."""
-
-    def __init__(self, on_line: OnLine) -> None:
-        self.on_line = on_line
-        self.recorder: Recorder | None = None
-
-    def order(self, t_ns: int, state: str, words: str) -> None:
-        """As `LandingLog.order`."""
-        if self.recorder is not None:
-            self.recorder.order(t_ns, state, words)
-
-    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """As `LandingLog.landing`."""
-        if self.recorder is not None:
-            self.recorder.landing(t_ns, entry)
-        self.on_line(entry.line)
-
-    def note(self, lane: str, words: str) -> None:
-        """As `LandingLog.note`."""
-        if self.recorder is not None:
-            self.recorder.note(lane, words)
-        self.on_line(f"{lane}: {words}")
-
-
 def open_session(
-    plan: FlightRequest, opened: LiveSource, feed: TelemetryFeed, machine: Sequence[CheckResult], on_status: OnStatus,
-    on_line: OnLine,
-) -> FlightSession:  # fmt: skip
-    """Open the lanes of a flight; arguments as of `FlightSession`."""
+    plan: FlightRequest, opened: LiveSource, feed: TelemetryFeed, log: SessionLog, on_status: OnStatus
+) -> FlightSession:
+    """Open the lanes of a flight; `feed` has the position of a vehicle."""
     local, vehicle = feed.events_of.local, feed.autopilot.vehicle
     assert local is not None
     assert vehicle is not None
     assert isinstance(opened.source, CalibratedFolder)
     opened.source.locate(local)
-    commands: VehicleCommands = vehicle
-    if plan.dry_run:
-        commands = DryRunVehicle(lambda text: on_line(f"order, not sent: {text}"))
-    log, policy = SessionLog(on_line), FlightPolicy(every=0)  # judged as the executive needs it
+    commands = DryRunVehicle(lambda text: log.on_line(f"order, not sent: {text}")) if plan.dry_run else vehicle
+    policy = FlightPolicy(every=0)  # judged as the executive needs it
     pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log)
     listener = Listener(pilot.inputs.add_motion, pilot.inputs.add_verdict)
     request = LiveRequest(plan.out, plan.settings, plan.record, True, plan.overwrite)
     run = LiveRun(opened.source, request, listener, policy)
-    log.recorder, loop = run.recorder, FlightLoop(feed, vehicle, pilot, plan.dry_run)
-    checks, events = FlightChecks(plan, loop, machine), as_they_arrive(opened.events, feed.events())
-    return FlightSession(plan, events, run, loop, checks, log, on_status)
+    log.recorder = run.recorder
+    return FlightSession(plan, feed, pilot, run, as_they_arrive(opened.events, feed.events()), log, on_status)
 
 
+@dataclass(eq=False)
 class FlightSession:
-    """The lanes, the pilot and the vehicle of one flight.
+    """The lanes, the pilot and the vehicle of one flight: checks, take-off, landing, and a hold if one ends early."""
 
-    Args:
-        on_status: called with the status, some times a second.
-    """
+    plan: FlightRequest
+    feed: TelemetryFeed
+    pilot: LandingPilot
+    run: LiveRun
+    events: Iterator[Event]
+    log: SessionLog
+    on_status: OnStatus  # called with the status, some times a second
+    machine: Sequence[CheckResult] = ()  # checks of this computer
+    found: list[CheckResult] = field(default_factory=list)  # by the newest checks
+    failed: list[BaseException] = field(default_factory=list)  # errors of the source
+    shown: float = -math.inf  # s, the newest status
 
-    def __init__(
-        self, plan: FlightRequest, events: Iterator[Event], run: LiveRun, loop: FlightLoop, checks: FlightChecks,
-        log: SessionLog, on_status: OnStatus,
-    ) -> None:  # fmt: skip
-        self._plan, self._events, self._run, self._loop = plan, events, run, loop
-        self._checks, self._log, self._on_status = checks, log, on_status
-        self._shown = self._recorded = -math.inf
-        self._found: list[CheckResult] = []  # by the newest checks
+    @property
+    def vehicle(self) -> RemoteVehicle:
+        """The vehicle that is flown."""
+        assert self.feed.autopilot.vehicle is not None
+        return self.feed.autopilot.vehicle
 
-    def close(self) -> None:
-        """End the lanes."""
-        self._run.close()
+    @property
+    def taken(self) -> bool:
+        """True if we are not in control: not yet, or not any more."""
+        return not self.pilot.in_control
 
     def fly(self, over: threading.Event) -> FlightOutcome:
         """Check, take off, land. `over` is set when the landing has ended, and ends the events."""
-        self._run.live.wait_until_ready()
-        feeder = threading.Thread(target=self._feed, args=(over,), daemon=True)
+        self.run.live.wait_until_ready()
+        feeder = threading.Thread(target=self._feed_lanes, args=(over,), daemon=True)
         feeder.start()
         try:
             if why := self._refusal():
-                return FlightOutcome(self._found, why)
+                return FlightOutcome(self.found, why)
             stopped = self._land()
         except BaseException:
-            if not self._loop.taken:
-                self._log.on_line(f"fly: {self._loop.hold()}")
+            if not self.taken:
+                self.log.on_line(f"fly: {self.hold()}")
             raise
         over.set()
         feeder.join(12.0)  # as long as a camera may be silent
         return self._outcome(stopped)
 
-    def _feed(self, over: threading.Event) -> None:
-        """Pass the events to the lanes."""
+    def _feed_lanes(self, over: threading.Event) -> None:
         try:
-            for event in self._events:
+            for event in self.events:
                 if over.is_set():
                     return
                 fresh: Event | None = event
                 if isinstance(event, Frame):
-                    now_ns = time.monotonic_ns()
-                    of_now = self._checks.arrivals.add(event, now_ns)
-                    fresh = self._loop.pilot.inputs.add_frame(event, now_ns) if of_now else None
+                    fresh = self.pilot.inputs.add_frame(event, time.monotonic_ns())
                 if fresh is not None:
-                    self._run.live.feed(fresh)
+                    self.run.live.feed(fresh)
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
-            self._checks.failed.append(e)
+            self.failed.append(e)
 
     def _on_step(self, phase: str, view: PilotView | None = None) -> None:
-        """Log new notices, record the telemetry, and show the status."""
-        now_ns, notices = time.monotonic_ns(), self._loop.listen()
-        with self._loop.feed.lock:
-            reports = self._loop.vehicle.telemetry
-        for notice in notices:
+        """Send messages, pass notices to the pilot and log them, record the telemetry, and show the status."""
+        for notice in self._listen():
             if notice.kind in UNEXPECTED or not notice.ok:
-                self._log.note("autopilot", notice.text)
-        if now_ns * 1e-9 - self._recorded > SHOW_EVERY and self._log.recorder is not None:
-            self._recorded = now_ns * 1e-9
-            self._log.recorder.telemetry(now_ns, reports)
-        if (now := time.monotonic()) - self._shown > SHOW_EVERY:
-            self._shown = now
-            self._on_status(FlightStatus(phase, self._found, view, reports, self._run.live.health))
+                self.log.note("autopilot", notice.text)
+        if (now := time.monotonic()) - self.shown > SHOW_EVERY:
+            self.shown = now
+            with self.feed.lock:
+                reports = self.vehicle.telemetry
+            if self.log.recorder is not None:
+                self.log.recorder.telemetry(time.monotonic_ns(), reports)
+            self.on_status(FlightStatus(phase, self.found, view, reports, self.run.live.health))
+
+    def _listen(self) -> list[Notice]:
+        """Send waiting messages; pass new notices of the autopilot to the pilot, and return them."""
+        self.feed.flush()
+        with self.feed.lock:
+            notices = self.feed.autopilot.notices()
+            for notice in notices:
+                self.pilot.on_notice(notice)
+        return notices
+
+    # -- before the landing
 
     def _refusal(self) -> str:
         """Check and take off; return the reason why no landing is begun, or an empty string."""
-        height = self._plan.take_off
-        if not self._is_well(lambda: self._checks.before(motion=height is None)):
+        height = self.plan.take_off
+        if not self._is_well(lambda: self.check_all(motion=height is None)):
             return REFUSED
         if height is None:
             return ""
-        if why := self._loop.take_off(height, self._on_step, lambda hint: self._log.note("take-off", hint)):
+        if why := self._take_off(height):
             return f"take-off: {why}"
-        known = self._is_well(lambda: [self._checks.motion()], lambda: self._loop.taken)
-        if self._loop.taken:  # a landing would take control from somebody else
+        known = self._is_well(lambda: [self.check_motion()], lambda: self.taken)
+        if self.taken:  # a landing would take control from somebody else
             return TAKEN
-        return "" if known else f"the motion is not known after the take-off; {self._loop.hold()}"
+        return "" if known else f"the motion is not known after the take-off; {self.hold()}"
 
     def _is_well(self, checks: Callable[[], list[CheckResult]], over: Callable[[], bool] = lambda: False) -> bool:
         """Wait until no check is bad, and up to `SETTLED` s for warnings to end, or until `over`; False: one is bad."""
         begin = time.monotonic()
         while True:
-            self._found = checks()
+            self.found = checks()
             self._on_step("checks")
-            verdicts, waited = {c.verdict for c in self._found}, time.monotonic() - begin
+            verdicts, waited = {c.verdict for c in self.found}, time.monotonic() - begin
             well = Judged.BAD not in verdicts
             settled = waited > SETTLED or Judged.WARNING not in verdicts
             if (well and settled) or waited > PATIENCE or over():
                 return well
             time.sleep(STEP)
 
+    def check_all(self, motion: bool) -> list[CheckResult]:
+        """Check the machine, the autopilot and the cameras; `motion`: the motion as well."""
+        with self.feed.lock:
+            found = [*self.machine, *autopilot_checks(self.plan, self.feed)]
+        p = self.pilot.inputs.pictures
+        found.append(preflight.judge_cameras(p.frames, p.rate(time.monotonic_ns()), p.delay, p.frozen))
+        found += [bad("source", str(e), "see that it goes on") for e in self.failed]
+        return [*found, self.check_motion()] if motion else found
+
+    def check_motion(self) -> CheckResult:
+        """Check that the motion is known."""
+        m = self.pilot.inputs.motion
+        return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
+
+    def _take_off(self, height: float) -> str:
+        """Climb to a height, metres above the home; return the reason if it failed, else an empty string."""
+        climb, shown = TakeOff(self.vehicle, height, time.monotonic_ns()), ""
+        while not climb.done and not climb.failed:
+            with self.feed.lock:
+                climb.tick(time.monotonic_ns())
+                hint = climb.hint
+            if hint and hint != shown:
+                shown = hint
+                self.log.note("take-off", hint)
+            self._on_step("take-off")
+            time.sleep(STEP)
+        return climb.failed
+
+    # -- the landing
+
     def _land(self) -> str:
-        """Land; return the vehicle's action after a stop by the user, else an empty string."""
+        """Land, until the pilot is done or a dry run would return.
+
+        Return the vehicle's action after a stop by the user, else an empty string.
+        """
+        dry = self.plan.dry_run
         try:
-            self._loop.land(self._plan.take_off is not None, self._on_step)
+            self.pilot.begin(time.monotonic_ns(), self.plan.take_off is not None)
+            due = time.monotonic()
+            while not self.pilot.over and not (dry and self.pilot.state is FlightState.RETURN):
+                with self.feed.lock:
+                    view = self.pilot.tick(time.monotonic_ns())
+                self._on_step("landing", view)
+                due = max(due + STEP, time.monotonic())
+                time.sleep(max(due - time.monotonic(), 0.001))
         except KeyboardInterrupt:
-            stopped = self._loop.hold()
-            self._run.live.warnings.append(f"fly: ended by Ctrl-C; {stopped}")
+            stopped = self.hold()
+            self.run.live.warnings.append(f"fly: ended by Ctrl-C; {stopped}")
             return stopped
         return ""
 
+    def hold(self) -> str:
+        """Make the autopilot hold by itself, and give control away; return the vehicle's action in words.
+
+        The order waits for a heartbeat and may be refused or lost: it is due on every turn until the mode is flown.
+        Nothing is shown or written meanwhile, as the display or the disk may have failed.
+        """
+        if self.plan.dry_run:
+            return "nothing was sent to the vehicle"
+        if self.taken:
+            return TAKEN
+        end = time.monotonic() + 6.0  # a heartbeat before the order, one after it, and a lost packet
+        while not (held := self._holds()) and not self.taken and time.monotonic() < end:
+            time.sleep(STEP)
+            self._listen()
+        taken = self.taken
+        with self.feed.lock:
+            self.vehicle.release()
+        if taken:
+            return TAKEN
+        return "the vehicle holds its place" if held else UNCONFIRMED
+
+    def _holds(self) -> bool:
+        """Order the hold if it is due; return whether it is flown."""
+        with self.feed.lock:
+            ordered = self.pilot.stop(time.monotonic_ns())
+            return ordered and self.vehicle.alive and self.vehicle.telemetry.mode is FlightMode.HOLD
+
     def _outcome(self, stopped: str) -> FlightOutcome:
-        pilot, plan = self._loop.pilot, self._plan
+        pilot, plan = self.pilot, self.plan
         ended, why = pilot.diary.end or (pilot.state, "")
         why = f"ended by the user; {stopped}" if stopped else why
-        times = {
-            "image to way-point": list(pilot.delays.of_verdicts),
-            "image to set-point": list(pilot.delays.of_motions),
-        }
-        found = self._run.finish()
+        found = self.run.finish()
         result = replace(
-            with_home(found, flown_home(plan.home, self._loop.vehicle.telemetry, plan.separation)), diary=pilot.diary,
-            timings={**found.timings, **{k: v for k, v in times.items() if v}},
+            with_home(found, flown_home(plan.home, self.vehicle.telemetry, plan.separation)), diary=pilot.diary,
+            timings={**found.timings, **{k: list(v) for k, v in pilot.delays.items() if v}},
             notes={**found.notes, "landing": ended.value},
         )  # fmt: skip
-        return FlightOutcome(self._found, why, ended, result, *times.values())
+        return FlightOutcome(self.found, why, ended, result)

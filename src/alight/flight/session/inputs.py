@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ SILENT = 20.0  # s without a report, after which a battery that was reported cou
 
 
 class PictureWatch:
-    """Detects frozen cameras: a picture that repeats its camera's last one bit for bit is left out.
+    """The pictures as they come: those of an earlier flight, and those of a frozen camera, are left out.
 
     The noise of a sensor makes every picture a little different, so one that is the same to the bit comes from a
     camera or a driver that hangs. A motion that is estimated from it stands still while the vehicle flies.
@@ -27,12 +28,24 @@ class PictureWatch:
 
     def __init__(self) -> None:
         self._last: dict[int, U8] = {}  # every fourth pixel
+        self._arrivals = deque[float](maxlen=1000)  # s
+        self._begun = False  # an exposure has come that is of now
+        self.frames, self.delay = 0, math.nan  # exposures so far; s from the stamp of the newest to its arrival
         self.newest_ns: int | None = None  # arrival of the last picture that was new
         self.frozen = 0  # exposures in a row without a new picture
         self.stuck: tuple[int, ...] = ()  # cameras whose newest picture repeats the one before
 
     def fresh(self, frame: Frame, now_ns: int) -> Frame | None:
-        """Take an exposure; return it with its new pictures only, or None if there is none."""
+        """Take an exposure; return it with its new pictures only, or None if there is none.
+
+        A folder that was filled before still has its pictures. They come all at once: a gap between them would look
+        like a jump of the camera's clock.
+        """
+        self.frames, self.delay = self.frames + 1, (now_ns - frame.t_ns) * 1e-9
+        self._arrivals.append(now_ns * 1e-9)
+        self._begun = self._begun or self.delay < 1.0
+        if not self._begun:
+            return None
         small = {cam: np.asarray(i)[::4, ::4].copy() for cam, i in enumerate(frame.images) if i is not None}
         repeated = {cam for cam, i in small.items() if cam in self._last and np.array_equal(i, self._last[cam])}
         self._last.update(small)
@@ -44,6 +57,10 @@ class PictureWatch:
         if not repeated:
             return frame
         return replace(frame, images=tuple(None if cam in repeated else i for cam, i in enumerate(frame.images)))
+
+    def rate(self, now_ns: int) -> float:
+        """Exposures a second, in the last three seconds."""
+        return sum(now_ns * 1e-9 - t < 3.0 for t in tuple(self._arrivals)) / 3.0
 
     def age(self, now_ns: int) -> float:
         """Seconds since the last picture that was new."""
@@ -126,7 +143,9 @@ class LandingInputs:
         assert self._begin_ns is not None
         m, reports = self.motion, self._vehicle.telemetry
         located = reports.has_position  # else it cannot follow a set-point
-        state = MotionState.LOST if m is None or self._lags(m) or not located else m.state
+        newest = self.pictures.newest_ns  # missing pictures are reported by their age instead
+        lags = m is not None and newest is not None and (newest - m.t_ns) * 1e-9 > self._stale
+        state = MotionState.LOST if m is None or lags or not located else m.state
         if located is not self._had_position:
             self._note("autopilot", f"its estimator has {'a' if located else 'no'} position on Earth")
         self._had_position = located
@@ -150,11 +169,6 @@ class LandingInputs:
             holds=located,
         )
         return now, m if position is not None else None
-
-    def _lags(self, motion: Motion) -> bool:
-        """True if pictures come without their motions; missing pictures are reported by `pictures.age` instead."""
-        newest = self.pictures.newest_ns
-        return newest is not None and (newest - motion.t_ns) * 1e-9 > self._stale
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """(3,) metres in the map's frame now: the newest motion plus the autopilot's own displacement since then."""

@@ -11,13 +11,42 @@ import numpy as np
 from alight.arrays import F64
 from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
 from alight.flight.session.dry_run import VehicleCommands, place_text
-from alight.flight.session.touchdown import Contact
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, Motion, Place
+from alight.records import FlightMode, Landed, Motion, Place, Telemetry
 from alight.records.executive import FlightState, Order
+from alight.settings import ExecutiveSettings
 
+TOUCH, LOW = 1.0, 3.0  # m above the estimated height of the place
+TOUCH_NS, STILL_NS = 800_000_000, 2_000_000_000  # without sinking: below TOUCH, and below LOW
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is ordered again
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
+
+
+class Contact:
+    """Detects that it has stopped sinking: PX4 does not report GROUND in Offboard, and a place may lie higher."""
+
+    def __init__(self) -> None:
+        self._still_ns: int | None = None  # instant from which it has not sunk; None: it sinks
+
+    def forget(self) -> None:
+        """Begin anew, as it is not ordered down now."""
+        self._still_ns = None
+
+    def is_felt(self, height: float | None, sink: float, reports: Telemetry, now_ns: int) -> bool:
+        """True if the vehicle stands. Call it at every tick while it is ordered down.
+
+        Args:
+            height: metres above the place, as estimated; None: unknown, but low.
+            reports: of the vehicle; an unknown velocity is no contact.
+        """
+        still = reports.mode is FlightMode.GUIDED and bool(reports.velocity_world[2] >= -0.4 * sink)
+        if not still or (height is not None and height > LOW):
+            self._still_ns = None
+        elif self._still_ns is None:
+            self._still_ns = now_ns
+        least = TOUCH_NS if height is not None and height < TOUCH else STILL_NS
+        stopped = self._still_ns is not None and now_ns - self._still_ns >= least
+        return stopped or reports.landed is Landed.GROUND
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,17 +66,15 @@ class OrderSender:
 
     Args:
         local: the world, for degrees.
-        farthest: metres over the ground and upwards to a target: beyond that a position has jumped.
-        stale: s, age of the autopilot's position beyond which it is ordered to hold by itself.
     """
 
     def __init__(
-        self, vehicle: RemoteVehicle, commands: VehicleCommands, local: LocalFrame,
-        farthest: tuple[float, float] = (math.inf, math.inf), stale: float = 1.5,
-        warn: Callable[[str], None] = lambda text: None,
+        self, vehicle: RemoteVehicle, commands: VehicleCommands, local: LocalFrame, keys: ExecutiveSettings,
+        warn: Callable[[str], None],
     ) -> None:  # fmt: skip
         self._vehicle, self._commands, self._local, self._warn = vehicle, commands, local, warn
-        self._farthest, self._stale = farthest, stale
+        self._stale = keys.stale  # s, age of the autopilot's position beyond which it is ordered to hold by itself
+        self._farthest = 2.0 * keys.search_side, keys.search_height + 60.0  # m over the ground, and upwards to a target
         self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
         self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
@@ -98,10 +125,6 @@ class OrderSender:
             self._warn(f"{self._mode.value} was refused {self._refusals} times: be ready to take over")
         self._mode, self._refused_ns = None, now_ns
 
-    def _heartbeat_ns(self, now_ns: int) -> int:
-        """Arrival of the newest heartbeat, our clock."""
-        return now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
-
     def order_mode(self, mode: FlightMode, now_ns: int) -> bool:
         """Order a mode, once; False: not yet.
 
@@ -112,7 +135,8 @@ class OrderSender:
             return True
         if self._wanted is None or self._wanted[0] is not mode:
             self._wanted = mode, now_ns
-        stale = self._commands.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
+        heartbeat_ns = now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
+        stale = self._commands.in_control and heartbeat_ns < self._wanted[1]
         if stale or now_ns - self._refused_ns < AGAIN_NS:
             return False
         self._wanted = self._heading = None

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
 
 from alight.flight.autopilot import RemoteVehicle
-from alight.flight.executive import Executive
+from alight.flight.executive.executive import Executive
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.inputs import LandingInputs
 from alight.flight.session.orders import OrderSender
-from alight.flight.session.touchdown import MotorStop
 from alight.geometry import Grid, LocalFrame
+from alight.outputs.recorder import Recorder
 from alight.pipeline import FlightPolicy
-from alight.records import Motion, Notice, NoticeKind, Site
+from alight.records import FlightMode, Landed, Motion, Notice, NoticeKind, Site, Telemetry
 from alight.records.executive import (
     FlightDiary,
     FlightState,
@@ -27,42 +28,77 @@ from alight.records.executive import (
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
+STANDS_NS = 5_000_000_000  # from the touchdown to the first request to stop the motors, and between two of them
+REQUESTS = 3  # after which a person is warned
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
 
 
-class LandingLog(Protocol):
-    """Log of a landing, in order; the recorder is one. Times are of our clock, in nanoseconds."""
+class LandingLog:
+    """Log of a landing, in order; this one keeps nothing. Times are of our clock, in nanoseconds."""
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Write an order in words, with the state in which it was given."""
+        """Take an order in words, with the state in which it was given."""
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """Write a new entry of the diary."""
+        """Take a new entry of the diary."""
 
     def note(self, lane: str, words: str) -> None:
-        """Write a note on the cameras, the autopilot or a lane."""
+        """Take a note on the cameras, the autopilot or a lane."""
 
 
-class OrderDelays:
-    """Delays from an exposure to the first order of its verdict, and to the first set-point relative to its motion."""
+class SessionLog(LandingLog):
+    """Log of a landing: into the recording, where one is made, and as lines of text."""
 
-    def __init__(self) -> None:
-        self._verdict_ns = self._motion_ns = 0  # newest exposures that led to an order
-        self.of_verdicts, self.of_motions = deque[float](maxlen=20_000), deque[float](maxlen=20_000)  # s
+    def __init__(self, on_line: Callable[[str], None]) -> None:
+        self.on_line = on_line
+        self.recorder: Recorder | None = None
 
-    def add_order(self, now_ns: int, verdict_ns: int, motion: Motion | None) -> None:
-        """Take an order at `now_ns`.
+    def order(self, t_ns: int, state: str, words: str) -> None:
+        """Write an order into the recording alone: there are many."""
+        if self.recorder is not None:
+            self.recorder.order(t_ns, state, words)
 
-        Args:
-            verdict_ns: newest exposure of the newest verdict.
-            motion: that its set-point is relative to; None: it has none.
-        """
-        if verdict_ns > self._verdict_ns:
-            self._verdict_ns = verdict_ns
-            self.of_verdicts.append((now_ns - verdict_ns) * 1e-9)
-        if motion is not None and motion.t_ns > self._motion_ns:
-            self._motion_ns = motion.t_ns
-            self.of_motions.append((now_ns - motion.t_ns) * 1e-9)
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
+        """Write an entry of the diary."""
+        if self.recorder is not None:
+            self.recorder.landing(t_ns, entry)
+        self.on_line(entry.line)
+
+    def note(self, lane: str, words: str) -> None:
+        """Write a note."""
+        if self.recorder is not None:
+            self.recorder.note(lane, words)
+        self.on_line(f"{lane}: {words}")
+
+
+class MotorStop:
+    """Requests that motors stop where they still turn seconds after a landing (PX4, COM_DISARM_LAND below 0).
+
+    Args:
+        commands: takes the request. An autopilot refuses it in the air.
+    """
+
+    def __init__(self, commands: VehicleCommands, warn: Callable[[str], None]) -> None:
+        self._commands, self._warn = commands, warn
+        self._since_ns: int | None = None  # of the touchdown or the newest request; None: motors off, or in the air
+        self._requests = 0
+
+    def tick(self, reports: Telemetry, now_ns: int) -> None:
+        """Call it several times a second, with the reports of the vehicle."""
+        lands = self._commands.in_control and reports.mode in (FlightMode.LAND, FlightMode.RETURN)
+        if not (lands and reports.armed and reports.landed is Landed.GROUND):
+            self._since_ns, self._requests = None, 0
+            return
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        if now_ns - self._since_ns < STANDS_NS or self._requests > REQUESTS:
+            return
+        self._since_ns, self._requests = now_ns, self._requests + 1
+        if self._requests > REQUESTS:
+            self._warn(f"it stands, and its motors were not stopped at {REQUESTS} requests: stop them by hand")
+            return
+        self._commands.disarm()
+        self._warn("it stands, and its motors still turn: they are ordered to stop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +129,11 @@ class LandingPilot:
         self._vehicle, self._commands, self._policy, self._log = vehicle, commands, policy, log
         stages = settings.stages()
         self.executive, k = Executive(stages), stages.executive
-        self.inputs, self.delays = LandingInputs(vehicle, local, k.stale, log.note), OrderDelays()
-        farthest = 2.0 * k.search_side, k.search_height + 60.0  # m: no target lies beyond
-        self.orders = OrderSender(vehicle, commands, local, farthest, k.stale, lambda text: log.note("autopilot", text))
-        self._motor_stop = MotorStop(commands, lambda text: log.note("autopilot", text))
+        self.inputs = LandingInputs(vehicle, local, k.stale, log.note)
+        self.delays = {name: deque[float](maxlen=20_000) for name in ("image to way-point", "image to set-point")}
+        self._led = dict.fromkeys(self.delays, 0)  # newest exposures that led to an order
+        warn = partial(log.note, "autopilot")
+        self.orders, self._motor_stop = OrderSender(vehicle, commands, local, k, warn), MotorStop(commands, warn)
         self._decided_ns: int | None = None
         self._written = 0, 0  # looks and transitions
         self._order = ""
@@ -157,7 +194,15 @@ class LandingPilot:
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
         self._write_diary(now_ns)
-        self.delays.add_order(now_ns, self.inputs.verdict_ns, located if order.what in ("fly", "land") else None)
+        self._measure("image to way-point", self.inputs.verdict_ns, now_ns)
+        if located is not None and order.what in ("fly", "land"):
+            self._measure("image to set-point", located.t_ns, now_ns)
+
+    def _measure(self, name: str, t_ns: int, now_ns: int) -> None:
+        """Take the delay in s from an exposure to the first order by its verdict, or relative to its motion."""
+        if t_ns > self._led[name]:
+            self._led[name] = t_ns
+            self.delays[name].append((now_ns - t_ns) * 1e-9)
 
     def _write_diary(self, now_ns: int) -> None:
         first_look, first_transition = self._written

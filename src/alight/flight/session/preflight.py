@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate
-from alight.records import FIX_3D, Frame, Landed, Motion, MotionState, Rig, Telemetry
+from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures a second
@@ -19,47 +17,9 @@ MOST_AGE = 1.0  # s between an exposure and its arrival
 OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
 MOST_SIGMA = 0.02  # s, of the autopilot's clock
 LEAST_IMU = 25.0  # samples a second; more than 0.05 s between two are a gap
-FASTER = "use a faster link, or one without a ground station that asks for less (MAVProxy: set streamrate -1)"
+FASTER = "use a faster link, or one without a ground station that requests less (MAVProxy: set streamrate -1)"
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
-
-
-@dataclass(frozen=True)
-class CameraFacts:
-    """Counts and rates of the exposures that the cameras have given so far."""
-
-    frames: int = 0
-    rate: float = 0.0  # exposures a second
-    delay: float = math.nan  # s from the stamp of the newest to its arrival
-    frozen: int = 0  # in a row that repeat the one before
-
-
-@dataclass
-class Arrivals:
-    """Exposures as they arrive: their number, times and delay."""
-
-    times: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))  # s
-    frames: int = 0
-    delay: float = math.nan  # s from the stamp of the newest to its arrival
-    begun: bool = False  # one has come that is of now
-
-    def add(self, frame: Frame, now_ns: int) -> bool:
-        """Take an exposure that came at `now_ns` of our clock; False: it is of an earlier flight, as all before it.
-
-        A folder that was filled before still has its pictures. They come all at once: a gap between them would look
-        like a jump of the camera's clock.
-        """
-        self.frames += 1
-        self.delay = (now_ns - frame.t_ns) * 1e-9
-        self.times.append(now_ns * 1e-9)
-        self.begun = self.begun or self.delay < MOST_AGE
-        return self.begun
-
-    def facts(self, now_ns: int, frozen: int) -> CameraFacts:
-        """Facts about the cameras for the checks; `frozen`: number of the last pictures that are the same."""
-        seconds = 3.0
-        recent = sum(now_ns * 1e-9 - t < seconds for t in tuple(self.times))
-        return CameraFacts(self.frames, recent / seconds, self.delay, frozen)
 
 
 def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
@@ -67,7 +27,7 @@ def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused:
 
     Args:
         vehicle: that was found; None: none.
-        refused: reason why a sender that was heard is not the vehicle; empty: none was now.
+        refused: reason why a sender is not the vehicle; empty: none was now.
     """
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
@@ -78,11 +38,8 @@ def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused:
         return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
     if not vehicle.alive:
         return [link, bad("autopilot", "its heartbeat has stopped", "see why; a landing needs it all the time")]
-    return [link, good("autopilot", f"{vehicle.firmware.name}, system {vehicle.system}, mode {_mode(vehicle)}")]
-
-
-def _mode(vehicle: RemoteVehicle) -> str:
-    return vehicle.telemetry.mode_name or "not known"
+    mode = vehicle.telemetry.mode_name or "not known"
+    return [link, good("autopilot", f"{vehicle.firmware.name}, system {vehicle.system}, mode {mode}")]
 
 
 def judge_vehicle(
@@ -119,7 +76,7 @@ def _streams(missing: Sequence[str], rates: Mapping[str, StreamRate]) -> CheckRe
             "see that the link has room: 3 kB a second, 10 with IMU samples",
         )
     if others := [n for n in missing if n not in INERTIAL]:
-        return warning("streams", f"{', '.join(others)} do not come", "what they tell counts as fine")
+        return warning("streams", f"{', '.join(others)} do not come", "what they report counts as fine")
     if rare := {name: rate for name, rate in rates.items() if rate.slow and name not in INERTIAL}:
         return warning("streams", _rates(rare), FASTER)
     return good("streams", "all come" if not missing else "all others come")
@@ -199,7 +156,7 @@ def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResu
         if take_off and now.ready:
             return good("ready", "on the ground, and may be armed")
         if take_off:
-            read = "read what it says; its ground station shows it, and PX4 may want one (NAV_DLL_ACT)"
+            read = "read its messages; its ground station shows it, and PX4 may want one (NAV_DLL_ACT)"
             return bad("ready", "the autopilot may not be armed", read)
         if dry:
             return warning("in the air", "it stands on the ground", "orders are shown for a vehicle in the air")
@@ -207,23 +164,30 @@ def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResu
     if take_off:
         return bad("on the ground", f"it flies{above}", "leave out --take-off")
     if now.place is not None and now.place.above_home < least:
-        why = f"it flies{above}: the search begins at that height, before a map tells what stands there"
+        why = f"it flies{above}: the search begins at that height, before a map shows what stands there"
         return warning("in the air", why, "climb clear of everything about, unless home lies higher than that")
     return good("in the air", f"it flies{above}")
 
 
-def judge_cameras(facts: CameraFacts) -> CheckResult:
-    """Check that new pictures come, often enough, and are stamped by the right clock."""
-    if not facts.frames:
+def judge_cameras(frames: int, rate: float, delay: float, frozen: int) -> CheckResult:
+    """Check that new pictures come, often enough, and are stamped by the right clock.
+
+    Args:
+        frames: exposures so far.
+        rate: exposures a second.
+        delay: s from the stamp of the newest to its arrival.
+        frozen: exposures in a row that repeat the one before.
+    """
+    if not frames:
         return bad("pictures", "not one has come", "see that the camera gives pictures, or that the folder is filled")
-    seen = f"{facts.rate:.1f} exposures a second, {facts.delay:.2f} s old when they come"
-    if facts.frozen > 3:
-        return bad("pictures", f"the last {facts.frozen} are the same, bit for bit", "start the camera again")
-    if not abs(facts.delay) < MOST_AGE:
+    seen = f"{rate:.1f} exposures a second, {delay:.2f} s old when they come"
+    if frozen > 3:
+        return bad("pictures", f"the last {frozen} are the same, bit for bit", "start the camera again")
+    if not abs(delay) < MOST_AGE:
         return bad("pictures", seen, "stamps must be of this machine's steady clock, and pictures come within 1 s")
-    if facts.rate < LEAST_RATE:
+    if rate < LEAST_RATE:
         return bad("pictures", seen, f"at least {LEAST_RATE:.0f} a second are needed; less light, slow disk or link?")
-    if facts.rate < GOOD_RATE:
+    if rate < GOOD_RATE:
         return warning("pictures", seen, f"{GOOD_RATE:.0f} a second or more are better")
     return good("pictures", seen)
 

@@ -19,16 +19,15 @@ from alight.arrays import F64
 from alight.geometry import Pose, so3_log
 from alight.motion.dynamics import MAX_RATE_AGE, Step, add_bias_walk, nav_decay, propagate
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
-from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, CourseAttitude, PositionedExposure
+from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, MIN_SHARED, CourseAttitude, PositionedExposure
 from alight.motion.ekf.keyframe_posterior import CloneWindow
-from alight.motion.ekf.landmarks import Gate
-from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
+from alight.motion.ekf.prediction import MotionPredictor, instant
 from alight.motion.ekf.state import AT, CORE, POSITION_FIRST, FilterState, moment_in_world
 from alight.motion.ekf.state_kernels import propagate_errors, squared_distance
-from alight.motion.ekf.visual_update import VisualUpdate
-from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measurements, rate_measurement, sigmas
+from alight.motion.ekf.visual_update import VisualUpdate, gate_limits
+from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measurements, sigmas
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import OPEN_RATE_SIGMA
+from alight.motion.preintegration import OPEN_RATE_SIGMA, preintegrate
 from alight.records import ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
@@ -110,7 +109,6 @@ class MotionFilter:
     def __init__(self, rig: Rig, settings: FilterSettings, frame_id: int = 0) -> None:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
-        self._gate = Gate(settings.gate)
         self._vague = False  # True: a warning on the sigmas of GPS/INS was given
         self._late_ns = round(settings.lateness * 1e9)
         visual, health = VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast)
@@ -120,8 +118,31 @@ class MotionFilter:
         self.imu = ImuBuffer()  # the last inertial measurements
         self.too_late = 0  # events left out because they came later than `lateness`
 
-    def feed_imu(self, sample: ImuSample) -> None:
-        """Take one inertial measurement; it is used when the next exposure or GPS/INS row comes."""
+    def feed(self, event: NavSample | ImuSample | Tracks) -> Motion | None:
+        """Take one event; the features of an exposure give its motion.
+
+        None for other events, and where there has been no row of GPS/INS, a stamp is repeated or comes too late. An
+        inertial measurement is used when the next exposure or row of GPS/INS comes.
+        """
+        if isinstance(event, ImuSample):
+            self._keep_imu(event)
+            return None
+        self._repeat_last_exposure()
+        t, later = self._time_of(event), list[_Processed]()
+        if t < self._memory.t_ns:
+            while self._processed and self._processed[-1].t_ns > t:
+                later.append(self._processed.pop())
+            if not later or later[-1].before.t_ns > t:
+                self._processed.extend(reversed(later))
+                self.too_late += 1
+                return None
+            self._restore(later[-1])
+        motion = self._process(event)
+        for e in reversed(later):
+            self._process(e.event)
+        return motion
+
+    def _keep_imu(self, sample: ImuSample) -> None:
         m = self._memory
         if not self.imu.append(sample):
             return
@@ -133,14 +154,6 @@ class MotionFilter:
                 self._start_biases(m.state)
         used_ns = m.state.t_ns - self._late_ns if m.state is not None else sample.t_ns
         self.imu.forget_before(min(sample.t_ns - _IMU_KEEP_NS - self._late_ns, used_ns))
-
-    def feed_nav(self, sample: NavSample) -> None:
-        """Take one row of the GPS/INS solution."""
-        self._feed(sample)
-
-    def feed_tracks(self, tracks: Tracks) -> Motion | None:
-        """Take the features of one exposure and return the motion; None: no GPS/INS row yet, repeated, or too late."""
-        return self._feed(tracks)
 
     def clone_window(self) -> CloneWindow | None:
         """Return the clones by value, from which the joint posterior follows; None before any exposure."""
@@ -171,22 +184,6 @@ class MotionFilter:
         return self._memory.state.copy() if self._memory.state is not None else None
 
     # -- out of sequence -------------------------------------------------------------------------------------------
-
-    def _feed(self, event: NavSample | Tracks) -> Motion | None:
-        self._repeat_last_exposure()
-        t, later = self._time_of(event), list[_Processed]()
-        if t < self._memory.t_ns:
-            while self._processed and self._processed[-1].t_ns > t:
-                later.append(self._processed.pop())
-            if not later or later[-1].before.t_ns > t:
-                self._processed.extend(reversed(later))
-                self.too_late += 1
-                return None
-            self._restore(later[-1])
-        motion = self._process(event)
-        for e in reversed(later):
-            self._process(e.event)
-        return motion
 
     def _time_of(self, event: NavSample | Tracks) -> int:
         """Time of an event, by the clock of GPS/INS."""
@@ -277,7 +274,7 @@ class MotionFilter:
         found = None if before is None else before.course_to(now, self._cams[0], self._settings)
         if m.state is None and found is not None and found.sigma[2] > MAX_START_SIGMA:
             found = None
-        if found is not None or before is None or before.is_out_of_view(now):
+        if found is not None or before is None or len(np.intersect1d(before.tracks.ids, tracks.ids)) < MIN_SHARED:
             m.last_positioned = now
         return found
 
@@ -330,7 +327,7 @@ class MotionFilter:
         m, dt, s = self._memory, (t_ns - state.t_ns) * 1e-9, self._settings
         if dt <= 0 or m.predicted is None:
             return
-        imu = preintegrated(self.imu, state.t_ns, t_ns, state.core, s) if m.inertial else None
+        imu = preintegrate(self.imu, state.t_ns, t_ns, state.core[AT.biases], s) if m.inertial else None
         after, F, Q = propagate(Step.at(state), state.core[AT.gyro], imu, dt, s, m.predicted)
         if m.inertial:
             add_bias_walk(Q, dt, s)
@@ -339,45 +336,38 @@ class MotionFilter:
         state.R, state.core[AT.pos], state.core[AT.vel] = after.R, after.position, after.velocity
         state.core[AT.nav] *= decay
         state.t_ns = t_ns
-        state.rate, state.rate_variance = self._rate(state)
+        if m.inertial:  # the mean over 30 ms, with its variance as it counts for M27
+            state.rate = self.imu.mean_rate(t_ns, _RATE_HALF_WINDOW_NS) - state.core[AT.gyro]
+            state.rate_variance = _RATE_MARGIN * s.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
+        else:
+            state.rate = state.core[AT.gyro].copy()
+            state.rate_variance = float(state.P[AT.gyro, AT.gyro].diagonal().max())
         m.predicted = Step.at(state)
-
-    def _rate(self, state: FilterState) -> tuple[F64, float]:
-        """(3,) rad/s angular velocity in the body, the mean over 30 ms, and its variance as it counts for M27."""
-        if not self._memory.inertial:
-            return state.core[AT.gyro].copy(), float(state.P[AT.gyro, AT.gyro].diagonal().max())
-        mean = self.imu.mean_rate(state.t_ns, _RATE_HALF_WINDOW_NS)
-        return mean - state.core[AT.gyro], _RATE_MARGIN * self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
 
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
 
     def _update_from_nav(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
         """Update by the quantities of a GPS/INS row that pass their gates (M14-M16)."""
-        rows = measurements(state, sample, sigma, self._settings)
-        rate = None if self._memory.inertial else rate_measurement(state, sample, self._settings)
-        rows += [rate] if rate else []
-        passed = self._correct_by_passed(state, rows) if rows else []
-        quantities = {z.quantity for z in passed}
+        rows = measurements(state, sample, sigma, self._settings, self._memory.inertial)
+        quantities = self._correct_by_passed(state, rows) if rows else set()
         position = Quantity.POSITION in quantities if sample.position_world is not None else None
         rejected = self._memory.health.on_gps(sample.t_ns, position, bool(quantities - {Quantity.POSITION}))
         if rejected > _MAX_GPS_REJECTION and sample.position_world is not None:
             self._accept_jump(state, sample.position_world)
 
-    def _correct_by_passed(self, state: FilterState, rows: Sequence[NavMeasurement]) -> list[NavMeasurement]:
-        """Update by the measurements that pass their gates, each by itself; return these."""
+    def _correct_by_passed(self, state: FilterState, rows: Sequence[NavMeasurement]) -> set[Quantity]:
+        """Update by the measurements that pass their gates, each by itself; return their quantities."""
         H = np.concatenate([z.H for z in rows])
         residual, unit = np.concatenate([z.residual for z in rows]), np.concatenate([z.variance for z in rows]) ** -0.5
         residual, HP = residual * unit, (H @ state.P[:CORE]) * unit[:, None]
         S = (HP[:, :CORE] @ H.T) * unit
-        passed, used, limit = list[NavMeasurement](), np.zeros(len(H), bool), self._gate.limits(np.array([3]))[0]
-        for i, z in enumerate(rows):
-            at = slice(3 * i, 3 * i + 3)
-            if squared_distance(residual[at], S[at, at]) <= limit:
-                passed.append(z)
-                used[at] = True
-        if passed:
+        limit = gate_limits(np.array([3]), self._settings.gate)[0]
+        own = (slice(k, k + 3) for k in range(0, len(H), 3))
+        passed = [squared_distance(residual[k], S[k, k]) <= limit for k in own]
+        if any(passed):
+            used = np.repeat(passed, 3)
             state.correct_by(residual[used], HP[used], np.ascontiguousarray(S[used][:, used]))
-        return passed
+        return {z.quantity for z, good in zip(rows, passed, strict=True) if good}
 
     def _accept_jump(self, state: FilterState, position: F64) -> None:
         """Set the slow error of the GPS/INS position anew after a jump, so that the jump does not move the vehicle."""

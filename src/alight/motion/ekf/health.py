@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alight.arrays import F64, I64, Mask
 from alight.motion.ekf.state import AT, FilterState
 from alight.records import MotionState
 
@@ -30,6 +31,12 @@ class GateCounts:
     passed: int = 0  # of the landmarks and of the tracks used in this exposure
     failed: int = 0
     innovation: float = 0.0  # mean squared distance a row of those that passed, 1 expected; 0: none
+
+    @classmethod
+    def of(cls, tried: Mask, passed: Mask, distance: F64, rows: I64) -> GateCounts:
+        """Count N features that were tried, with their squared Mahalanobis distances and rows."""
+        mean = float(distance[passed].sum() / max(rows[passed].sum(), 1))
+        return cls(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
     def __add__(self, other: GateCounts) -> GateCounts:
         n = max(self.passed + other.passed, 1)
@@ -61,7 +68,6 @@ class Health:
         """Take one row of GPS/INS.
 
         Args:
-            t_ns: of the row.
             position: True: the position passed its gate; None: not measured.
             other: True: any other quantity passed.
 

@@ -14,7 +14,7 @@ from alight.records import NavSample, Tracks
 from alight.settings import FilterSettings
 
 _MIN_GPS_BASELINE = 0.5  # m between two GPS positions whose direction is used
-_MIN_SHARED = 20  # features that two exposures share; with fewer, the later one is the first of the next pair
+MIN_SHARED = 20  # features that two exposures share; with fewer, the later one is the first of the next pair
 _TILT_SIGMA = 0.1  # rad; the camera is assumed to look down
 _MIN_HEADING_SIGMA = 0.05  # rad
 MAX_START_SIGMA = 1.0 / 3.0  # rad, of the heading at a start: way and shift are three sigmas long, else they grow first
@@ -41,10 +41,6 @@ class PositionedExposure:
 
     tracks: Tracks
     nav: NavSample
-
-    def is_out_of_view(self, now: PositionedExposure) -> bool:
-        """True if this one shares too few features with a later one to be the first of a pair."""
-        return len(np.intersect1d(self.tracks.ids, now.tracks.ids)) < _MIN_SHARED
 
     def course_to(self, now: PositionedExposure, cam: Pose, settings: FilterSettings) -> CourseAttitude | None:
         """Return the attitude at a later one by the course; `cam` is body_from_cam; None: not determined."""
@@ -75,13 +71,16 @@ def attitude_from_course(
     image, GPS gives it in the world.
 
     Args:
-        before, now: tracks of two exposures.
         way_world: (2,) m east and north, GPS position of `now` less that of `before`.
         way_sigma: m, 1-sigma of each component.
-        body_from_cam: of the camera.
     """
     way = float(np.hypot(way_world[0], way_world[1]))
-    shift = _ground_shift(before, now) if way >= _MIN_GPS_BASELINE else None
+    _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
+    a, b = (_complex(t.normalised[k, 0]) for t, k in ((before, i), (now, j)))
+    both = np.isfinite(a) & np.isfinite(b)
+    if way < _MIN_GPS_BASELINE or both.sum() < _MIN_FEATURES:
+        return None
+    shift = _robust_shift(a[both], b[both])
     if shift is None:
         return None
     size = abs(shift.value)
@@ -92,14 +91,6 @@ def attitude_from_course(
     world_from_cam = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
     R = np.asarray(world_from_cam @ body_from_cam.rotation.T)
     return CourseAttitude(R, np.array([_TILT_SIGMA, _TILT_SIGMA, heading]))
-
-
-def _ground_shift(before: Tracks, now: Tracks) -> _Shift | None:
-    """Return the motion of the ground between two exposures; None: no clear one."""
-    _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
-    a, b = (_complex(t.normalised[k, 0]) for t, k in ((before, i), (now, j)))
-    both = np.isfinite(a) & np.isfinite(b)
-    return _robust_shift(a[both], b[both]) if both.sum() >= _MIN_FEATURES else None
 
 
 def _complex(z: F64) -> NDArray[np.complex128]:
@@ -118,7 +109,10 @@ def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shif
     c = (b[j] - b[i]) / np.where(i == j, 1.0, a[j] - a[i])
     residual = np.abs(c[:, None] * a + (b[i] - c * a[i])[:, None] - b)
     used = residual[int(np.argmax((residual < 3.0 * _INLIER).sum(axis=1)))] < 3.0 * _INLIER
-    J = _by_map(a, b)
+    u, v, zero, one = b.real, b.imag, np.zeros(len(a)), np.ones(len(a))
+    x_row = [a.real, -a.imag, one, zero, -u * a.real, -u * a.imag]
+    y_row = [a.imag, a.real, zero, one, -v * a.real, -v * a.imag]
+    J = np.array([x_row, y_row]).transpose(2, 0, 1)  # (N, 2, 6) by the real and imaginary parts of c, t and h
     x, rows = np.zeros(6), J[:0].reshape(0, 6)
     for _ in range(6):
         if used.sum() < _MIN_FEATURES:
@@ -138,11 +132,3 @@ def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shif
     by_map = np.concatenate([np.zeros(2), across, across @ turn])
     sigma = float(np.sqrt(variance * (by_map @ np.linalg.solve(rows.T @ rows, by_map))))
     return _Shift(value, sigma, float(np.hypot(x[0], x[1])))
-
-
-def _by_map(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> F64:
-    """(N, 2, 6) derivatives of b by the real and imaginary parts of c, t and h."""
-    x, y, u, v = a.real, a.imag, b.real, b.imag
-    zero, one = np.zeros(len(a)), np.ones(len(a))
-    rows = np.array([[x, -y, one, zero, -u * x, -u * y], [y, x, zero, one, -v * x, -v * y]])
-    return np.asarray(rows.transpose(2, 0, 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,16 +18,6 @@ from alight.records import KeyframePosterior, Motion
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedPoses:
-    """K rig poses of one joint posterior."""
-
-    R: F64  # (K, 3, 3) world_from_rig
-    p: F64  # (K, 3) m
-    covariance: F64  # (6K, 6K) joint, (rotation, position) a pose
-    offset_cross: F64  # (6K, 3) cross covariance with the offset of the map
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +52,8 @@ class CloneWindow:
             settings,
         )  # fmt: skip
 
-    def refined(self) -> RefinedPoses:
-        """Gauss-Newton over the clones: prior is their joint covariance, data are the unused observations.
+    def refined(self) -> CloneWindow:
+        """The window after Gauss-Newton: prior is the joint covariance of the clones, data are the unused observations.
 
         The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
         errors of trees, grass in the wind and water are correlated, from feature to feature and in time. Observations
@@ -83,11 +73,11 @@ class CloneWindow:
             error = P @ whitened
             if not whitened @ error <= self.settings.unlikely * len(P):  # so that NaN is refused
                 log.info("observations of %d features contradict the poses, which stay as they were", used.sum())
-                return RefinedPoses(self.clones.R, self.clones.p, P, self.offset_cross)
+                return self
             clones = self.clones.moved(error)
         inflation = relative_inflation(clones.p, max(1.0, self.settings.pixel_repeat * median))
-        cross = gain.T @ self.offset_cross
-        return RefinedPoses(clones.R, clones.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
+        cross = inflation @ (gain.T @ self.offset_cross)
+        return replace(self, clones=clones, P=inflation @ P @ gain @ inflation.T, offset_cross=cross)
 
     def posterior(self) -> KeyframePosterior:
         """Return the joint posterior, oldest first (M23).
@@ -95,28 +85,22 @@ class CloneWindow:
         Covariances of the single motions are marginals in the world. The joint covariance is in the map frame, whose
         offset from the world (`offset_world`) cameras cannot observe. GPS/INS corrections move all poses together.
         """
-        K = len(self.clones)
-        if not K:
-            return KeyframePosterior((), np.zeros((0, 0)))
         refined = self.refined()
-        order = (CLONE * np.arange(K)[:, None] + POSITION_FIRST).ravel()
-        motions = tuple(self._keyframe(i, refined) for i in range(K))
-        return KeyframePosterior(motions, refined.covariance[np.ix_(order, order)])
+        order = (CLONE * np.arange(len(self.clones))[:, None] + POSITION_FIRST).ravel()
+        motions = tuple(refined.keyframe(i) for i in range(len(self.clones)))
+        return KeyframePosterior(motions, refined.P[np.ix_(order, order)])
 
-    def _keyframe(self, i: int, refined: RefinedPoses) -> Motion:
-        """Return one refined clone as a motion."""
-        rows = CLONE * i + POSITION_FIRST
-        rig = Pose(refined.R[i], refined.p[i])
-        body = Pose(refined.R[i] @ so3_exp(self.mount).T, refined.p[i])
-        own, cross = refined.covariance[np.ix_(rows, rows)], refined.offset_cross[rows]
-        return Motion(
-            self.clones.stamps[i],
-            body,
-            tuple(rig @ c for c in self.cams),
-            moment_in_world(own, cross, self.offset, self.offset_covariance),
-            offset_world=self.offset,
-            frame_id=self.frame_id,
+    def keyframe(self, i: int) -> Motion:
+        """Return one clone as a motion."""
+        rows, R, p = CLONE * i + POSITION_FIRST, self.clones.R[i], self.clones.p[i]
+        rig, body = Pose(R, p), Pose(R @ so3_exp(self.mount).T, p)
+        covariance = moment_in_world(
+            self.P[np.ix_(rows, rows)], self.offset_cross[rows], self.offset, self.offset_covariance
         )
+        return Motion(
+            self.clones.stamps[i], body, tuple(rig @ c for c in self.cams), covariance, offset_world=self.offset,
+            frame_id=self.frame_id,
+        )  # fmt: skip
 
 
 def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:

@@ -11,7 +11,8 @@ from alight.geometry import Pose, skew, so3_exp
 from alight.motion.dynamics import Step, propagate
 from alight.motion.ekf.state import AT, CLONE, FilterState
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import Preintegral, preintegrate, segments
+from alight.motion.observations import Clones
+from alight.motion.preintegration import preintegrate
 from alight.records import Prediction
 from alight.settings import FilterSettings
 
@@ -24,20 +25,6 @@ def instant(stamp_ns: int, core: F64) -> int:
     return stamp_ns - round(float(core[AT.time][0]) * 1e9)
 
 
-def preintegrated(imu: ImuBuffer, start_ns: int, end_ns: int, core: F64, noise: FilterSettings) -> Preintegral:
-    """Preintegrate the IMU from `start_ns` to `end_ns` at the biases of `core` (M4-M6)."""
-    return preintegrate(segments(imu, start_ns, end_ns), core[AT.gyro], core[AT.acc], noise)
-
-
-@dataclass(frozen=True, eq=False)
-class LastClone:
-    """Pose of the rig at the last exposure."""
-
-    t_ns: int  # its stamp
-    R: F64  # (3, 3) world_from_rig
-    p: F64  # (3,) m
-
-
 @dataclass(frozen=True, eq=False)
 class MotionPredictor:
     """Pose, velocity and biases of a state, to be propagated by the IMU or at constant velocity."""
@@ -45,7 +32,7 @@ class MotionPredictor:
     t_ns: int
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) as in `FilterState`
-    last: LastClone | None  # pose of the rig at the last exposure
+    last: Clones  # the rig at the last exposure; none before the first
     P: F64  # (24, 24) joint: `last` (6; zero without it), attitude to accelerometer bias, AT.mount
     cams: tuple[Pose, ...]  # body_from_cam
     inertial: bool
@@ -54,32 +41,30 @@ class MotionPredictor:
     @classmethod
     def of(cls, state: FilterState, cams: tuple[Pose, ...], inertial: bool, noise: FilterSettings) -> MotionPredictor:
         """Copy the relevant part of a state."""
-        c = state.clones
-        last = LastClone(c.stamps[-1], c.R[-1], c.p[-1]) if len(c) else None
+        last = state.clones.select(range(len(state.clones))[-1:])
         rows = np.concatenate([np.arange(state.landmark_start - CLONE, state.landmark_start), _CORE])
-        if last is None:
-            P = np.zeros((len(rows), len(rows)))
-            P[CLONE:, CLONE:] = state.P[_CORE[:, None], _CORE]
-        else:
-            P = state.P[rows[:, None], rows]
+        P = state.P[rows[:, None], rows]
+        if not len(last):
+            P[:CLONE], P[:, :CLONE] = 0.0, 0.0
         return cls(state.t_ns, state.R, state.core.copy(), last, P, cams, inertial, noise)
 
     def cameras(self, stamp_ns: int, before_ns: int | None, imu: ImuBuffer) -> Prediction:
         """Predict the cameras at an exposure, relative to that at `before_ns`; for a past exposure: as they are now."""
-        last = self.last if self.last is not None and self.last.t_ns == before_ns else None
-        if last is None and before_ns is not None and (before := instant(before_ns, self.core)) >= self.t_ns:
+        held = before_ns in self.last.stamps
+        if not held and before_ns is not None and (before := instant(before_ns, self.core)) >= self.t_ns:
             return self._at_exposure(before_ns, before, imu).cameras(stamp_ns, before_ns, imu)
         after, F, Q = self._propagated(max(instant(stamp_ns, self.core), self.t_ns), imu)
         now = self._cameras_of(after.R @ so3_exp(self.core[AT.mount]), after.position)
-        if last is None:
+        if not held:
             return Prediction(now)
-        return Prediction(now, self._cameras_of(last.R, last.p), self._relative_covariance(last, after, F, Q))
+        earlier = self._cameras_of(self.last.R[0], self.last.p[0])
+        return Prediction(now, earlier, self._relative_covariance(after, F, Q))
 
     def _propagated(self, t_ns: int, imu: ImuBuffer) -> tuple[Step, F64, F64]:
         """Return the step to a later time, its (15, 15) transition and noise."""
         here = Step(self.R, self.core[AT.pos], self.core[AT.vel])
         driven = self.inertial and len(imu)
-        m = preintegrated(imu, self.t_ns, t_ns, self.core, self.noise) if driven else None
+        m = preintegrate(imu, self.t_ns, t_ns, self.core[AT.biases], self.noise) if driven else None
         return propagate(here, self.core[AT.gyro], m, (t_ns - self.t_ns) * 1e-9, self.noise)
 
     def _at_exposure(self, stamp_ns: int, t_ns: int, imu: ImuBuffer) -> MotionPredictor:
@@ -94,14 +79,14 @@ class MotionPredictor:
         H = np.eye(len(P))
         H[:CLONE], H[:3, CLONE : CLONE + 3], H[3:CLONE, CLONE + 3 : 2 * CLONE] = 0.0, np.eye(3), np.eye(3)
         H[:3, -3:] = after.R
-        last = LastClone(stamp_ns, R, after.position)
+        last = Clones.none().with_pose(stamp_ns, R, after.position)
         return replace(self, t_ns=t_ns, R=after.R, core=core, last=last, P=H @ P @ H.T)
 
-    def _relative_covariance(self, last: LastClone, after: Step, F: F64, Q: F64) -> F64:
+    def _relative_covariance(self, after: Step, F: F64, Q: F64) -> F64:
         """(6, 6) covariance of the rotation and shift that take earlier points to camera 0 (`Prediction`)."""
-        cam, rig = self.cams[0], after.R @ so3_exp(self.core[AT.mount])
-        cam_from_world, arms = (rig @ cam.rotation).T, (last.R @ cam.translation, rig @ cam.translation)
-        baseline = after.position + arms[1] - last.p - arms[0]
+        cam, rig, last = self.cams[0], after.R @ so3_exp(self.core[AT.mount]), self.last
+        cam_from_world, arms = (rig @ cam.rotation).T, (last.R[0] @ cam.translation, rig @ cam.translation)
+        baseline = after.position + arms[1] - last.p[0] - arms[0]
         J = np.zeros((6, 2 * CLONE))  # by (rotation, position) of the rig at the last exposure and at this one
         J[:3, :3], J[:3, 6:9] = cam_from_world, -cam_from_world
         J[3:, :3], J[3:, 3:6] = -cam_from_world @ (skew(baseline) + skew(arms[0])), cam_from_world

@@ -28,6 +28,7 @@ class CoreLayout(NamedTuple):
     vel: slice = slice(6, 9)  # m/s
     gyro: slice = slice(9, 12)  # rad/s, gyro bias; without IMU the angular velocity of the body itself
     acc: slice = slice(12, 15)  # m/s^2, accelerometer bias; without IMU unused
+    biases: slice = slice(9, 15)  # these two
     motion: slice = slice(0, 15)  # all of the above: errors that the motion model propagates
     nav_pos: slice = slice(15, 18)  # m, slowly varying error of the GPS/INS position
     nav_att: slice = slice(18, 21)  # rad, of its attitude, in the world
@@ -112,11 +113,6 @@ class FilterState:
         """Rows of all clones in `P`."""
         return slice(CORE, self.landmark_start)
 
-    def relinearise(self) -> None:
-        """Take Jacobians at the present estimates from now on."""
-        self.clones = replace(self.clones, first_R=self.clones.R, first_p=self.clones.p)
-        self.landmarks = replace(self.landmarks, first_x=self.landmarks.x)
-
     def add_clone(self, t_ns: int) -> None:
         """Append the present pose of the rig to the clones, as that of an exposure stamped `t_ns`.
 
@@ -126,7 +122,7 @@ class FilterState:
         J[0:3, AT.att], J[0:3, AT.mount], J[3:6, AT.pos] = np.eye(3), self.R, np.eye(3)
         J[0:3, AT.time], J[3:6, AT.time] = -(self.R @ self.rate)[:, None], -self.core[AT.vel][:, None]
         cross = J @ self.P[:CORE]
-        self._insert(self.landmark_start, cross, cross[:, :CORE] @ J.T + self._time_offset_noise())
+        self.insert(self.landmark_start, cross, cross[:, :CORE] @ J.T + self._time_offset_noise())
         self.clones = self.clones.with_pose(t_ns, self.rig, self.core[AT.pos])
 
     def _time_offset_noise(self) -> F64:
@@ -139,17 +135,7 @@ class FilterState:
         position = time * velocity + (0.5 * time * _UNMODELLED[1]) ** 2
         return np.diag(np.repeat([rotation, position], 3))
 
-    def add_landmarks(self, landmarks: Landmarks, cross: F64, covariance: F64) -> None:
-        """Append m landmarks.
-
-        Args:
-            cross: (3m, n) covariance of the landmarks with the state.
-            covariance: (3m, 3m) of the landmarks.
-        """
-        self._insert(len(self.P), cross, covariance)
-        self.landmarks = self.landmarks.joined(landmarks)
-
-    def _insert(self, at: int, cross: F64, own: F64) -> None:
+    def insert(self, at: int, cross: F64, own: F64) -> None:
         """Insert k errors at a row: covariance `own` (k, k), and `cross` (k, n) with the others."""
         n = len(self.P) + len(own)
         out = np.empty((n, n))

@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import gammaincinv
 
-from alight.arrays import I64
+from alight.arrays import F64, I64
 from alight.geometry import Camera, Pose
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
 from alight.motion.ekf.keyframe_posterior import CloneWindow
-from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
-from alight.motion.ekf.state import AT, FilterState
-from alight.motion.observations import WindowObservations, observation_sigma, positions
-from alight.motion.points import marginalise_points, unit_noise_rows
-from alight.motion.robust import median_of, robust_pose_weights
+from alight.motion.ekf.landmark_kernels import (
+    gate_distances,
+    innovation_of,
+    linearise_points,
+    project_covariance,
+)
+from alight.motion.ekf.state import AT, CLONE, LANDMARK, FilterState, Landmarks
+from alight.motion.observations import WindowObservations, cameras_at, observation_sigma, positions
+from alight.motion.points import NEAR, marginalise_points, unit_noise_rows
+from alight.motion.robust import median_of, median_residual, robust_pose_weights, robust_weights
 from alight.records import Tracks
 from alight.settings import FilterSettings
 
+MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped: it moves
 _MIN_POSES = 3  # that must have observed a track before it is used
 _MIN_FREEDOM = 2  # degrees of freedom of a track that becomes a landmark: enough to check its observations
 _MAX_LINEARISATION_ERROR = 0.04  # rad between a clone and its first estimate; above it Jacobians are no longer valid
+_RESIDUAL_GAIN = 0.3  # of the last exposure in a landmark's running mean residual
+_MAX_MEAN_RESIDUAL = 9.0  # squared mean residual over its expectation by chance; above it a landmark moves
+_MAX_INITIAL_MISFIT = 2.0  # in medians; tracks with a larger residual do not become landmarks
+
+
+def gate_limits(rows: I64, probability: float) -> F64:
+    """Return the largest squared Mahalanobis distances of so many rows that pass a gate (chi-square)."""
+    return np.asarray(2.0 * gammaincinv(0.5 * rows, probability))
 
 
 class VisualUpdate:
@@ -32,7 +48,6 @@ class VisualUpdate:
 
     def __init__(self, camera: Camera, cams: Sequence[Pose], settings: FilterSettings) -> None:
         self._camera, self._cams, self._settings = camera, tuple(cams), settings
-        self._gate = Gate(settings.gate)
         self._unused = WindowObservations.empty(len(cams))
 
     def reset(self, state: FilterState) -> None:
@@ -61,35 +76,31 @@ class VisualUpdate:
         lost = (state.landmarks.rejections >= MAX_REJECTIONS) | (positions(ids, state.landmarks.ids) < 0)
         state.drop(clones=dropped, landmarks=np.flatnonzero(lost))
         state.add_clone(tracks.t_ns)
-        counts += update_landmarks(state, ids, normalised, sigma, self._cams, self._gate)
+        counts += self._update_landmarks(state, ids, normalised, sigma)
         seen = positions(ids, state.landmarks.ids)
         free = np.delete(np.arange(len(ids)), seen[seen >= 0])
         self._unused = self._unused.without_poses(dropped).with_pose(ids[free], normalised[free], sigma[free])
         return counts + self._initialise_landmarks(state)
 
     def _relinearise_if_stale(self, state: FilterState, t_ns: int) -> None:
-        """Take Jacobians anew after a start with a wrong heading: between photos in place, else from scratch."""
-        if not _is_stale(state):
-            return
-        if (t_ns - state.clones.stamps[-1]) * 1e-9 > MAX_RATE_AGE:
-            state.relinearise()
-        else:
+        """Take Jacobians anew after a start with a wrong heading: between photos in place, else from scratch.
+
+        The oldest clone has then turned too far from its first estimate.
+        """
+        w, q, least = state.clones, state.landmarks, 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)
+        stale = len(w) > 0 and float((w.R[0] * w.first_R[0]).sum()) < least
+        if stale and (t_ns - w.stamps[-1]) * 1e-9 > MAX_RATE_AGE:
+            state.clones, state.landmarks = replace(w, first_R=w.R, first_p=w.p), replace(q, first_x=q.x)
+        elif stale:
             self.reset(state)
 
     def _clone_to_drop(self, state: FilterState) -> list[int]:
         """Return the index of the last clone if the one before is near, else of the oldest if there are too many."""
-        p, baseline = state.clones.p, self._settings.clone_baseline
-        if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < baseline * self._median_distance(state):
+        p, off = state.clones.p, state.landmarks.x - state.core[AT.pos]
+        distance = float(np.sqrt(median_of((off * off).sum(axis=1)))) if len(off) else 0.0  # m, of the landmarks
+        if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < self._settings.clone_baseline * distance:
             return [len(p) - 1]
         return [0] if len(p) >= self._settings.clones else []
-
-    @staticmethod
-    def _median_distance(state: FilterState) -> float:
-        """Median distance of the landmarks, metres; 0 without any."""
-        if not len(state.landmarks):
-            return 0.0
-        off = state.landmarks.x - state.core[AT.pos]
-        return float(np.sqrt(median_of((off * off).sum(axis=1))))
 
     def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
         """Update the poses by tracks that are no longer observed, or whose first pose is about to be dropped."""
@@ -111,18 +122,61 @@ class VisualUpdate:
         well_known = constraint.well_known(state.core[AT.pos], self._settings.vague_share) & (constraint.freedom > 0)
         P, freedom = state.P[columns, columns], np.maximum(constraint.freedom, 1)
         distance = constraint.mahalanobis(P)
-        passed = well_known & (distance <= self._gate.limits(freedom))
+        passed = well_known & (distance <= gate_limits(freedom, self._settings.gate))
         if passed.any():
             weight, _ = robust_pose_weights(constraint, P, passed, np.zeros(len(P)))
             state.correct(*unit_noise_rows(*constraint.information(weight)), columns)
-        return GateCounts(
-            int(passed.sum()),
-            int((well_known & ~passed).sum()),
-            float(distance[passed].sum() / max(freedom[passed].sum(), 1)),
-        )
+        return GateCounts.of(well_known, passed, distance, freedom)
+
+    def _update_landmarks(self, state: FilterState, ids: I64, normalised: F64, sigma: F64) -> GateCounts:
+        """Update the state by the N landmarks observed at its last clone, by m = 2 rows a camera.
+
+        Residuals are taken at the estimates, Jacobians at the first estimates (M11; Huang et al. 2008).
+
+        Args:
+            state: corrected in place.
+            ids, normalised, sigma: observations of the exposure, (M,) sorted, (M, cameras, 2), (M,).
+        """
+        column = positions(ids, state.landmarks.ids)
+        index = np.flatnonzero(column >= 0)
+        if not len(index):
+            return GateCounts()
+        column, n, m, w, q = column[index], len(index), 2 * len(self._cams), state.clones, state.landmarks
+        poses = ((w.R, w.p), (w.first_R, w.first_p))
+        (R, p), (first_R, first_p) = (cameras_at(a[-1:], b[-1:], self._cams) for a, b in poses)
+        residual, by_pose, by_point = np.empty((n, m)), np.empty((n, m, CLONE)), np.empty((n, m, LANDMARK))
+        count, HP, distance = np.empty(n, np.int64), np.empty((n, m, len(state.P))), np.empty(n)
+        linearise_points(
+            q.x[index], q.first_x[index], normalised[column], sigma[column], R[0], p[0], first_R[0], first_p[0],
+            w.first_p[-1], NEAR, residual, by_pose, by_point, count,
+        )  # fmt: skip
+        pose, points = state.landmark_start - CLONE, state.landmark_start + LANDMARK * index  # their rows in `P`
+        project_covariance(state.P, pose, points, by_pose, by_point, HP)
+        rows = HP, pose, points, by_pose, by_point, residual
+        gate_distances(*rows, distance)
+        tried = count > 0
+        passed = tried & (distance <= gate_limits(count, self._settings.gate))
+        rejections = q.rejections.copy()
+        rejections[index] = np.where(tried & ~passed, rejections[index] + 1, 0)
+        state.landmarks = replace(q, rejections=rejections)
+        if passed.any():
+            misfit = distance / np.maximum(count, 1)
+            weight = passed * robust_weights(misfit, median_residual(misfit[tried]))
+            state.landmarks = reject_moving(state.landmarks, index[tried], residual[tried])
+            used = np.argwhere((weight > 0)[:, None] & by_point.any(axis=2))  # rows that are not observed are zero
+            innovation, S = np.empty(len(used)), np.empty((len(used), len(used)))
+            used_HP = np.empty((len(used), len(state.P)))
+            innovation_of(*rows, used, np.sqrt(weight), used_HP, S, innovation)
+            state.correct_by(innovation, used_HP, S)
+        return GateCounts.of(tried, passed, distance, count)
 
     def _initialise_landmarks(self, state: FilterState) -> GateCounts:
-        """Fill the free places for landmarks, longest tracks first."""
+        """Move tracks whose observations agree from the window to free places for landmarks, longest first (M17).
+
+        Delayed initialisation: the observations of a track are split into two independent parts. The part that does not
+        depend on the point measures the poses; it is gated and used. The other part gives the point with its covariance
+        and its exact cross covariance with the state. No observation is used twice.
+        """
         s, unused = self._settings, self._unused
         free, length = s.points - len(state.landmarks), unused.observed.sum(axis=1)
         ready = np.flatnonzero((length >= _MIN_POSES) & unused.observed[:, -1])
@@ -134,16 +188,43 @@ class VisualUpdate:
         tried = np.flatnonzero(well_known & (constraint.freedom >= _MIN_FREEDOM))[:free]
         if not len(tried):
             return GateCounts()
-        chosen = ready[tried]
-        rows = 2 * len(self._cams)
-        passed = initialise_landmarks(state, unused.ids[chosen], constraint.select(tried), self._gate, rows)
+        chosen, constraint, columns = ready[tried], constraint.select(tried), state.clone_rows
+        P = state.P[columns]
+        passed = constraint.mahalanobis(P[:, columns]) <= gate_limits(constraint.freedom, s.gate)
+        misfit = constraint.misfit / np.maximum(constraint.freedom, 1)
+        passed &= misfit <= _MAX_INITIAL_MISFIT * median_residual(misfit)
+        if passed.any():
+            constraint = constraint.select(passed)
+            G = constraint.point_by_poses().reshape(-1, len(P))  # negated
+            cross = G @ P
+            covariance = cross[:, columns] @ G.T
+            for i, given_poses in enumerate(constraint.point_covariance):
+                at = slice(LANDMARK * i, LANDMARK * (i + 1))
+                covariance[at, at] += given_poses
+            x, ids = constraint.x, unused.ids[chosen[passed]]
+            landmarks = Landmarks.new(ids, x + constraint.step, x, 2 * len(self._cams))  # Jacobians were taken at x
+            state.insert(len(state.P), -cross, covariance)
+            state.landmarks = state.landmarks.joined(landmarks)
+            state.correct(*unit_noise_rows(*constraint.information(np.ones(len(x)))), columns)
         kept = np.ones(len(unused.ids), bool)
         kept[chosen[passed]] = False
         self._unused = unused.select(kept)
         return GateCounts(int(passed.sum()), int((~passed).sum()), 1.0)
 
 
-def _is_stale(state: FilterState) -> bool:
-    """True if the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
-    w = state.clones
-    return len(w.R) > 0 and float((w.R[0] * w.first_R[0]).sum()) < 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)
+def reject_moving(landmarks: Landmarks, index: I64, residual: F64) -> Landmarks:
+    """Mark landmarks whose residual keeps its sign, exposure after exposure: they move slowly.
+
+    Args:
+        landmarks: `rejections` is set to `MAX_REJECTIONS` where they move.
+        index: (N,) of those observed in this exposure.
+        residual: (N, m) of this exposure, in sigmas.
+    """
+    mean, square = landmarks.mean_residual.copy(), landmarks.mean_square.copy()
+    rejections = landmarks.rejections.copy()
+    mean[index] += _RESIDUAL_GAIN * (residual - mean[index])
+    square[index] += _RESIDUAL_GAIN * ((residual * residual).sum(axis=1) - square[index])
+    by_chance = _RESIDUAL_GAIN / (2.0 - _RESIDUAL_GAIN)  # variance of the running mean of white residuals
+    limit = _MAX_MEAN_RESIDUAL * by_chance * median_residual(square[index])
+    rejections[index[(mean[index] ** 2).sum(axis=1) > limit]] = MAX_REJECTIONS
+    return replace(landmarks, mean_residual=mean, mean_square=square, rejections=rejections)

@@ -20,6 +20,7 @@ class BlockTridiagonal:
         self.g = np.zeros(blocks * size)
         self._diagonal = np.zeros((blocks, size, size))
         self._below = np.zeros((max(blocks - 1, 0), size, size))  # row block b + 1, column block b
+        self._factors, self._gains = list[tuple[F64, bool]](), list[F64]()
 
     def add(self, rows: NDArray[np.int64], A: F64, g: F64) -> None:
         """Add a (m, m) term and its (m,) right side at the unknowns `rows`, all within two neighbouring blocks."""
@@ -32,31 +33,22 @@ class BlockTridiagonal:
             self._below[block][np.ix_(local[high] - n, local[low])] += A[np.ix_(high, low)]
             self._diagonal[block + 1][np.ix_(local[high] - n, local[high] - n)] += A[np.ix_(high, high)]
 
-    def factorise(self) -> Factors:
-        """Return the block Cholesky factors.
+    def factorise(self) -> None:
+        """Find the block Cholesky factors, from which the solution and the covariance follow.
 
         Raises:
             numpy.linalg.LinAlgError: A is not positive definite.
         """
-        factors, gains = [], []
         S = self._diagonal[0]
         for b in range(len(self._diagonal)):
-            factors.append(cho_factor(S, lower=True, check_finite=False))
+            self._factors.append(cho_factor(S, lower=True, check_finite=False))
             if b < len(self._below):
-                gains.append(cho_solve(factors[b], self._below[b].T, check_finite=False))
-                S = self._diagonal[b + 1] - self._below[b] @ gains[b]
-        return Factors(factors, gains, self.g.reshape(-1, self.size))
-
-
-class Factors:
-    """Block Cholesky factors: solution and covariance of the equations."""
-
-    def __init__(self, factors: list[tuple[F64, bool]], gains: list[F64], g: F64) -> None:
-        self._factors, self._gains, self._g = factors, gains, g
+                self._gains.append(cho_solve(self._factors[b], self._below[b].T, check_finite=False))
+                S = self._diagonal[b + 1] - self._below[b] @ self._gains[b]
 
     def solution(self) -> F64:
         """Return the unknowns x."""
-        x = self._g.copy()
+        x = self.g.reshape(-1, self.size).copy()
         for b, gain in enumerate(self._gains):
             x[b + 1] -= gain.T @ x[b]
         for b in reversed(range(len(self._factors))):
@@ -67,10 +59,9 @@ class Factors:
 
     def covariance(self) -> F64:
         """Return the diagonal blocks of the inverse of A, (blocks, size, size)."""
-        size = self._g.shape[1]
-        out = np.empty((len(self._factors), size, size))
+        out = np.empty_like(self._diagonal)
         for b in reversed(range(len(self._factors))):
-            out[b] = cho_solve(self._factors[b], np.eye(size), check_finite=False)
+            out[b] = cho_solve(self._factors[b], np.eye(self.size), check_finite=False)
             if b < len(self._gains):
                 out[b] += self._gains[b] @ out[b + 1] @ self._gains[b].T
         return out
@@ -81,7 +72,7 @@ class Factors:
         Backward over the blocks: the cross covariance of block b with any later unknown is that of block b + 1, times
         minus the gain. Memory is that of the answer and of `size` times m numbers.
         """
-        size, m = self._g.shape[1], len(rows)
+        size, m = self.size, len(rows)
         out, later = np.zeros((m, m)), np.empty((size, 0))  # `later`: of block b + 1 with the rows from it on
         for b in reversed(range(len(self._factors))):
             here = np.flatnonzero(rows // size == b)

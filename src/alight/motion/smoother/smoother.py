@@ -23,9 +23,9 @@ from alight.motion.ekf.state import AT, POSITION_FIRST
 from alight.motion.gps_ins import SLOW, Quantity, sigmas, whites
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.observations import observation_sigma
-from alight.motion.preintegration import Preintegral, corrected, preintegrate, segments
+from alight.motion.preintegration import Preintegral, corrected, preintegrate
 from alight.motion.robust import cauchy
-from alight.motion.smoother.block_tridiagonal import BlockTridiagonal, Factors
+from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.motion.smoother.track_segments import LinearisedSegments, TrackSegments
 from alight.records import KeyframePosterior, Motion, NavSample, RefinedMotions
 from alight.settings import FilterSettings
@@ -40,7 +40,6 @@ _LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that 
 _SHORTEST = 5  # exposures in a piece
 _MOST_JOINT = 240  # exposures whose joint covariance is given out: 17 MB; between them errors are interpolated
 _LEAD_NS = 50_000_000  # ns by which an exposure may lie before the first inertial sample for the IMU to drive it
-_BIASES = slice(AT.gyro.start, AT.acc.stop)
 _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
 
 
@@ -86,7 +85,7 @@ class _Batch:
         imu = ImuBuffer(r.imu)
         self._inertial = bisect_left(self._t, imu.first_ns - _LEAD_NS) if len(imu) else len(self._t)
         if len(imu):  # the filter had no bias before the first sample
-            self._x[self._inertial : bisect_left(self._t, imu.first_ns), _BIASES] = 0.0
+            self._x[self._inertial : bisect_left(self._t, imu.first_ns), AT.biases] = 0.0
         self._imu_motion = [self._preintegrated(imu, k, b) for k, b in enumerate(self._t[1:])]
         self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, imu)) is not None]
 
@@ -94,7 +93,7 @@ class _Batch:
         """Return the IMU sum from exposure k to a later time; None before there is an IMU."""
         if k < self._inertial:
             return None
-        return preintegrate(segments(imu, self._t[k], end_ns), self._x[k, AT.gyro], self._x[k, AT.acc], self._settings)
+        return preintegrate(imu, self._t[k], end_ns, self._x[k, AT.biases], self._settings)
 
     def _nav_row(self, sample: NavSample, imu: ImuBuffer) -> _NavRow | None:
         """Return a row with the exposure before it; None: before the first one, or an interval after the last one."""
@@ -112,17 +111,17 @@ class _Batch:
         for i in range(_ITERATIONS):
             rms = self._segments.reweigh(*self._rigs())
             linear = self._segments.linearise(*self._rigs())
-            factors = self._factorised(linear)
-            step = self._step(factors, linear)
+            system = self._factorised(linear)
+            step = self._step(system, linear)
             log.debug("batch %d: observations %.3f sigma, step %.2g", i, rms, np.abs(step[:, :_POSE]).max())
             if (np.abs(step[:, :_POSE]) < _ENOUGH).all():
                 break
-        covariance, order = factors.covariance(), POSITION_FIRST[:, None]
+        covariance, order = system.covariance(), POSITION_FIRST[:, None]
         of = ((k, _SIZE * (k % self._span)) for k in range(len(self._t)))
         motions = tuple(self._motion(k, covariance[k // self._span][at + order, at + POSITION_FIRST]) for k, at in of)
-        return RefinedMotions(motions, self._joint(motions, factors, covariance))
+        return RefinedMotions(motions, self._joint(motions, system, covariance))
 
-    def _joint(self, motions: tuple[Motion, ...], factors: Factors, own: F64) -> KeyframePosterior:
+    def _joint(self, motions: tuple[Motion, ...], system: BlockTridiagonal, own: F64) -> KeyframePosterior:
         """Joint posterior of the exposures, or of `_MOST_JOINT` of them, evenly spaced (M22b).
 
         As in the keyframe posterior (M23), tracking errors are correlated: the covariance of the poses relative to the
@@ -134,14 +133,14 @@ class _Batch:
         order = (_POSE * np.arange(len(some))[:, None] + POSITION_FIRST).ravel()
         factor = max(1.0, self._settings.smoother_repeat * self._segments.median_misfit(*self._rigs()))
         inflation = relative_inflation(self._x[some, AT.pos], factor, len(some) // 2)
-        covariance = inflation @ factors.joint(rows, own) @ inflation.T
+        covariance = inflation @ system.joint(rows, own) @ inflation.T
         return KeyframePosterior(tuple(motions[k] for k in some), covariance[np.ix_(order, order)])
 
     def _rigs(self) -> tuple[F64, F64]:
         return self._R @ self._mount, self._x[:, AT.pos]
 
-    def _factorised(self, linear: LinearisedSegments) -> Factors:
-        """Factorise the normal equations at the present values."""
+    def _factorised(self, linear: LinearisedSegments) -> BlockTridiagonal:
+        """Return the normal equations at the present values, factorised."""
         span, K = self._span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
@@ -155,11 +154,12 @@ class _Batch:
         self._add_motion(system)
         for row in self._nav_rows:
             self._add_nav(system, row)
-        return system.factorise()
+        system.factorise()
+        return system
 
-    def _step(self, factors: Factors, linear: LinearisedSegments) -> F64:
+    def _step(self, system: BlockTridiagonal, linear: LinearisedSegments) -> F64:
         """Take the (K, 24) step, points included."""
-        step = factors.solution().reshape(-1, _SIZE)[: len(self._t)]
+        step = system.solution().reshape(-1, _SIZE)[: len(self._t)]
         linear.move_points(step[:, :_POSE])
         self._R = so3_exp(step[:, AT.att]) @ self._R
         self._x[:, AT.att.stop :] += step[:, AT.att.stop :]
@@ -180,7 +180,7 @@ class _Batch:
     def _propagated(self, k: int, dt: float, m: Preintegral | None) -> tuple[Step, F64, F64]:
         """Propagate exposure k by `dt`: the step, its transition and noise (15, 15)."""
         x, s = self._x[k], self._settings
-        m = None if m is None else corrected(m, x[AT.gyro], x[AT.acc])
+        m = None if m is None else corrected(m, x[AT.biases])
         after, F, Q = propagate(Step(self._R[k], x[AT.pos], x[AT.vel]), x[AT.gyro], m, dt, s)
         if m is None:
             Q[AT.acc, AT.acc] = np.eye(3)  # unused: any positive number keeps the equations regular
@@ -193,14 +193,17 @@ class _Batch:
         for k, m in enumerate(self._imu_motion):
             dt = (self._t[k + 1] - self._t[k]) * 1e-9
             after, F, Q = self._propagated(k, dt, m)
-            if k + 1 == self._inertial:
-                self._begin_biases(F, Q)
+            if k + 1 == self._inertial:  # until here, one bias is the angular velocity: now both have their prior
+                s = self._settings
+                F[AT.biases], Q[AT.biases], Q[:, AT.biases] = 0.0, 0.0, 0.0
+                sigma = np.repeat([s.gyro_bias_sigma, s.accelerometer_bias_sigma], 3)
+                Q[AT.biases, AT.biases] = np.diag(sigma**2)
             a, b = self._x[k], self._x[k + 1]
             decay, drift = self._nav_drift(k, dt)
             e = np.empty(_SIZE)
             e[AT.att], e[AT.nav] = so3_log(self._R[k + 1] @ after.R.T), b[AT.nav] - decay * a[AT.nav]
             e[AT.pos], e[AT.vel] = b[AT.pos] - after.position, b[AT.vel] - after.velocity
-            e[_BIASES] = b[_BIASES] - F[_BIASES, _BIASES] @ a[_BIASES]
+            e[AT.biases] = b[AT.biases] - F[AT.biases, AT.biases] @ a[AT.biases]
             J = np.zeros((_SIZE, 2 * _SIZE))
             J[:, _SIZE:] = np.eye(_SIZE)
             J[AT.motion, AT.motion], J[AT.nav, AT.nav] = -F, -np.diag(decay)
@@ -209,12 +212,6 @@ class _Batch:
             W[AT.nav, AT.nav] = np.diag(1.0 / drift)
             rows = np.arange(2 * _SIZE) + k * _SIZE
             system.add(rows, J.T @ W @ J, -J.T @ W @ e)
-
-    def _begin_biases(self, F: F64, Q: F64) -> None:
-        """Give the biases at the first exposure with an IMU their prior: until there, one is the angular velocity."""
-        F[_BIASES], Q[_BIASES], Q[:, _BIASES] = 0.0, 0.0, 0.0
-        sigma = np.repeat([self._settings.gyro_bias_sigma, self._settings.accelerometer_bias_sigma], 3)
-        Q[_BIASES, _BIASES] = np.diag(sigma**2)
 
     def _nav_drift(self, k: int, dt: float) -> tuple[F64, F64]:
         """Return the (9,) decay and added variance of the GPS/INS errors from exposure k to the next (M10).

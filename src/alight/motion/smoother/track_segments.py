@@ -47,12 +47,12 @@ class TrackSegments:
         """Take the tracks of all exposures.
 
         Args:
-            tracks: one an exposure.
             sigma: of a normalised coordinate, one a row of all tracks in turn.
             cams: rig_from_cam.
             span: exposures, longest segment.
         """
-        exposure, ids, normalised = _stack(tracks)
+        exposure = np.repeat(np.arange(len(tracks)), [len(t.ids) for t in tracks])
+        ids, normalised = (np.concatenate(rows) for rows in zip(*((t.ids, t.normalised) for t in tracks), strict=True))
         segment = _segment_of(exposure, ids, span)
         long = np.bincount(segment, minlength=1)[segment] >= _MIN_EXPOSURES if len(segment) else np.zeros(0, bool)
         row, cam = np.nonzero(np.isfinite(normalised[..., 0]) & long[:, None])
@@ -151,10 +151,6 @@ class LinearisedSegments:
     def reduced(self, start: int, stop: int, span: int) -> tuple[F64, F64]:
         """Normal equations of 2 span poses from `start` on, by the segments that begin in [start, stop).
 
-        Args:
-            start, stop: exposures.
-            span: exposures.
-
         Returns:
             (12 span, 12 span) matrix and (12 span,) right side.
         """
@@ -182,12 +178,6 @@ class LinearisedSegments:
         predicted = np.einsum("nki,ni->nk", self._by_pose, pose_step[s.exposure])
         moved = np.add.reduceat(np.einsum("nki,nk->ni", self._by_point, predicted), s.starts[:-1])
         s.points = s.points + np.einsum("nij,nj->ni", self._covariance, self._gradient - moved)
-
-
-def _stack(tracks: Sequence[Tracks]) -> tuple[I64, I64, F64]:
-    """Return exposure (R,), feature (R,) and normalised coordinates (R, C, 2) of the rows of all tracks in turn."""
-    exposure = np.repeat(np.arange(len(tracks)), [len(t.ids) for t in tracks])
-    return exposure, np.concatenate([t.ids for t in tracks]), np.concatenate([t.normalised for t in tracks])
 
 
 def _segment_of(exposure: I64, ids: I64, span: int) -> I64:

@@ -1,25 +1,47 @@
-"""Pose refinement against the map, carried from keyframe to keyframe (docs/method/recursive.md)."""
+"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method/recursive.md).
+
+The pictures fix the exposures and the map relative to each other; their common position stays that of the prior. A
+cell's height and template value are marginalised, the height with the map's own sigma as prior. The joint Gaussian is
+carried from keyframe to keyframe.
+"""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, Mask
+from alight.arrays import F32, F64, I64, Mask
 from alight.geometry import Grid, Pose, plane_on
-from alight.parallax.pose_refinement.gaussian import PoseGaussian, regress_on
+from alight.parallax.gauss_newton_kernels import template
+from alight.parallax.pose_refinement import kernels
+from alight.parallax.pose_refinement.gaussian import PoseGaussian, corrected_poses, regress_on
 from alight.parallax.pose_refinement.kernels import PLANE, POSE
-from alight.parallax.pose_refinement.solve import (
-    RefinementCells,
-    RefinementView,
-    ViewPair,
-    refine_poses,
-    thinning,
-)
-from alight.parallax.views import Kept
+from alight.parallax.sorting_kernels import network
+from alight.parallax.views import Buffers, Kept, Prepared, centres_of, maps, sample
 from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior
 from alight.settings.tuning.parallax import PoseRefinementTuning
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementCells:
+    """The cells of the solve."""
+
+    xs: F64  # (C,) metres east
+    ys: F64  # (R,) metres north
+    height: F32  # (R, C) metres, NaN: left out
+    kappa: F32  # (R, C) one over the variance of a height about the map's plane
+    about: F64  # (2,) metres, to which the plane's offset refers
+    arm: float  # metres, of the template's gradient
+
+    def coarser(self) -> RefinementCells:
+        """Every second row of the cells, for pictures of half the resolution."""
+        half = slice(None, None, 2)
+        return replace(self, ys=self.ys[half], height=self.height[half], kappa=self.kappa[half], arm=2 * self.arm)
 
 
 @dataclass(eq=False)
@@ -51,35 +73,39 @@ class Alignment:
         self._offset2 = max(0.0, float(last.covariance[2, 2] - poses.covariance[-4, -4]))
 
     def align(
-        self, exposures: list[list[Kept]], grid: Grid, known: ElevationMap, old: Mask, ground: float
-    ) -> list[list[Kept]]:
-        """Refine the poses with the map; `plane` is then the error of the map that was found.
+        self, exposures: dict[int, list[Kept]], grid: Grid, known: ElevationMap, old: Mask, ground: float
+    ) -> dict[int, list[Kept]]:
+        """Refine the poses of exposures by time with the map; `plane` is then the error of the map that was found.
 
         `old` (R, C): cells that belong to other poses, and count as unknown.
         """
-        newest = exposures[-1][0].view
+        newest = exposures[max(exposures)][0].view
         self.plane = np.zeros(PLANE)
         drop = max(float(newest.centre[2]) - ground, 1e-2)
-        if self.state is None or any(k[0].view.t_ns not in self.state.times for k in exposures):
+        if self.state is None or any(t not in self.state.poses for t in exposures):
             return exposures
         prior = self.prior(drop, newest.centre[:2])
-        linearisations = self._linearisations(exposures, prior, self._ground(grid, known, old, ground, drop), drop)
-        pixel = grid.cell / drop
-        self.state, plane = refine_poses(prior, linearisations, pixel, drop, self.keyframes, self.tuning)
+        cells = self._cells(grid, known, old, ground, drop)
+        self.state, plane = self._refined(prior, [k for e in exposures.values() for k in e], cells, drop)
         if self.mapped:
             self.plane = plane
-        poses = dict(zip(self.state.times, self.state.poses, strict=True))
-        return [[k.posed(poses[k.view.t_ns] @ self._mounts[k.view.t_ns, k.view.cam]) for k in e] for e in exposures]
+        poses = self.state.poses
+        return {t: [k.posed(self._camera_of(k, poses)) for k in e] for t, e in exposures.items()}
+
+    def _camera_of(self, k: Kept, poses: dict[int, Pose]) -> Pose:
+        """world_from_cam of a view, of the poses world_from_body."""
+        return poses[k.view.t_ns] @ self._mounts[k.view.t_ns, k.view.cam]
 
     def prior(self, drop: float, here: F64) -> PoseGaussian:
         """The state, with a plane that may have wandered about `here`, (2,) east and north; before a map, any plane."""
         assert self.state is not None
-        scale = np.array([drop, 1.0, 1.0])
-        if not self.mapped:
-            return self.state.with_plane(np.array(self.tuning.plane_sigma) * scale)
-        wander = self._transition(self.about - here) * (np.array(self.tuning.wander) * scale)
-        P = self.state.covariance.copy()
-        P[:PLANE, :PLANE] += wander @ wander.T
+        scale, P = np.array([drop, 1.0, 1.0]), self.state.covariance.copy()
+        if self.mapped:
+            wander = self._transition(self.about - here) * (np.array(self.tuning.wander) * scale)
+            P[:PLANE, :PLANE] += wander @ wander.T
+        else:
+            P[:PLANE], P[:, :PLANE] = 0.0, 0.0
+            P[:PLANE, :PLANE] = np.diag((np.array(self.tuning.plane_sigma) * scale) ** 2)
         return replace(self.state, covariance=P)
 
     @staticmethod
@@ -89,21 +115,49 @@ class Alignment:
         out[0, 1:] = way
         return out
 
-    def _linearisations(
-        self, exposures: list[list[Kept]], prior: PoseGaussian, cells: RefinementCells, drop: float
-    ) -> list[ViewPair]:
-        """Pictures and cells of each linearisation, coarse to fine; more if the newest exposure is less certain."""
-        all_of = [k for e in exposures for k in e]
-        fine = [RefinementView(k.fine, self._mounts[k.view.t_ns, k.view.cam], k.view.t_ns) for k in all_of]
-        uncertainty = ground_uncertainty(prior, drop) / cells.arm
-        if uncertainty > self.tuning.far_cells:
-            coarse = [replace(v, prepared=k.coarse) for v, k in zip(fine, all_of, strict=True)]
-            return [(coarse, cells.coarser())] * 2 + [(fine, cells)] * 2
-        return [(fine, cells)] * (2 if uncertainty > self.tuning.near_cells else 1)
+    def _refined(
+        self, prior: PoseGaussian, kept: list[Kept], cells: RefinementCells, drop: float
+    ) -> tuple[PoseGaussian, F64]:
+        """The posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
 
-    def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
+        Args:
+            prior: distribution of the poses and the plane.
+            kept: views of exposures that the prior holds.
+            drop: metres from the cameras to the ground.
+        """
+        tuning, pixel = self.tuning, cells.arm / drop  # rad, angle of a pixel
+        used = {k.view.t_ns for k in kept}
+        bodies = {t: p for t, p in prior.poses.items() if t in used}
+        owner = np.array([list(bodies).index(k.view.t_ns) for k in kept], np.int64)
+        rows = np.concatenate([np.arange(PLANE), prior.rows(bodies)])
+        P, held, one = prior.covariance[np.ix_(rows, rows)], Buffers(), np.eye(len(rows))
+        x = prior.start[rows]
+        x[:PLANE] = -prior.plane
+        apparent = np.tile(np.repeat([pixel * drop, pixel], 3), len(bodies)) * tuning.apparent_px
+        F = np.concatenate([np.zeros(PLANE), apparent]) ** 2
+        A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
+        for halvings in _linearisations(prior, drop, cells.arm, tuning):
+            poses = corrected_poses(bodies, x)
+            views = [k.halved(halvings).posed(self._camera_of(k, poses)) for k in kept]
+            ground = cells.coarser() if halvings else cells
+            seen, b = _information(views, owner, list(poses.values()), ground, prior.plane + x[:PLANE], held, tuning)
+            damping = np.linalg.inv(one + seen * F)
+            A, b = damping @ seen, damping @ b
+            whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
+            x = P @ whitened
+        if not whitened @ x <= tuning.unlikely * len(x):  # so that NaN is refused
+            log.info("the pictures contradict the prior of the poses, which stay as they were")
+            return prior, np.zeros(PLANE)
+        across, shared = prior.covariance[:, rows], A / self.keyframes  # shared among the steps that a picture is in
+        gain = np.linalg.solve(one + shared @ P, shared)
+        after = prior.covariance - across @ (0.5 * (gain + gain.T)) @ across.T
+        follow = _following(seen, rows, len(after), tuning.taken_share)
+        return prior.corrected(across @ whitened, follow @ after @ follow.T), prior.plane + x[:PLANE]
+
+    def _cells(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
         """A thinned set of cells: trusted ones held to the map, unseen ones free, no others."""
-        some, (xs, ys) = thinning(grid, self.tuning.cells), grid.xy()
+        every, (xs, ys) = max(1, round((grid.rows * grid.cols / self.tuning.cells) ** 0.5)), grid.xy()
+        some = slice(every // 2, None, every), slice(every // 2, None, every)
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
@@ -131,9 +185,71 @@ class Alignment:
         return Datum(east, north, covariance)
 
 
-def ground_uncertainty(state: PoseGaussian, drop: float) -> float:
-    """1-sigma on the ground, metres, of the newest exposure given all others."""
+def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseRefinementTuning) -> tuple[int, ...]:
+    """Halvings of the pictures of each linearisation, coarse to fine; more if the newest exposure is less certain."""
     P, n = state.covariance, len(state.covariance) - POSE
-    own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])
+    own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])  # given all other exposures
     v = np.maximum(own, 0.0)
-    return float(np.sqrt(0.5 * (v[0] + v[1]) + 0.5 * (v[3] + v[4]) * drop**2))
+    sigma = float(np.sqrt(0.5 * (v[0] + v[1]) + 0.5 * (v[3] + v[4]) * drop**2)) / cell  # on the ground
+    if sigma > tuning.far_cells:
+        return 1, 1, 0, 0
+    return (0, 0) if sigma > tuning.near_cells else (0,)
+
+
+def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
+    """Transition matrix of the errors when the next step takes a share of the heights from these poses (eq. 24)."""
+    out = np.eye(size)
+    out[:PLANE, :PLANE] *= 1 - share
+    out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
+    return out
+
+
+def _information(
+    views: list[Prepared], owner: I64, poses: list[Pose], ground: RefinementCells, plane: F64, held: Buffers,
+    tuning: PoseRefinementTuning,
+) -> tuple[F64, F64]:  # fmt: skip
+    """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E.
+
+    Args:
+        views: with the poses of this linearisation.
+        owner: of each the number of its exposure.
+        poses: world_from_body of the exposures.
+        plane: (3,) error of their heights.
+    """
+    height = ground.height + plane_on(ground.xs, ground.ys, plane, ground.about)
+    s = _crosses(views, ground, height, held)
+    n, (rows, cols), M = len(views), height.shape, PLANE + POSE * len(poses)
+    weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)
+    template(s.reshape(n, 5 * rows, cols), network(n), np.float32(tuning.residual_scale), weights, mean)
+    w, m = np.ascontiguousarray(weights[:, :rows]), mean.reshape(5, rows, cols)
+    samples = np.ascontiguousarray(s[:, 0])
+    A, b = np.empty((rows, M, M)), np.empty((rows, M))
+    kernels.joint_normal_equations(
+        samples, w, m, owner, centres_of(views), np.array([p.translation for p in poses]),
+        _precision(samples, w, m[0], tuning), ground.xs, ground.ys, height, ground.about, ground.arm,
+        np.ascontiguousarray(ground.kappa), A, b,
+    )  # fmt: skip
+    upper = A.sum(axis=0)
+    return upper + np.triu(upper, 1).T, b.sum(axis=0)
+
+
+def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: Buffers) -> F32:
+    """Samples (N, 5, R, C) at the cells and `arm` metres east, west, north and south of them."""
+    n, (rows, cols), a = len(views), height.shape, ground.arm
+    out = held.get("crosses", (n, 5, rows, cols))
+    xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
+    for i, view in enumerate(views):  # cells, north and south at once: starting many small loops is slow
+        straight = sample(view.norm, *maps(view, xs, np.concatenate([ys, ys + a, ys - a]), level, held))
+        out[i, [0, 3, 4]] = straight.reshape(3, rows, cols)
+        for k, east in ((1, a), (2, -a)):
+            sample(view.norm, *maps(view, xs + east, ys, height, held), out=out[i, k])
+    return out
+
+
+def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuning) -> F64:
+    """One over the variance of each view's samples; 0 for a view that shares too little ground."""
+    e = np.where(weights > 0, samples - mean, np.float32(0))
+    total = weights.sum(axis=(1, 2), dtype=np.float64)
+    enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells
+    variance = (weights * e * e).sum(axis=(1, 2), dtype=np.float64) / np.maximum(total, 1e-9)
+    return np.asarray(np.where(enough, 1.0 / (tuning.correlated * np.maximum(variance, 1e-4)), 0.0))

@@ -22,6 +22,12 @@ def corrected_pose(pose: Pose, error: F64) -> Pose:
     return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
 
 
+def corrected_poses(poses: dict[int, Pose], error: F64) -> dict[int, Pose]:
+    """The poses of E exposures corrected for an error (3 + 6E,), of the plane first."""
+    errors = error[PLANE:].reshape(-1, POSE)
+    return {t: corrected_pose(p, e) for (t, p), e in zip(poses.items(), errors, strict=True)}
+
+
 def between(a: Pose, b: Pose) -> F64:
     """The error (6,) that takes `a` to `b`."""
     return np.concatenate([b.translation - a.translation, so3_log(b.rotation @ a.rotation.T)])
@@ -35,8 +41,7 @@ class PoseGaussian:
     vector [rad], world axes.
     """
 
-    times: tuple[int, ...]  # t_ns of the exposures
-    poses: tuple[Pose, ...]  # world_from_body
+    poses: dict[int, Pose]  # world_from_body by t_ns of the exposures
     covariance: F64  # (3 + 6E, 3 + 6E)
     plane: F64  # (3,) mean of the map's error
     start: F64  # (3 + 6E,) initial error of the next solve: where the last one ended
@@ -44,12 +49,11 @@ class PoseGaussian:
     @classmethod
     def none(cls, plane_sigma: F64) -> PoseGaussian:
         """Distribution without exposures, with a plane of this 1-sigma (3,)."""
-        return cls((), (), np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
+        return cls({}, np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
 
     def rows(self, times: Collection[int]) -> NDArray[np.int64]:
         """Rows of the covariance that belong to the exposures of these times."""
-        each = [np.arange(PLANE + POSE * k, PLANE + POSE * (k + 1)) for k, t in enumerate(self.times) if t in times]
-        return np.concatenate([*each, np.empty(0, np.int64)]).astype(np.int64)
+        return PLANE + _rows_of([k for k, t in enumerate(self.poses) if t in times])
 
     def with_posterior(self, posterior: KeyframePosterior) -> PoseGaussian:
         """Adopt the posterior of the keyframes (eq. 23).
@@ -58,8 +62,8 @@ class PoseGaussian:
         the keyframes, is kept; so they follow the keyframes. New exposures are appended.
         """
         at = {m.t_ns: k for k, m in enumerate(posterior.motions)}
-        shared = [t for t in self.times if t in at]
-        new = [t for t in at if t not in self.times]
+        shared = [t for t in self.poses if t in at]
+        new = [t for t in at if t not in self.poses]
         mine, rest = self.rows(shared), np.setdiff1d(np.arange(len(self.covariance)), self.rows(shared))
         theirs, theirs_new = (_rows_of([at[t] for t in ts]) for ts in (shared, new))
         P, Q = self.covariance, posterior.covariance
@@ -75,39 +79,24 @@ class PoseGaussian:
         out[np.ix_(fresh, rest)] = Q[np.ix_(theirs_new, theirs)] @ gain.T
         out[np.ix_(rest, mine)] = out[np.ix_(mine, rest)].T
         out[: len(P), len(P) :] = out[len(P) :, : len(P)].T
-        poses = dict(zip(self.times, self.poses, strict=True))
         shift = np.zeros(len(P))
         for t in shared:
-            shift[self.rows([t])] = between(poses[t], posterior.motions[at[t]].world_from_body)
+            shift[self.rows([t])] = between(self.poses[t], posterior.motions[at[t]].world_from_body)
         shift[rest] = gain @ shift[mine]
-        means = [corrected_pose(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
-        means += [posterior.motions[at[t]].world_from_body for t in new]
+        means = corrected_poses(self.poses, shift) | {t: posterior.motions[at[t]].world_from_body for t in new}
         lead = regress_on(S, Q[np.ix_(theirs, theirs_new)]) @ (self.start - shift)[mine]
-        return PoseGaussian(
-            (*self.times, *new), tuple(means), out, self.plane + shift[:PLANE],
-            np.concatenate([self.start - shift, lead]),
-        )  # fmt: skip
+        return PoseGaussian(means, out, self.plane + shift[:PLANE], np.concatenate([self.start - shift, lead]))
 
     def kept(self, times: Collection[int]) -> PoseGaussian:
         """Marginalise all other exposures."""
         keep = np.concatenate([np.arange(PLANE), self.rows(times)])
-        pairs = [(t, p) for t, p in zip(self.times, self.poses, strict=True) if t in times]
-        return replace(
-            self, times=tuple(t for t, _ in pairs), poses=tuple(p for _, p in pairs),
-            covariance=self.covariance[np.ix_(keep, keep)], start=self.start[keep],
-        )  # fmt: skip
+        poses = {t: p for t, p in self.poses.items() if t in times}
+        return replace(self, poses=poses, covariance=self.covariance[np.ix_(keep, keep)], start=self.start[keep])
 
     def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
         """The distribution after poses and map were corrected for an error (3 + 6E,)."""
-        poses = tuple(corrected_pose(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
-        return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=np.zeros(len(error)))
-
-    def with_plane(self, sigma: F64) -> PoseGaussian:
-        """The plane replaced by an independent one of this 1-sigma (3,)."""
-        P = self.covariance.copy()
-        P[:PLANE], P[:, :PLANE] = 0.0, 0.0
-        P[:PLANE, :PLANE] = np.diag(sigma**2)
-        return replace(self, covariance=P)
+        poses, start = corrected_poses(self.poses, error), np.zeros(len(error))
+        return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=start)
 
 
 def regress_on(P: F64, across: F64) -> F64:

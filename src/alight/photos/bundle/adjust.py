@@ -7,20 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose, skew
-from alight.jobs import InTurn, Jobs
+from alight.jobs import InTurn, Jobs, Task
 from alight.photos.bundle.exposure import exposure_gains
 from alight.photos.bundle.features import PhotoFeatures, colmap, extract_all, taken_by
 from alight.photos.bundle.matching import BundleObservations, Pair, match_pairs, neighbours, tracks
 from alight.photos.bundle.orientation import first_poses
 from alight.photos.bundle.patch_matching import refine_observations
 from alight.photos.bundle.priors import corrected_priors, levelled, make_priors, observable_lens, one_compass
-from alight.photos.bundle.rounds import ROUNDS, coarse_rounds, one_round, resect, retriangulate, without_photos
+from alight.photos.bundle.rounds import ROUNDS, coarse_rounds, one_round, resect, retriangulate
 from alight.photos.bundle.solver import Adjustment, BundleState, Priors, residuals
 from alight.photos.bundle.summary import (
     LEAST_OBSERVED,
@@ -32,8 +33,9 @@ from alight.photos.bundle.summary import (
     outcomes_of,
     why_no_motion,
 )
-from alight.pipeline.navigation import Trajectory
-from alight.records import Frame, InputError, KeyframePosterior, Motion, NavSample, Rig
+from alight.pipeline.navigation import Navigation, Trajectory
+from alight.pipeline.timing import Progress
+from alight.records import Event, Frame, InputError, KeyframePosterior, Motion, NavSample, Rig
 from alight.settings import BundleSettings
 from alight.spread import robust_sigma
 
@@ -62,7 +64,7 @@ def adjust(
     if len(frames) != len(nav):
         raise InputError(f"{len(frames)} frames and {len(nav)} navigation samples: give one, or None, for each frame")
     tagged = make_priors(nav, rig, settings, np.array([taken_by(f) for f in frames], dtype=np.int64))
-    jobs, features, pairs = jobs or InTurn(), list[PhotoFeatures | None](), list[Pair]()
+    jobs, features, pairs = jobs or InTurn(), list[PhotoFeatures](), list[Pair]()
     for found in extract_all(frames, settings, jobs):
         features.append(found)
         progress(0.35 * len(features) / len(frames))
@@ -115,10 +117,10 @@ def solve_bundle(
     if len(aside):
         state, priors, placed = resect(state, most, aside, priors)
         lost = np.setdiff1d(aside, placed)
-        few, most = (without_photos(o, lost)[0] for o in (few, most))
+        few, most = (o.without(lost) for o in (few, most))
         photos = np.setdiff1d(photos, lost)
-        state, _ = one_round(state, few, priors, *ROUNDS[-2])
-    state, _ = one_round(state, most, priors, *ROUNDS[-1])
+        state = one_round(state, few, priors, *ROUNDS[-2])
+    state = one_round(state, most, priors, *ROUNDS[-1])
     progress(0.75)
     at, finer = retriangulate(state, most, priors, *_TIGHT)
     finer = refine_observations(at, finer, priors, frames) if frames else finer
@@ -251,3 +253,35 @@ def _about_body(motion: Motion) -> F64:
     out = np.eye(6)
     out[:3, 3:] = -skew(motion.world_from_body.translation - motion.world_from_cams[0].translation)
     return out
+
+
+class BundleLane:
+    """Lane that keeps the photos; their motions come all at once.
+
+    Args:
+        jobs: finds features and matches pairs.
+    """
+
+    def __init__(self, rig: Rig, settings: BundleSettings, jobs: Jobs) -> None:
+        colmap()  # if it is missing, fail before the photos are read
+        self._rig, self._settings, self._jobs = rig, settings, jobs
+        self._frames: list[Frame] = []
+        self._nav: list[NavSample | None] = []
+        self._last: NavSample | None = None
+
+    def feed(self, event: Event) -> Navigation | None:
+        """Keep the photo and the navigation sample of its time; the motion comes at the end."""
+        if isinstance(event, NavSample):
+            self._last = event
+        elif isinstance(event, Frame):
+            self._frames.append(event)
+            self._nav.append(self._last if self._last is not None and self._last.t_ns == event.t_ns else None)
+            return Navigation(event, None)
+        return None
+
+    def finish(self, progress: Progress) -> Trajectory:
+        """Adjust; the photos that could not be registered are in the warnings."""
+        of = " ".join(str(f.t_ns) for f in self._frames)
+        arguments = self._frames, self._nav, self._rig, self._settings, progress, self._jobs
+        (found,) = self._jobs.run([Task("motion", adjust, arguments, of, here=True)])
+        return cast(Trajectory, found)

@@ -21,7 +21,7 @@ from alight.spread import SIGMA_OF_MAD
 TIE = 0.02  # weight, of a photo's observations, of the prior that its factor is 1
 
 
-def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservations) -> F64:
+def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -> F64:
     """Factor of each colour of each photo, (n, 3).
 
     Args:
@@ -34,7 +34,7 @@ def exposure_gains(features: Sequence[PhotoFeatures | None], obs: BundleObservat
     colour = np.full((len(obs.photo), 3), np.nan)
     for i in np.unique(obs.photo):
         rows, of = np.flatnonzero(obs.photo == i), features[i]
-        if of is not None and len(of.pixels):
+        if len(of.pixels):
             away, which = cKDTree(of.pixels).query(obs.pixels[rows])
             colour[rows] = np.where(away[:, None] < 1e-6, of.colours[which], np.nan)
     known = np.all((colour > 8.0) & (colour < 245.0), axis=1)  # without noise and overexposure

@@ -133,13 +133,13 @@ def keypoints(found: F64) -> list[cv2.KeyPoint]:
     return [cv2.KeyPoint(x, y, size, angle, 0.0, int(octave)) for x, y, size, octave, angle in found.tolist()]
 
 
-def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
+def extract(image: Pixels | None, settings: BundleSettings) -> PhotoFeatures:
     """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
 
     Where the picture has too few, because it is small or dull, those of the doubled picture are taken as well: it costs
     four times as much.
     """
-    picture = np.asarray(image)
+    picture = np.zeros((16, 16), np.uint8) if image is None else np.asarray(image)
     read = shrunk(picture, settings.image_px)
     grey = grey_levels(read)
     place, table = described(grey, detect(grey, _CONTRAST), settings.features)
@@ -179,15 +179,9 @@ def taken_by(frame: Frame) -> int:
     return next((k for k, image in enumerate(frame.images) if image is not None), 0)
 
 
-def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures | None]:
-    """Find the features of every photo, in order; None where there is no picture."""
+def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures]:
+    """Find the features of every photo, in order; one without a picture has none."""
     colmap()
-    images = [frame.images[taken_by(frame)] if frame.images else None for frame in frames]
-    tasks = (
-        Task(f"features-{frame.t_ns}", extract, (Sent(f"photo-{frame.t_ns}-{taken_by(frame)}", image), settings))
-        for frame, image in zip(frames, images, strict=True)
-        if image is not None
-    )
-    found = jobs.run(tasks, at_once=True)
-    for image in images:
-        yield None if image is None else next(found)
+    sent = (Sent(f"photo-{f.t_ns}-{taken_by(f)}", f.images[taken_by(f)]) for f in frames)
+    tasks = (Task(f"features-{f.t_ns}", extract, (image, settings)) for f, image in zip(frames, sent, strict=True))
+    return jobs.run(tasks, at_once=True)

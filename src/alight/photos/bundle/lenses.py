@@ -19,7 +19,7 @@ class PhotoLenses:
     cameras: tuple[Camera, ...]
     of: I64  # (n,) number of the camera of each photo
     readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
-    by_maker: tuple[float | None, ...] = ()  # s, the readouts from the makers, which are held; none: none is known
+    by_maker: tuple[float | None, ...] = ()  # s, the readout of each camera from its maker, which is held, if known
 
     def of_photo(self, photo: int) -> Camera:
         """The camera of one photo."""
@@ -41,15 +41,11 @@ class PhotoLenses:
         """Indices of the readouts among all lens numbers."""
         return [part.stop - 1 for part in self.parts]
 
-    def maker_readout(self, camera: int) -> float | None:
-        """Readout of a camera from its maker, s; None: not known."""
-        return self.by_maker[camera] if self.by_maker else None
-
     def with_maker_readouts(self, lens: F64) -> F64:
         """Lens numbers (k,) with the readouts from the makers."""
         lens = lens.copy()
-        for k, number in enumerate(self.readout_numbers):
-            lens[number] = lens[number] if self.maker_readout(k) is None else self.maker_readout(k)
+        for number, readout in zip(self.readout_numbers, self.by_maker, strict=True):
+            lens[number] = lens[number] if readout is None else readout
         return lens
 
     def readout(self, photo: I64) -> F64:

@@ -49,15 +49,19 @@ class BundleObservations:
         """First row of each point, as `np.add.reduceat` takes it."""
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
+    def without(self, photos: I64) -> BundleObservations:
+        """Return the observations of all other photos."""
+        return self.keep(~np.isin(self.photo, photos))[0]
+
     @property
     def points(self) -> int:
         """Number of points."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
-    def keep(self, rows: Mask, least: int = 2) -> tuple[BundleObservations, I64]:
-        """Return the rows that are kept, without points of fewer than `least`; old numbers of those left."""
+    def keep(self, rows: Mask) -> tuple[BundleObservations, I64]:
+        """Return the rows that are kept, without points that only one photo sees then; old numbers of those left."""
         count = np.bincount(self.point[rows], minlength=self.points)
-        rows = rows & (count[self.point] >= least)
+        rows = rows & (count[self.point] >= 2)
         old, point = np.unique(self.point[rows], return_inverse=True)
         return BundleObservations(self.photo[rows], point.astype(np.int64), self.pixels[rows], self.by_patch[rows]), old
 
@@ -148,7 +152,7 @@ def match_photo(
 def match_pairs(
     lenses: PhotoLenses,
     frames: Sequence[Frame],
-    features: Sequence[PhotoFeatures | None],
+    features: Sequence[PhotoFeatures],
     wanted: Sequence[tuple[int, int]],
     settings: BundleSettings,
     jobs: Jobs,
@@ -167,15 +171,14 @@ def match_pairs(
 
     of: dict[int, list[int]] = {}
     for i, j in wanted:
-        if features[i] is not None and features[j] is not None:
-            of.setdefault(i, []).append(j)
+        of.setdefault(i, []).append(j)
     for found in jobs.run((task(i, others) for i, others in of.items()), at_once=True):
         yield [p for p in found if p is not None]
 
 
-def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> BundleObservations:
+def tracks(features: Sequence[PhotoFeatures], pairs: Sequence[Pair]) -> BundleObservations:
     """Join matches that share a feature into tracks; a track with two features of one photo is wrong and removed."""
-    offset = np.concatenate([[0], np.cumsum([0 if f is None else len(f.pixels) for f in features])])
+    offset = np.concatenate([[0], np.cumsum([len(f.pixels) for f in features])])
     total = int(offset[-1])
     if not pairs:
         return BundleObservations(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty(0, bool))
@@ -184,7 +187,7 @@ def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> B
     label = connected_components(graph, directed=False)[1].astype(np.int64)
     node = np.unique(edges)
     photo = np.searchsorted(offset, node, side="right") - 1
-    pixels = np.concatenate([f.pixels for f in features if f is not None])[node]
+    pixels = np.concatenate([f.pixels for f in features])[node]
     order = np.lexsort((photo, label[node]))
     point = np.unique(label[node][order], return_inverse=True)[1]
     sorted_photo = photo[order]

@@ -6,7 +6,7 @@ Images decide: a gimbal tag is used only where it agrees with them, so that tags
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -164,20 +164,6 @@ def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
     return R
 
 
-def _alignment(world: F64, frame: F64, weight: F64) -> F64:
-    """Return `world_from_frame` that best takes unit vectors `frame` to `world`, both (q, 3) (Wahba's problem)."""
-    return np.asarray(Rotation.align_vectors(world, frame, weights=weight)[0].as_matrix())
-
-
-def _robust_alignment(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
-    """Return `world_from_frame` as `_alignment`, with Cauchy weights, `sigma` (q,) in rad."""
-    R = start
-    for _ in range(20):
-        r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
-        R = _alignment(world, frame, 1.0 / (sigma**2 * (1.0 + r2)))
-    return R
-
-
 @dataclass(frozen=True, eq=False)
 class _Baselines:
     """Unit directions between photos: by GPS, and by the images in the frame of the averaged rotations."""
@@ -190,6 +176,14 @@ class _Baselines:
     def misfit(self, R: F64) -> F64:
         """Return (q,) squared disagreement under `world_from_frame`, in sigmas."""
         return np.asarray(((self.world - self.frame @ R.T) ** 2).sum(axis=1) / self.noise**2)
+
+    def aligned(self) -> F64:
+        """Return the `world_from_frame` that fits best, with Cauchy weights (Wahba's problem)."""
+        weight = 1.0 / self.noise**2
+        for _ in range(21):
+            R = np.asarray(Rotation.align_vectors(self.world, self.frame, weights=weight)[0].as_matrix())
+            weight = 1.0 / (self.noise**2 * (1.0 + self.misfit(R)))
+        return R
 
 
 def _baselines(photos: I64, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64) -> _Baselines:
@@ -236,15 +230,11 @@ def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal
     tags = gimbal[photos]
     tagged = np.asarray(np.isfinite(tags).all(axis=(1, 2)))
     if tagged.any():
-        starts = [
-            _world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))
-        ]
+        axes = ((2,), (0, 1, 2))
+        starts = [_world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in axes]
     else:
-        starts = [
-            _world_from_frame(
-                base, np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA
-            )
-        ]
+        down = np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1))
+        starts = [_world_from_frame(base, down, frame_from_cam, (2,), _NADIR_SIGMA)]
     cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
     world_from_cam = R @ frame_from_cam
     heading = _common_heading(world_from_cam[tagged], tags[tagged])
@@ -270,7 +260,7 @@ def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tu
     world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
     frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
     noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
-    return _robust_alignment(world, frame, noise, _alignment(world, frame, 1.0 / noise**2))
+    return replace(base, world=world, frame=frame, noise=noise).aligned()
 
 
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:

@@ -144,7 +144,7 @@ def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
     sigma, held = priors.sigma_lens.copy(), not priors.sigma_lens.any()
     for k, number in enumerate(priors.lenses.readout_numbers):
         known = velocity[priors.lenses.of == k].any(axis=1)
-        free = not held and known.sum() >= _LENS_PHOTOS and priors.lenses.maker_readout(k) is None
+        free = not held and known.sum() >= _LENS_PHOTOS and priors.lenses.by_maker[k] is None
         sigma[number] = _SIGMA_READOUT if free else 0.0
     return replace(priors, sigma_lens=sigma, velocity=velocity)
 

@@ -24,7 +24,6 @@ from alight.photos.bundle.solver import (
     intersection_angle,
     project_points,
     residuals,
-    total_cost,
     triangulate_bundle,
 )
 
@@ -46,15 +45,15 @@ def coarse_rounds(
 ) -> tuple[BundleState, Priors, I64]:
     """Do the coarse rounds without the photos that jumped; photos found to be misplaced are set aside, too."""
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
-    few = without_photos(few, aside)[0]
+    few = few.without(aside)
     for k, (loss, cut) in enumerate(ROUNDS[:_LENS_ROUND]):
-        state, _ = one_round(state, few, held, loss, cut)
+        state = one_round(state, few, held, loss, cut)
         progress(0.15 * (k + 1))
     loss, cut = ROUNDS[_LENS_ROUND]
     more = misplaced(few, retriangulate(state, few, priors, cut, loss)[1], len(priors.centres))
     if len(more):
-        aside, few = np.union1d(aside, more), without_photos(few, more)[0]
-        state, _ = one_round(state, few, held, *ROUNDS[_LENS_ROUND - 1])
+        aside, few = np.union1d(aside, more), few.without(more)
+        state = one_round(state, few, held, *ROUNDS[_LENS_ROUND - 1])
     if seconds is None or not (priors.sigma_lens.any() or any(r is not None for r in priors.lenses.by_maker)):
         state = _lens_rounds(state, few, priors)
     else:
@@ -69,7 +68,7 @@ def coarse_rounds(
 def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) -> BundleState:
     """Do the coarse rounds with a free lens: before them it would absorb the errors of the first poses."""
     for loss, cut in ROUNDS[_LENS_ROUND:-1]:
-        state, _ = one_round(state, obs, priors, loss, cut)
+        state = one_round(state, obs, priors, loss, cut)
     return state
 
 
@@ -102,19 +101,18 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
 def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> float:
     """Robust cost of all observations; those without a point count as the mean of the others."""
     state, used = retriangulate(state, obs, priors, np.inf, 2.0)
-    return total_cost(state, used, priors, np.ones(len(used.photo)), 2.0) * len(obs.photo) / max(len(used.photo), 1)
+    cost = Adjustment(used, priors, np.ones(len(used.photo)), 2.0).cost(state)
+    return cost * len(obs.photo) / max(len(used.photo), 1)
 
 
-def one_round(
-    state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float
-) -> tuple[BundleState, BundleObservations]:
-    """Triangulate, remove outliers, adjust; return the state and the observations used."""
+def one_round(state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float) -> BundleState:
+    """Triangulate, remove outliers, adjust."""
     state, used = retriangulate(state, obs, priors, cut, loss)
     if len(used.photo):
         state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
         left = float(np.median(np.abs(residuals(state, used, priors))))
         log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
-    return state, used
+    return state
 
 
 def retriangulate(
@@ -133,11 +131,6 @@ def retriangulate(
     return state, obs
 
 
-def without_photos(obs: BundleObservations, photos: I64) -> tuple[BundleObservations, I64]:
-    """Return the observations of all other photos, and the old numbers of their points."""
-    return obs.keep(~np.isin(obs.photo, photos))
-
-
 def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> I64:
     """Return the photos that lost a far larger share of their observations than the median."""
     seen = np.bincount(before.photo, minlength=count)
@@ -150,7 +143,7 @@ def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Pri
 
     Returns the new state and priors, and the photos that could be placed. `obs` are those of all photos.
     """
-    others, old = without_photos(obs, photos)
+    others, old = obs.keep(~np.isin(obs.photo, photos))
     lenses = priors.lenses.moved(state.lens)
     points = np.full((obs.points, 3), np.nan)
     points[old] = triangulate_bundle(state, others, priors)

@@ -111,7 +111,7 @@ def _attitude(state: BundleState, priors: Priors) -> tuple[I64, F64, F64]:
     return who, r, -body
 
 
-def prior_cost(state: BundleState, priors: Priors) -> float:
+def _prior_cost(state: BundleState, priors: Priors) -> float:
     """Return the cost of GPS, gimbal, mounting and lens (eqs. 4 to 6)."""
     g = np.nan_to_num((state.centres - priors.centres) / priors.sigma_centres)
     who, a, _ = _attitude(state, priors)
@@ -122,12 +122,6 @@ def prior_cost(state: BundleState, priors: Priors) -> float:
     if priors.sigma_turn > 0:
         cost += float(((state.turns / priors.sigma_turn) ** 2).sum())
     return cost + (float((state.mounting**2).sum()) / priors.sigma_mounting**2 if priors.sigma_mounting > 0 else 0.0)
-
-
-def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float) -> float:
-    """Return the whole robust cost; `pixel_sigma` (N,) px, `loss` is the Cauchy scale of the pictures in sigmas."""
-    r = residuals(state, obs, priors) / pixel_sigma[:, None]
-    return cauchy((r**2).sum(axis=1), loss)[1] + prior_cost(state, priors)
 
 
 class Adjustment:
@@ -150,7 +144,8 @@ class Adjustment:
 
     def cost(self, state: BundleState) -> float:
         """Return the whole robust cost."""
-        return total_cost(state, self.obs, self.priors, self.pixel_sigma, self.loss)
+        r = residuals(state, self.obs, self.priors) / self.pixel_sigma[:, None]
+        return cauchy((r**2).sum(axis=1), self.loss)[1] + _prior_cost(state, self.priors)
 
     def linearise(self, state: BundleState) -> NormalEquations:
         """Build the blocks of the normal equations (eq. 7)."""

@@ -45,7 +45,7 @@ class Survey:
     """The photos of an adjustment, their tags, and what came of them."""
 
     frames: Sequence[Frame]
-    features: Sequence[PhotoFeatures | None]
+    features: Sequence[PhotoFeatures]
     tagged: Priors  # by the tags as they are
     priors: Priors  # the same, or at one height where the altitude tags are ignored
     solved: Solved
@@ -57,19 +57,17 @@ class Survey:
 
     def why_out(self, photo: int) -> str:
         """Reason why a photo was not registered; empty: it was."""
-        features = self.features[photo]
         if photo in self.solved.registered:
             return ""
-        if features is None:
-            return "no image"
-        return "no texture" if len(features.pixels) < LEAST_OBSERVED else "too few matches with other photos"
+        few = len(self.features[photo].pixels) < LEAST_OBSERVED
+        return "no texture" if few else "too few matches with other photos"
 
 
-def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> str:
+def why_no_motion(features: Sequence[PhotoFeatures], priors: Priors) -> str:
     """Return the reason why no photo was registered."""
     if np.isfinite(priors.centres).all(axis=1).sum() < 2:
         return "no photo could be registered: fewer than two photos have a GPS position"
-    most = max((len(f.pixels) for f in features if f is not None), default=0)
+    most = max((len(f.pixels) for f in features), default=0)
     why = (
         "the photos have no texture"
         if most < LEAST_OBSERVED

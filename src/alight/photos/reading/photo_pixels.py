@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from pathlib import Path
 from threading import Lock
 
@@ -22,9 +21,14 @@ class PictureMemory:
     """
 
     def __init__(self, most_bytes: float) -> None:
-        self._most, self.held_bytes = most_bytes, 0
-        self._pictures: OrderedDict[Path, U8] = OrderedDict()
+        self._most = most_bytes
+        self._pictures: dict[Path, U8] = {}  # the newest one last
         self._lock = Lock()  # features are found by several threads
+
+    @property
+    def held_bytes(self) -> int:
+        """Size of the pictures."""
+        return sum(pixels.nbytes for pixels in self._pictures.values())
 
     def get(self, path: Path, size: tuple[int, int]) -> U8:
         """The pixels of a file, (H, W) grey or (H, W, 3) RGB, of a (width, height).
@@ -33,23 +37,19 @@ class PictureMemory:
             ValueError: as `read_image`.
         """
         with self._lock:
-            if path in self._pictures:
-                self._pictures.move_to_end(path)
-                return self._pictures[path]
-        pixels = read_image(path, size)
+            found = self._pictures.get(path)
+        pixels = read_image(path, size) if found is None else found
         with self._lock:
-            if path not in self._pictures:
-                self._pictures[path] = pixels
-                self.held_bytes += pixels.nbytes
+            self._pictures.pop(path, None)
+            self._pictures[path] = pixels
             while self.held_bytes > self._most and len(self._pictures) > 1:
-                self.held_bytes -= self._pictures.popitem(last=False)[1].nbytes
+                del self._pictures[next(iter(self._pictures))]
         return pixels
 
     def let_go(self, path: Path) -> None:
         """Forget the pixels of a file."""
         with self._lock:
-            if path in self._pictures:
-                self.held_bytes -= self._pictures.pop(path).nbytes
+            self._pictures.pop(path, None)
 
 
 class PhotoPixels:

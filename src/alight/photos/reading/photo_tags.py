@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from PIL import ExifTags, Image
 
-from alight.photos.reading.photo_xmp import parse_xmp, salvage_xmp
+from alight.photos.reading.photo_xmp import Xmp, parse_xmp
 from alight.sources.images import open_image, stored_size
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
@@ -142,7 +142,7 @@ class PhotoTags:
         longitude = _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W")
         if latitude is None or longitude is None:
             latitude = self.xmp_number("dji:GpsLatitude")
-            longitude = self.xmp_number("dji:GpsLongitude") or self.xmp_number("dji:GpsLongtitude")  # DJI's spelling
+            longitude = self._first_of("dji:GpsLongitude", "dji:GpsLongtitude")  # both are DJI's spelling
         if latitude is None or longitude is None:
             return None
         on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
@@ -151,7 +151,9 @@ class PhotoTags:
     @property
     def relative_altitude(self) -> float | None:
         """Metres above the place of take-off; None where the photo does not give them."""
-        keys = "dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude"
+        return self._first_of("dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude")
+
+    def _first_of(self, *keys: str) -> float | None:
         return next((v for k in keys if (v := self.xmp_number(k)) is not None), None)
 
     @property
@@ -217,9 +219,5 @@ def read_tags(path: Path) -> tuple[PhotoTags, str]:
     with open_image(path) as image:
         exif, gps = _exif(image)
         packet = image.info.get("xmp") or b""
-        xmp, problem = {}, ""
-        try:
-            xmp = parse_xmp(packet) if packet else {}
-        except ValueError as e:
-            xmp, problem = salvage_xmp(packet), str(e)
-        return PhotoTags(path, stored_size(image), exif, gps, xmp), problem
+        xmp = parse_xmp(packet) if packet else Xmp({}, "")
+        return PhotoTags(path, stored_size(image), exif, gps, xmp.values), xmp.fault

@@ -6,7 +6,7 @@ Each zoom level, and each camera with a few photos, is a camera of the rig; an e
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -53,6 +53,7 @@ class Photos(Source):
         root: the folder.
         files: its photos.
         closed: sub-folders that may not be read.
+        read: the tags of a photo, and their fault, as `read_tags`.
 
     Raises:
         InputError: no readable photo, or none with GPS.
@@ -61,7 +62,14 @@ class Photos(Source):
     kind = "photos"
     georeferenced = True
 
-    def __init__(self, root: Path, files: Sequence[Path], settings: Settings, closed: Sequence[Path] = ()) -> None:
+    def __init__(
+        self,
+        root: Path,
+        files: Sequence[Path],
+        settings: Settings,
+        closed: Sequence[Path] = (),
+        read: Callable[[Path], tuple[PhotoTags, str]] = read_tags,
+    ) -> None:
         super().__init__()
         self._root = root
         self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb)
@@ -73,7 +81,7 @@ class Photos(Source):
             self.findings.warn(f"no permission to read {names}: photos in there are left out")
         generic = root.name.lower() in ("images", "photos", "dcim", "jpg")
         self.name = root.parent.name if generic else root.name
-        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
+        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files, read))), settings)
         photos, supposed = with_supposed_altitudes(photos)
         if supposed:
             self.findings.warn(f"no photo says its altitude: {supposed}, heights above the sea are not known")
@@ -84,7 +92,8 @@ class Photos(Source):
         if not any(p.position for _, p in ordered):
             raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
         self._photos = ordered
-        self._leave_out({p.path for p in photos} - {p.path for _, p in ordered}, "by sources.skip or sources.every")
+        skipped = {p.path for p in photos} - {p.path for _, p in ordered}
+        self._left_out |= dict.fromkeys(skipped, "by sources.skip or sources.every")
         self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
         self._names = _names([p for _, p in ordered], root)
         self._flights = _flights([p for _, p in ordered])
@@ -121,11 +130,12 @@ class Photos(Source):
         return [facts[path] for path in sorted(facts)]
 
     def digest(self) -> str:
-        """Digest of the names and the bytes of all photos that are used."""
+        """Digest of the names, times, tags and bytes of all photos that are used."""
         of = blake2b()
-        for (_, tags), name in zip(self._photos, self._names, strict=True):
+        for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             with tags.path.open("rb") as file:
-                of.update(f"{name} {file_digest(file, blake2b).hexdigest()}\n".encode(errors="surrogateescape"))
+                line = f"{name} {t_ns} {tags.xmp} {file_digest(file, blake2b).hexdigest()}\n"
+            of.update(line.encode(errors="surrogateescape"))
         return of.hexdigest()
 
     # -- opening
@@ -139,14 +149,17 @@ class Photos(Source):
         self.findings.lose("photos", self._name_of(path), why)
         self._left_out[path] = why
 
-    def _leave_out(self, paths: set[Path], why: str) -> None:
-        self._left_out |= dict.fromkeys(paths, why)
+    def _without(self, photos: list[PhotoTags], reasons: dict[Path, str], group: str) -> list[PhotoTags]:
+        """The photos that nothing speaks against; the others are counted by the name of their group."""
+        self._left_out |= reasons
+        self.findings.counts |= {group: len(reasons)} if reasons else {}
+        return [p for p in photos if p.path not in reasons]
 
-    def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
+    def _readable(self, files: Sequence[Path], read: Callable[[Path], tuple[PhotoTags, str]]) -> list[PhotoTags]:
         damaged = list[str]()
         for path in files:
             try:
-                self._tags[path], problem = read_tags(path)
+                self._tags[path], problem = read(path)
             except UNREADABLE as e:
                 self._lose(path, "it is no image" if "identify" in str(e) else str(e))
                 continue
@@ -165,9 +178,7 @@ class Photos(Source):
         thermal = thermal_photos(photos)
         if thermal:
             self.findings.warn(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
-            self.findings.counts["thermal pictures"] = len(thermal)
-        self._leave_out({p.path for p in thermal}, "a thermal picture")
-        return [p for p in photos if p.path not in self._left_out]
+        return self._without(photos, {p.path: "a thermal picture" for p in thermal}, "thermal pictures")
 
     def _of_one_band(self, photos: list[PhotoTags]) -> list[PhotoTags]:
         band = band_to_use(photos)
@@ -180,10 +191,8 @@ class Photos(Source):
                 f"{len(others)} picture(s) of single bands are left out (first: {others[0].path.name}): of a "
                 f"multispectral camera {used} used"
             )
-            self.findings.counts["pictures of other bands"] = len(others)
-        for p in others:
-            self._left_out[p.path] = f"{p.band or 'colour'}: {used} used"
-        return [p for p in photos if p.band == band]
+        reasons = {p.path: f"{p.band or 'colour'}: {used} used" for p in others}
+        return self._without(photos, reasons, "pictures of other bands")
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
@@ -202,10 +211,9 @@ class Photos(Source):
                 f"{count} photo(s) of another camera are left out: {camera.title} (first: {first.path.name}): "
                 f"{out[camera]}"
             )
-        if out:
-            self.findings.counts["photos of another camera"] = sum(p.camera in out for p in photos)
-        self._left_out |= {p.path: out[p.camera] for p in photos if p.camera in out}
-        return [p for p in photos if p.camera not in out]
+        return self._without(
+            photos, {p.path: out[p.camera] for p in photos if p.camera in out}, "photos of another camera"
+        )
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
         """Photos sorted by time of capture, then name; photos of one second are spread over it, so that time rises."""

@@ -14,19 +14,18 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import cv2
 import numpy as np
 from PIL import ExifTags, Image
 
-from alight.arrays import U8
 from alight.photos.reading.photo_camera import film_focal_px
+from alight.photos.reading.photo_tags import PhotoTags
 from alight.photos.reading.photos import Photos
 from alight.records import InputError
 from alight.settings import Settings
 
-Base, Gps = ExifTags.Base, ExifTags.GPS
+Base = ExifTags.Base
 
 OVERLAP = 0.8  # of one frame with the next, along the flight
 _TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
@@ -133,21 +132,21 @@ def open_video(path: Path, settings: Settings) -> Photos:
     try:
         root = folder / path.stem
         root.mkdir()
-        files = list(_write_frames(path, rows, root))
-        if not files:
+        tags = {t.path: t for t in _write_frames(path, rows, root)}
+        if not tags:
             raise InputError(
                 f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
             )
-        source = Photos(root, files, settings)
+        source = Photos(root, list(tags), settings, read=lambda path: (tags[path], ""))
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    source.notes["video"] = f"{len(files)} frames of {path.name}, chosen by the distance flown"
+    source.notes["video"] = f"{len(tags)} frames of {path.name}, chosen by the distance flown"
     weakref.finalize(source, shutil.rmtree, folder, True)
     return source
 
 
-def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[Path]:
+def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[PhotoTags]:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder repeats our own messages on stderr
     film = cv2.VideoCapture(str(path))
     try:
@@ -162,8 +161,8 @@ def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[
                 continue
             last = row
             file = root / f"frame_{number:06d}.jpg"
-            _write_photo(file, np.ascontiguousarray(frame[..., ::-1]), row, number / rate)
-            yield file
+            Image.fromarray(np.ascontiguousarray(frame[..., ::-1])).save(file, "JPEG", quality=95)
+            yield _tags(file, (frame.shape[1], frame.shape[0]), row, number / rate)
     finally:
         film.release()
 
@@ -195,44 +194,18 @@ def _step(row: Subtitle, film: Any) -> float:
     return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
-def _dms(degrees: float) -> tuple[float, float, float]:
-    whole = int(degrees)
-    minutes = int((degrees - whole) * 60)
-    return float(whole), float(minutes), (degrees - whole) * 3600 - minutes * 60
-
-
-def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
-    """Write a JPEG with the tags that a photo of the same drone would have, and no altitude where it is not known."""
+def _tags(path: Path, size: tuple[int, int], row: Subtitle, seconds: float) -> PhotoTags:
+    """The tags that a photo of the same drone would have; no altitude where it is not known."""
     assert row.place is not None
-    (latitude, longitude, _), altitude = row.place, row.altitude
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
-    exif = Image.Exif()
-    exif[Base.Make], exif[Base.Model], exif[Base.Orientation] = "video", "with telemetry", 1
-    exif.get_ifd(ExifTags.IFD.Exif).update(
-        {
-            Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
-            Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
-        }
-    )
-    gps: dict[int, Any] = {
-        Gps.GPSLatitudeRef: "NS"[latitude < 0], Gps.GPSLatitude: _dms(abs(latitude)),
-        Gps.GPSLongitudeRef: "EW"[longitude < 0], Gps.GPSLongitude: _dms(abs(longitude)),
+    exif: dict[int, str] = {
+        Base.Make: "video", Base.Model: "with telemetry", Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
+        Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
     }  # fmt: skip
-    if altitude is not None:
-        gps |= {Gps.GPSAltitudeRef: b"\x01" if altitude < 0 else b"\x00", Gps.GPSAltitude: abs(altitude)}
-    exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps)
-    tags = {
-        "GpsLatitude": latitude, "GpsLongitude": longitude, "AbsoluteAltitude": altitude,
-        "RelativeAltitude": row.values.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
-        "GimbalYawDegree": row.values.get("gb_yaw"), "GimbalPitchDegree": row.values.get("gb_pitch"),
-        "GimbalRollDegree": row.values.get("gb_roll"),
+    xmp = {
+        "dji:GpsLatitude": row.place[0], "dji:GpsLongitude": row.place[1], "dji:AbsoluteAltitude": row.altitude,
+        "dji:RelativeAltitude": row.values.get("rel_alt"), "dji:CalibratedFocalLength": focal_px(row, size[0]),
+        "dji:GimbalYawDegree": row.values.get("gb_yaw"), "dji:GimbalPitchDegree": row.values.get("gb_pitch"),
+        "dji:GimbalRollDegree": row.values.get("gb_roll"), "camera:GPSXYAccuracy": 11.0 if row.coarse else None,
     }  # fmt: skip
-    attributes = " ".join(f"d:{k}={quoteattr(f'{v:.9g}')}" for k, v in tags.items() if v is not None)
-    if row.coarse:
-        attributes += ' c:GPSXYAccuracy="11.0"'  # m
-    xmp = (
-        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-        f'<r:Description r:about="" xmlns:d="http://www.dji.com/drone-dji/1.0/" xmlns:c="http://pix4d.com/camera/1.0/" '
-        f"{attributes}/></r:RDF></x:xmpmeta>"
-    )
-    Image.fromarray(pixels).save(path, "JPEG", quality=95, exif=exif, xmp=xmp.encode())
+    return PhotoTags(path, size, exif, {}, {k: str(v) for k, v in xmp.items() if v is not None})

@@ -1,14 +1,15 @@
-"""Results of tasks as bytes, and back to the same bits: numbers, text and listed records, but no code."""
+"""Results of tasks as bytes, and back to the same bits: arrays, numbers, text and listed records, but no code."""
 
 from __future__ import annotations
 
+import io
 import json
-import math
-import struct
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from hashlib import blake2b
 from typing import Any
+from zipfile import BadZipFile
 
 import lz4.frame
 import numpy as np
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 
 from alight.documents import parse_json
 from alight.geometry import Camera, Grid, Pose
+from alight.parallax.batch import MatchedBlock
 from alight.photos.bundle.features import PhotoFeatures
 from alight.photos.bundle.matching import Pair
-from alight.pipeline.mapping.batch_map import MatchedBlock
 from alight.pipeline.navigation import Trajectory
 from alight.records import Heights, KeyframePosterior, Motion, MotionState, PhotoOutcome, Rig, RigCamera
 
@@ -29,27 +30,26 @@ KINDS: dict[str, type[Any]] = {
         RigCamera, Trajectory,
     )
 }  # fmt: skip
-_HEAD = struct.Struct("<16sI")  # digest of the data and of `about`; length of the tree
-DTYPES = frozenset(["<f4", "<f8", "<i8", "<i4", "<u2", "|u1", "|b1"])
+_DIGEST = 16  # bytes before the archive
 
 
 def pack_result(value: Any, about: str) -> bytes:
-    """Pack the result of a task.
+    """Pack the result of a task, as a compressed archive of NumPy.
 
     Args:
         value: records that are listed here, arrays, numbers and text, in tuples, lists and mappings.
         about: further inputs of the result, as text; part of the digest alone.
     """
-    arrays = list[NDArray[Any]]()
-    plain = _plain(value, arrays)
-    tree = json.dumps({"value": plain, "arrays": [(a.dtype.str, a.shape) for a in arrays]}).encode()
-    body: bytes = tree + lz4.frame.compress(b"".join(a.tobytes() for a in arrays))
-    return _HEAD.pack(_digest(about.encode(), body), len(tree)) + body
+    arrays, out = list[NDArray[Any]](), io.BytesIO()
+    tree = json.dumps({"value": _plain(value, arrays)})
+    np.savez(out, *arrays, tree=np.array(tree))
+    body: bytes = lz4.frame.compress(out.getvalue())
+    return _digest(about, body) + body
 
 
 def is_whole(data: bytes, about: str) -> bool:
     """True if bytes are undamaged and were packed with the same `about`."""
-    return len(data) > _HEAD.size and _HEAD.unpack_from(data)[0] == _digest(about.encode(), data[_HEAD.size :])
+    return data[:_DIGEST] == _digest(about, data[_DIGEST:])
 
 
 def unpack_result(data: bytes) -> Any:
@@ -59,29 +59,21 @@ def unpack_result(data: bytes) -> Any:
         ValueError: the bytes are no packed result.
     """
     try:
-        size = _HEAD.unpack_from(data)[1]
-        body = data[_HEAD.size :]
-        head, raw, at, arrays = parse_json(body[:size]), lz4.frame.decompress(body[size:]), 0, list[NDArray[Any]]()
-        for dtype, shape in head["arrays"]:
-            if dtype not in DTYPES:
-                raise ValueError(f"an array of {dtype}")
-            count = math.prod(shape)
-            arrays.append(np.frombuffer(raw, dtype, count, at).reshape(shape).copy())
-            at += arrays[-1].nbytes
-        return _whole(head["value"], arrays)
-    except (KeyError, TypeError, IndexError, AttributeError, struct.error, RuntimeError) as e:
+        with np.load(io.BytesIO(lz4.frame.decompress(data[_DIGEST:])), allow_pickle=False) as archive:
+            return _whole(parse_json(str(archive["tree"]))["value"], archive)
+    except (KeyError, TypeError, IndexError, AttributeError, RuntimeError, OSError, EOFError, BadZipFile) as e:
         raise ValueError(f"damaged ({e})") from e
 
 
-def _digest(about: bytes, body: bytes) -> bytes:
-    return blake2b(blake2b(about).digest() + body, digest_size=16).digest()
+def _digest(about: str, body: bytes) -> bytes:
+    return blake2b(b"\0".join([about.encode(), body]), digest_size=_DIGEST).digest()
 
 
 def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
     """Convert to JSON, arrays apart. Numbers and text stay; all else becomes a list that begins with its type."""
     if isinstance(value, np.ndarray):
-        arrays.append(value)
-        return ["array", len(arrays) - 1]
+        arrays.append(np.asarray(value, order="C"))
+        return ["array", f"arr_{len(arrays) - 1}"]
     if isinstance(value, MotionState):
         return ["state", int(value)]
     if isinstance(value, tuple | list):
@@ -97,7 +89,7 @@ def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
     raise TypeError(f"a task gave a {type(value).__name__}, which is not saved")
 
 
-def _whole(plain: Any, arrays: list[NDArray[Any]]) -> Any:
+def _whole(plain: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if not isinstance(plain, list):
         return plain
     what, *parts = plain

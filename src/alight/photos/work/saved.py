@@ -51,7 +51,6 @@ class WorkFolder(MutableMapping[str, bytes]):
             except OSError as e:
                 raise output_error(self._folder, e) from e
             write_whole(self._folder / KEY, json.dumps(key, indent=1).encode())
-        self.found = len(self)  # number of pieces that were saved before
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}{SUFFIX}"

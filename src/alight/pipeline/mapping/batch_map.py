@@ -11,11 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from alight.arrays import F64, I64
-from alight.elevation import FIELDS, TileStore
+from alight.arrays import F64
+from alight.elevation import TileStore
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
-from alight.parallax.batch import Images, match_tile
+from alight.parallax.batch import Images, MatchedBlock, match_tile
 from alight.parallax.datum import Matched, with_datum
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
@@ -27,7 +27,6 @@ from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Progress, Timings
 from alight.records import (
     ElevationMap,
-    Heights,
     KeyframePosterior,
     MotionState,
     Pixels,
@@ -58,14 +57,6 @@ class TileBlock:
     above: float  # metres, of the views above the ground
 
 
-@dataclass(frozen=True, eq=False)
-class MatchedBlock:
-    """The heights of a block, and the numbers of the views that they were matched with."""
-
-    heights: Heights
-    chosen: I64
-
-
 def match_block(
     images: Images,
     views: Sequence[View],
@@ -80,18 +71,7 @@ def match_block(
     `grounds`: (N,) metres, height of the ground in each view.
     """
     whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
-    found = match_tile(images.of(whole, grounds), grid, *searched, settings)
-    if found is None:
-        return None
-    number = {id(v): k for k, v in enumerate(whole)}
-    return MatchedBlock(found.heights, np.array([number[id(v)] for v in found.views], dtype=np.int64))
-
-
-def core(heights: Heights, margin: int) -> Heights:
-    """The heights without their margin."""
-    inner = slice(margin, -margin)
-    grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
-    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
+    return match_tile(images.of(whole, grounds), grid, *searched, settings)
 
 
 def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
@@ -163,7 +143,8 @@ class BatchMap(GroundMap):
         matched = self.jobs.run((self._task(images, b) for b in seen), at_once=True)
         for n, (block, found) in enumerate(zip(seen, matched, strict=True)):
             if found is not None:
-                heights = core(self._without_doubtful(found.heights, block.above), MARGIN)
+                rows, cols = (slice(MARGIN, n - MARGIN) for n in block.grid.shape)
+                heights = self._without_doubtful(found.heights, block.above).part((rows, cols))
                 self.elevation.add(heights)
                 self._matched.append(Matched.of(heights.grid, [block.views[k] for k in found.chosen.tolist()]))
                 self.elevation.roll((block.grid.east, block.grid.north), 3 * heights.grid.cell * block.grid.cols)
@@ -233,8 +214,7 @@ class BatchMap(GroundMap):
         """Task to match a block; the pixels are sent apart, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
-        blank = np.empty((0, 0), np.uint8)  # in place of a picture that is sent apart
-        views = tuple(replace(v, image=blank) for v in block.views)
+        views = tuple(v.without_image for v in block.views)
         about = blake2b(repr((block.grid, block.searched, block.grounds.tolist())).encode())
         for v in views:
             about.update(repr(v.key).encode())
@@ -244,15 +224,16 @@ class BatchMap(GroundMap):
     def _grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
         """Grids to match, each with its margin: a block of tiles where pictures are large enough, else a tile."""
         assert self.elevation is not None
-        keys = list(self.elevation.cover((low[0], high[0]), (low[1], high[1]), level))
-        tile = self.elevation.tile_grid(keys[0], 0, level)
+        layer = self.elevation.layer(level)
+        keys = list(layer.cover((low[0], high[0]), (low[1], high[1])))
+        tile = layer.tile_grid(keys[0])
         pixels = map(ground_sampling, asking, self.ground_under(asking).tolist())
         side = np.median([min(v.camera.width, v.camera.height) * p for v, p in zip(asking, pixels, strict=True)])
         block = BLOCK if BLOCK * tile.rows * tile.cell <= SHARE * side else 1
         size = block * tile.rows + 2 * MARGIN
         out = []
         for row, col in sorted({(block * (r // block), block * (c // block)) for r, c in keys}, key=_near_before_far):
-            corner = self.elevation.tile_grid((row + block - 1, col), MARGIN, level)
+            corner = layer.tile_grid((row + block - 1, col), MARGIN)
             out.append(corner.window(0, 0, size, size))
         return out
 

@@ -102,9 +102,9 @@ class RecursiveMap(GroundMap):
         grid = _window(self.elevation, low, high, self.level, BYTES_A_STEP)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
         parts = estimator.step(grid, known, *self.searched_heights(grid, up, known, estimator.beginning), effort)
-        if estimator.plane.any():
-            self.elevation.add_plane(estimator.plane, estimator.about)
-            known = replace(known, height=known.height + estimator.plane_on(grid))
+        if estimator.alignment.plane.any():
+            self.elevation.add_plane(estimator.alignment.plane, estimator.alignment.about)
+            known = replace(known, height=known.height + estimator.alignment.plane_on(grid))
         if not parts:
             return False
         self.datum = parts[0].datum
@@ -167,7 +167,7 @@ class RecursiveMap(GroundMap):
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
     """The cells between two corners (2,), `each` of which takes so many bytes; refused where no memory holds them."""
     refuse_too_large(low, high, elevation.cell_at(level), each)
-    return elevation.window((low[0], high[0]), (low[1], high[1]), level)
+    return elevation.layer(level).window((low[0], high[0]), (low[1], high[1]))
 
 
 def box_in(grid: Grid, part: Grid) -> Box:

@@ -113,7 +113,7 @@ class FilterLane:
         self._take_rows(batch)
         if batch.frame is None:
             return None
-        motion = self._filter.feed_tracks(self._track(batch.frame))
+        motion = self._filter.feed(self._track(batch.frame))
         self._predictors.append(self._filter.predictor())
         if motion is None:
             return None
@@ -125,11 +125,10 @@ class FilterLane:
 
     def _take_rows(self, batch: FrameBatch) -> None:
         for row in batch.rows:
+            self._filter.feed(row)
             if isinstance(row, NavSample):
-                self._filter.feed_nav(row)
                 self._attitude = self._attitude or row.world_from_body is not None
             else:
-                self._filter.feed_imu(row)
                 self._imu.append(row)
         if len(self._imu):  # the next prediction may need two seconds of them
             oldest, used = self._imu.last_ns - 2_000_000_000, self._predicted_from

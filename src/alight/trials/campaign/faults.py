@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from alight.flight.executive import ENDS
+from alight.flight.executive.table import ENDS
 from alight.records.campaign import FaultRecord
 from alight.records.executive import FlightState
 from alight.trials.landing import Trial
@@ -35,8 +35,9 @@ class CampaignFault:
         return {name: float(rng.uniform(*r)) for name, r in self.ranges.items()}
 
 
-def _along(n: Numbers) -> tuple[float, float]:
-    return math.cos(n["direction"]), math.sin(n["direction"])
+def _towards(n: Numbers, length: float) -> tuple[float, float]:
+    """East and north of a vector in the drawn direction."""
+    return length * math.cos(n["direction"]), length * math.sin(n["direction"])
 
 
 def _time_left(v: SteeredFlight) -> float:
@@ -48,42 +49,32 @@ def _time_left(v: SteeredFlight) -> float:
     return up - v.world.height_at(east, north) - 2.5
 
 
-def _start(v: SteeredFlight, n: Numbers, speed: float) -> tuple[float, float]:
-    """Start of a body, east and north in metres: nearer than planned if it would be late; braking takes up to 2 s."""
-    (x, y), away = _along(n), min(n["from"], speed * max(_time_left(v) - 2.0, 0.0))
-    return float(v.true_pose.translation[0] + away * x), float(v.true_pose.translation[1] + away * y)
+def _come(how: Callable[..., object], v: SteeredFlight, n: Numbers, speed: float) -> None:
+    """Let a body come to the place of the vehicle; it starts nearer than planned if it would be late.
 
-
-def _car(v: SteeredFlight, n: Numbers) -> None:
-    east, north, _ = v.true_pose.translation
-    v.park(float(east), float(north), start=_start(v, n, n["speed"]), speed=n["speed"])
-
-
-def _person(v: SteeredFlight, n: Numbers, speed: float = 1.4) -> None:
-    east, north, _ = v.true_pose.translation
-    v.walk_in(float(east), float(north), start=_start(v, n, speed), speed=speed)
-
-
-def _gust(v: SteeredFlight, n: Numbers) -> None:
-    x, y = _along(n)
-    v.gust((n["push"] * x, n["push"] * y, 0.0), n["seconds"])
-
-
-def _wind(v: SteeredFlight, n: Numbers) -> None:
-    x, y = _along(n)
-    v.wind(n["speed"] * x, n["speed"] * y)
-
-
-def _jump(v: SteeredFlight, n: Numbers) -> None:
-    x, y = _along(n)
-    v.jump_gps((n["by"] * x, n["by"] * y, n["up"]), n["seconds"])
+    Braking takes up to 2 s.
+    """
+    east, north, _ = (float(c) for c in v.true_pose.translation)
+    x, y = _towards(n, min(n["from"], speed * max(_time_left(v) - 2.0, 0.0)))
+    how(east, north, start=(east + x, north + y), speed=speed)
 
 
 FAULTS: Mapping[str, CampaignFault] = {
-    "car": CampaignFault(_car, {"direction": TURN, "from": (20.0, 35.0), "speed": (4.0, 8.0)}, is_body=True),
-    "person": CampaignFault(_person, {"direction": TURN, "from": (6.0, 12.0)}, is_body=True),
-    "gust": CampaignFault(_gust, {"direction": TURN, "push": (1.5, 3.0), "seconds": (1.5, 4.0)}),
-    "strong wind": CampaignFault(_wind, {"direction": TURN, "speed": (9.0, 12.0)}),
+    "car": CampaignFault(
+        lambda v, n: _come(v.park, v, n, n["speed"]),
+        {"direction": TURN, "from": (20.0, 35.0), "speed": (4.0, 8.0)},
+        is_body=True,
+    ),
+    "person": CampaignFault(
+        lambda v, n: _come(v.walk_in, v, n, 1.4), {"direction": TURN, "from": (6.0, 12.0)}, is_body=True
+    ),
+    "gust": CampaignFault(
+        lambda v, n: v.gust((*_towards(n, n["push"]), 0.0), n["seconds"]),
+        {"direction": TURN, "push": (1.5, 3.0), "seconds": (1.5, 4.0)},
+    ),
+    "strong wind": CampaignFault(
+        lambda v, n: v.wind(*_towards(n, n["speed"])), {"direction": TURN, "speed": (9.0, 12.0)}
+    ),
     "cameras frozen": CampaignFault(lambda v, n: v.freeze_camera(n["seconds"]), {"seconds": (2.0, 10.0)}),
     "cameras lost": CampaignFault(lambda v, n: v.lose_camera(n["seconds"]), {"seconds": (2.0, 25.0)}),
     "one camera lost": CampaignFault(lambda v, n: v.lose_camera(n["seconds"], 1), {"seconds": (2.0, 60.0)}),
@@ -92,7 +83,10 @@ FAULTS: Mapping[str, CampaignFault] = {
         lambda v, n: v.delay_frames(n["seconds"], n["by"]), {"seconds": (5.0, 20.0), "by": (0.3, 0.9)}
     ),
     "GPS lost": CampaignFault(lambda v, n: v.lose_gps(n["seconds"]), {"seconds": (5.0, 60.0)}),
-    "GPS jump": CampaignFault(_jump, {"direction": TURN, "by": (3.0, 8.0), "up": (-2.0, 2.0), "seconds": (10.0, 30.0)}),
+    "GPS jump": CampaignFault(
+        lambda v, n: v.jump_gps((*_towards(n, n["by"]), n["up"]), n["seconds"]),
+        {"direction": TURN, "by": (3.0, 8.0), "up": (-2.0, 2.0), "seconds": (10.0, 30.0)},
+    ),
     "IMU lost": CampaignFault(lambda v, n: v.lose_imu(n["seconds"]), {"seconds": (0.3, 2.0)}),
     "battery low": CampaignFault(lambda v, n: v.drain(n["share"]), {"share": (0.82, 0.9)}),
 }

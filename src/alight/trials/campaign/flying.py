@@ -16,12 +16,18 @@ from threadpoolctl import threadpool_limits
 from alight.cluster import open_jobs
 from alight.jobs import InProcesses, Task
 from alight.records import InputError
-from alight.records.campaign import Conditions, LandingRecord, LightRecord, TransitionLine
+from alight.records.campaign import (
+    Conditions,
+    LandingRecord,
+    LightRecord,
+    Outcome,
+    TransitionLine,
+)
 from alight.records.executive import FlightState
 from alight.runs import appearance_of
 from alight.settings import Settings
 from alight.trials.campaign.faults import Happenings
-from alight.trials.campaign.outcome import ground_picture, judge_landing, met
+from alight.trials.campaign.outcome import Contacts, ground_picture, judge_landing, met
 from alight.trials.campaign.worlds import campaign_world, error_line, is_factory, made_world
 from alight.trials.landing import Landing, fly_landing
 from alight_sim.oracle import OracleLander
@@ -67,19 +73,15 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
     return flown._replace(record=flown.record.model_copy(update={"cpu_s": cpu}))
 
 
-def failed(conditions: Conditions, error: BaseException) -> Flown:
-    """Return the record of a landing that raised, or whose process died: outcome `failed`, with the error in a line."""
-    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=error_line(error)))
-
-
-def _raised(vehicle: SteeredFlight, conditions: Conditions, settings: Settings, error: Exception) -> Flown:
-    """Record of a landing that raised in flight; its contacts until then count."""
-    touchdown, strike = met(vehicle, settings)
-    unsafe = strike is not None or (touchdown is not None and not touchdown.safe)
-    more: dict[str, object] = {"touchdown": touchdown, "strike": strike}
-    if unsafe:
-        more |= {"outcome": "landed unsafely", "why": "it raised, and had touched what is not safe"}
-    return Flown(failed(conditions, error).record.model_copy(update=more))
+def failed(conditions: Conditions, error: BaseException, contacts: Contacts = (None, None)) -> Flown:
+    """Record of a landing that raised, or whose process died; contacts until then count, the error is one line."""
+    outcome: Outcome = "failed"
+    why, (touchdown, strike) = "it raised", contacts
+    if strike is not None or (touchdown is not None and not touchdown.safe):
+        outcome, why = "landed unsafely", "it raised, and had touched what is not safe"
+    return Flown(LandingRecord(
+        conditions=conditions, outcome=outcome, why=why, touchdown=touchdown, strike=strike, error=error_line(error)
+    ))  # fmt: skip
 
 
 def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
@@ -88,29 +90,22 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
     Raises:
         InputError: the scene cannot be flown over at this size, or the lander is too small for its cells.
     """
-    vehicle = _vehicle(c, settings)
-    least = 1.5 * vehicle.world.cell  # the plane of a footprint needs three cells
-    if settings.lander.radius < least:
-        raise InputError(
-            f"lander.radius {settings.lander.radius:g} m: the ground of {c.scene} has cells of "
-            f"{vehicle.world.cell:g} m, and only footprints of {least:g} m and more can be judged on it"
-        )
-    return vehicle
-
-
-def _vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
-    world = _world(c)
+    if is_factory(c.scene):
+        world: World = made_world(c.scene, c.world_seed)
+    else:
+        world = lit_world(campaign_world(c.scene).build(c.world_seed), c.light)
     nav = world.sensors.nav.model_copy(update={"position": c.gps_sigma, "position_tau": c.gps_tau})
-    return SteeredFlight(
+    vehicle = SteeredFlight(
         world, c.flight_seed, start=world.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
         radius=OracleLander.of(settings.lander.model_dump()).reach,
     )  # fmt: skip
-
-
-def _world(c: Conditions) -> World:
-    if is_factory(c.scene):
-        return made_world(c.scene, c.world_seed)
-    return lit_world(campaign_world(c.scene).build(c.world_seed), c.light)
+    least = 1.5 * world.cell  # the plane of a footprint needs three cells
+    if settings.lander.radius < least:
+        raise InputError(
+            f"lander.radius {settings.lander.radius:g} m: the ground of {c.scene} has cells of "
+            f"{world.cell:g} m, and only footprints of {least:g} m and more can be judged on it"
+        )
+    return vehicle
 
 
 def lit_world(world: SceneWorld, drawn: LightRecord | None) -> SceneWorld:
@@ -131,7 +126,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         landing = fly(vehicle, settings, appearance, happenings, conditions.firmware)
     except Exception as e:
         log.info("landing %d: %s", conditions.landing, traceback.format_exc())
-        return _raised(vehicle, conditions.model_copy(update={"faults": happenings.faults}), settings, e)
+        return failed(conditions.model_copy(update={"faults": happenings.faults}), e, met(vehicle, settings))
     judged = judge_landing(vehicle, landing, settings)
     picture = None
     if judged.outcome == "landed unsafely" and (at := judged.touchdown or judged.strike):
@@ -139,17 +134,10 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     found = [x for x in landing.diary.transitions if x.after is FlightState.APPROACH]
     record = LandingRecord(
         conditions=conditions.model_copy(update={"faults": happenings.faults}),
-        outcome=judged.outcome, why=judged.why, touchdown=judged.touchdown, strike=judged.strike,
-        safe_share=judged.safe_share,
-        state=landing.state.value, p_at_commit=landing.p_at_commit, p_found=found[-1].p_safe if found else None,
-        found_after=found[0].t if found else None,
+        **judged._asdict(), state=landing.state.value, p_at_commit=landing.p_at_commit,
+        p_found=found[-1].p_safe if found else None, found_after=found[0].t if found else None,
         looks=tuple(landing.diary.looks),
-        transitions=tuple(
-            TransitionLine(
-                t=x.t, before=x.before.value, event=x.event.value, after=x.after.value, reason=x.reason, p_safe=x.p_safe
-            )
-            for x in landing.diary.transitions
-        ),
+        transitions=tuple(TransitionLine.model_validate(x, from_attributes=True) for x in landing.diary.transitions),
         seconds=landing.seconds, distance=happenings.distance, nearest=happenings.nearest, verdicts=landing.verdicts,
         cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},
         picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",

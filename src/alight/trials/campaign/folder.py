@@ -65,7 +65,9 @@ class CampaignFolder:
         except OSError as e:
             raise output_error(self.out, e) from e
         self.write_head(head, {})
-        self._mend()
+        lines, torn = self._lines()
+        if torn:
+            write_whole(self._path, b"".join(line + b"\n" for line in lines))
 
     def end(self) -> None:
         """Release the folder."""
@@ -76,23 +78,17 @@ class CampaignFolder:
         text = json.dumps(head.model_dump(mode="json") | more, indent=1)
         write_whole(self.out / HEAD, (text + "\n").encode())
 
-    def _mend(self) -> None:
-        """Cut off a last line that was not written whole."""
-        *whole, rest = self._lines() or [b""]
-        torn = bool(whole) and not _is_record(whole[-1])
-        if rest or torn:
-            kept = whole[:-1] if torn else whole
-            write_whole(self._path, b"".join(line + b"\n" for line in kept))
-
-    def _lines(self) -> list[bytes]:
-        """The lines of landings.jsonl, and the bytes after the last of them: empty if all lines are whole."""
+    def _lines(self) -> tuple[list[bytes], str]:
+        """The lines of landings.jsonl without a last one that is not whole, and what is wrong with that one."""
         try:
-            data = read_bytes(self._path, 1_000_000_000)
+            *lines, rest = read_bytes(self._path, 1_000_000_000).split(b"\n")
         except FileNotFoundError:
-            return []
+            return [], ""
         except (OSError, DocumentError) as e:
             raise InputError(f"{self._path}: cannot be read ({_why(e)}); mend it or name another folder") from e
-        return data.split(b"\n")
+        if lines and isinstance(error := _record(lines[-1]), DocumentError):
+            return lines[:-1], str(error)
+        return lines, "it does not end" if rest else ""
 
     def read(self) -> dict[int, LandingRecord]:
         """All landings that ended, by number; an incomplete last line is left out.
@@ -101,19 +97,16 @@ class CampaignFolder:
             InputError: the file cannot be read, or a line before the last is damaged.
         """
         found: dict[int, LandingRecord] = {}
-        lines = self._lines()
-        for k, line in enumerate(lines, 1):
-            try:
-                if line:
-                    record = _record(line)
-                    found[record.number] = record
-            except DocumentError as e:
-                if k >= len(lines) - 1:
-                    log.warning("%s: its last line is not whole (%s) and left out", self._path, e)
-                    continue
+        lines, torn = self._lines()
+        for k, line in ((k, line) for k, line in enumerate(lines, 1) if line):
+            record = _record(line)
+            if isinstance(record, DocumentError):
                 raise InputError(
-                    f"{self._path}: line {k} is damaged ({e}); remove it, and its landing is flown again"
-                ) from e
+                    f"{self._path}: line {k} is damaged ({record}); remove it, and its landing is flown again"
+                )
+            found[record.number] = record
+        if torn:
+            log.warning("%s: its last line is not whole (%s) and is left out", self._path, torn)
         return dict(sorted(found.items()))
 
     def append(self, record: LandingRecord, picture: bytes | None = None) -> None:
@@ -133,23 +126,14 @@ class CampaignFolder:
             raise output_error(self._path, e) from e
 
 
-def _record(line: bytes) -> LandingRecord:
-    """Read a line of landings.jsonl.
-
-    Raises:
-        DocumentError: it is damaged.
-    """
+def _record(line: bytes) -> LandingRecord | DocumentError:
+    """A line of landings.jsonl, or the reason why it is none."""
     if len(line) > LONGEST:
-        raise DocumentError(f"longer than {LONGEST} characters")
-    return validated(LandingRecord, parse_json(line))
-
-
-def _is_record(line: bytes) -> bool:
+        return DocumentError(f"longer than {LONGEST} characters")
     try:
-        _record(line)
-    except DocumentError:
-        return False
-    return True
+        return validated(LandingRecord, parse_json(line))
+    except DocumentError as e:
+        return e
 
 
 def _why(error: OSError | DocumentError) -> str:

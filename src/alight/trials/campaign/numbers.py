@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.special import betaincinv
@@ -81,10 +80,6 @@ class CampaignNumbers:
     cpu_of: dict[str, Spread]  # of its parts
     cpu_most: float | None  # s, of the dearest landing
     cpu_within: float | None  # share of landings that took no more than `CPU_LIMIT`
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the numbers as a tree for campaign.json."""
-        return asdict(self)
 
 
 def unsafe_bound(unsafe: int, landings: int) -> float:

@@ -31,6 +31,8 @@ from alight_sim.steered import SteeredFlight, TrueContact
 from alight_sim.steered.touchdown import contact_seconds, severity
 from alight_sim.world import World
 
+Contacts = tuple[TouchdownLine | None, StrikeLine | None]  # the worst touchdown, and the highest strike
+
 
 class JudgedLanding(NamedTuple):
     """An outcome with its reason in words."""
@@ -69,9 +71,7 @@ def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) 
     )
 
 
-def met(
-    vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf
-) -> tuple[TouchdownLine | None, StrikeLine | None]:
+def met(vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf) -> Contacts:
     """Judge all contacts: the worst touchdown, and the highest strike, one after `begun` before earlier ones.
 
     Args:
@@ -80,7 +80,11 @@ def met(
         begun: s, begin of the landing.
     """
     down = [_line(vehicle, c, settings) for c in vehicle.contacts if c.struck is None]
-    struck = [_strike(c, c.struck) for c in vehicle.contacts if c.struck is not None]
+    struck = [
+        StrikeLine(t=contact_seconds(c), east=c.pose.translation[0], north=c.pose.translation[1], above=c.struck)
+        for c in vehicle.contacts
+        if c.struck is not None
+    ]
     return (
         max(down, key=lambda d: severity(d.safe, d.reasons), default=None),
         max(struck, key=lambda s: (s.t >= begun, s.above), default=None),
@@ -112,11 +116,6 @@ def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> T
         t=t, east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt, roughness=d.roughness,
         sink=d.sink, drift=d.drift,
     )  # fmt: skip
-
-
-def _strike(contact: TrueContact, above: float) -> StrikeLine:
-    east, north, _ = (float(v) for v in contact.pose.translation)
-    return StrikeLine(t=contact_seconds(contact), east=east, north=north, above=above)
 
 
 def safe_share(world: World, settings: Settings) -> float:

@@ -6,21 +6,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import jinja2
 import yaml
 
 from alight.records import p_safe_text
 from alight.records.campaign import OUTCOMES, CampaignHead, LandingRecord
-from alight.report import words
-from alight.trials.campaign.numbers import CPU_LIMIT, CampaignNumbers, Counts, Spread
+from alight.report import TEMPLATES, words
+from alight.trials.campaign.numbers import CPU_LIMIT, CampaignNumbers, Spread
 
-_TEMPLATES = jinja2.Environment(
-    loader=jinja2.PackageLoader("alight", "report"),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    undefined=jinja2.StrictUndefined,
-)
 BAD = ("landed unsafely", "wrongly refused", "handed over", "failed")  # listed one by one
 
 
@@ -32,15 +24,6 @@ class CampaignTable:
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-
-
-@dataclass(frozen=True)
-class Unsafe:
-    """A touchdown that was unsafe, with its picture."""
-
-    title: str
-    text: str
-    uri: str | None
 
 
 def render_campaign(
@@ -61,7 +44,7 @@ def render_campaign(
         pictures: data URI by number of the landing.
         other: name and numbers of a campaign to compare with.
     """
-    return _TEMPLATES.get_template("campaign.html.j2").render(
+    return TEMPLATES.get_template("campaign.html.j2").render(
         name=name,
         head=head,
         version=head.alight,
@@ -94,7 +77,8 @@ def _detail(n: CampaignNumbers) -> str:
     )
 
 
-def _unsafe(r: LandingRecord, uri: str | None) -> Unsafe:
+def _unsafe(r: LandingRecord, uri: str | None) -> dict[str, str | None]:
+    """An unsafe touchdown, with its picture."""
     d, s = r.touchdown, r.strike
     struck = "" if s is None else f" Struck at {s.t:.1f} s, {s.east:.1f} m east, {s.north:.1f} m north."
     measured = "" if d is None else (
@@ -102,9 +86,8 @@ def _unsafe(r: LandingRecord, uri: str | None) -> Unsafe:
         f"drift {d.drift:.2f} m/s, at {d.east:.1f} m east, {d.north:.1f} m north."
     )  # fmt: skip
     p = "" if r.p_at_commit is None else f" P(safe) at commit {p_safe_text(r.p_at_commit)}."
-    return Unsafe(
-        f"Landing {r.number}, {r.conditions.scene}", f"{r.why}.{struck}{measured}{p} {_faults(r)}".strip(), uri
-    )
+    text = f"{r.why}.{struck}{measured}{p} {_faults(r)}".strip()
+    return {"title": f"Landing {r.number}, {r.conditions.scene}", "text": text, "uri": uri}
 
 
 def _faults(r: LandingRecord) -> str:
@@ -122,11 +105,13 @@ def _tables(
     other: tuple[str, CampaignNumbers] | None,
 ) -> Iterator[CampaignTable]:
     if other is not None:
-        yield _beside((name, n), other)
-    yield _outcomes("Outcomes by world", "world", n.by_scene)
-    yield _outcomes("Outcomes by fault", "fault", n.by_fault)
-    yield _outcomes("Outcomes by wind", "wind", n.by_wind)
-    yield _outcomes("Outcomes by the height of the sun", "sun", n.by_sun)
+        yield CampaignTable("Beside another campaign", ("", name, other[0]), comparison(n, other[1]))
+    for title, first, counts in (
+        ("world", "world", n.by_scene), ("fault", "fault", n.by_fault), ("wind", "wind", n.by_wind),
+        ("the height of the sun", "sun", n.by_sun),
+    ):  # fmt: skip
+        rows = [(row, *(str(c[o] or "") for o in OUTCOMES), str(sum(c.values()))) for row, c in counts.items()]
+        yield CampaignTable(f"Outcomes by {title}", (first, *OUTCOMES, "all"), rows)
     yield CampaignTable(
         "P(safe) at commit against what happened",
         ("P(safe)", "touchdowns", "ground safe", "ground unsafe", "mean P(safe)", "share safe"),
@@ -181,17 +166,8 @@ def _near(n: CampaignNumbers) -> str:
     return f" Before a landing was begun {least}; {struck} struck what stood beside the way."
 
 
-def _outcomes(title: str, first: str, counts: Counts) -> CampaignTable:
-    rows = [(row, *(str(c[o] or "") for o in OUTCOMES), str(sum(c.values()))) for row, c in counts.items()]
-    return CampaignTable(title, (first, *OUTCOMES, "all"), rows)
-
-
 def _spread(s: Spread) -> tuple[str, str]:
     return tuple("" if v is None else f"{v:.0f}" for v in (s.median, s.p95))  # type: ignore[return-value]
-
-
-def _beside(one: tuple[str, CampaignNumbers], two: tuple[str, CampaignNumbers]) -> CampaignTable:
-    return CampaignTable("Beside another campaign", ("", one[0], two[0]), comparison(one[1], two[1]))
 
 
 def comparison(one: CampaignNumbers, two: CampaignNumbers) -> list[tuple[str, str, str]]:

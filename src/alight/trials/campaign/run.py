@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -43,30 +43,25 @@ class Ended(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """Scenes, number of landings, seed and settings: everything that its results depend on."""
+    """Everything that the results of a campaign depend on.
 
-    scenes: tuple[str, ...]
+    Raises:
+        InputError: no such scene, too few or too many landings, or a seed that is too large.
+    """
+
+    scenes: Sequence[str]  # names, files, or `all`
     landings: int
     seed: int
     settings: Settings
     link_faults: float = 0.0  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"
 
-    @classmethod
-    def of(
-        cls, scenes: Sequence[str], landings: int, seed: int, settings: Settings, link_faults: float = 0.0,
-        firmware: FirmwareName = "ardupilot",
-    ) -> Campaign:  # fmt: skip
-        """A campaign over scenes by name, files, or `all`.
-
-        Raises:
-            InputError: no such scene, too few or too many landings, or a seed that is too large.
-        """
-        if not 1 <= landings <= MOST_LANDINGS:
-            raise InputError(f"a campaign of {landings} landings; give 1 to {MOST_LANDINGS}")
-        if not 0 <= seed <= LARGEST_SEED:
-            raise InputError(f"a campaign of seed {seed}; give 0 to {LARGEST_SEED}")
-        return cls(scenes_of(scenes), landings, seed, settings, link_faults, firmware)
+    def __post_init__(self) -> None:
+        if not 1 <= self.landings <= MOST_LANDINGS:
+            raise InputError(f"a campaign of {self.landings} landings; give 1 to {MOST_LANDINGS}")
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise InputError(f"a campaign of seed {self.seed}; give 0 to {LARGEST_SEED}")
+        object.__setattr__(self, "scenes", scenes_of(self.scenes))
 
     def conditions(self, landing: int) -> Conditions:
         """Draw the conditions of a landing."""
@@ -77,7 +72,7 @@ class Campaign:
         """The head of campaign.json, which identifies a campaign."""
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
-            alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings,
+            alight=__version__, seed=self.seed, scenes=tuple(self.scenes), landings=self.landings, settings=settings,
             link_faults=self.link_faults, firmware=self.firmware, sources=sources_digest(),
             files=file_digests(self.scenes, self.settings),
         )  # fmt: skip
@@ -128,9 +123,7 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
         settings = settings_of_run(head.settings)
     except ValueError as e:
         raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
-    return Campaign.of(
-        head.scenes, wanted_landings(out, landings), head.seed, settings, head.link_faults, head.firmware
-    )
+    return Campaign(head.scenes, wanted_landings(out, landings), head.seed, settings, head.link_faults, head.firmware)
 
 
 def fly_campaign(
@@ -188,7 +181,7 @@ def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> 
     records = list(folder.read().values())
     numbers = campaign_numbers(records)
     other = None if beside is None else (beside.resolve().name, numbers_in(beside))
-    folder.write_head(head, {"numbers": numbers.as_json()})
+    folder.write_head(head, {"numbers": asdict(numbers)})
     pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(folder.out / r.picture))}
     page = render_campaign(folder.out.resolve().name, head, records, numbers, pictures, other)
     write_whole(folder.out / PAGE, page.encode())

@@ -51,15 +51,6 @@ def made_world(name: str, seed: int) -> World:
     return world
 
 
-def source_of(name: str) -> Path:
-    """File of the module of a factory.
-
-    Raises:
-        InputError: it cannot be imported.
-    """
-    return Path(_module(name).__file__ or "")
-
-
 def _module(name: str) -> ModuleType:
     """Import the module of a factory, also from the working directory, as `python -m` does."""
     if os.getcwd() not in sys.path:
@@ -67,14 +58,12 @@ def _module(name: str) -> ModuleType:
     module = name.partition(":")[0]
     try:
         return importlib.import_module(module)
-    except ModuleNotFoundError as e:
-        if e.name is None or not f"{module}.".startswith(f"{e.name}."):
-            raise InputError(f"world {name}: importing {module} raised {error_line(e)}") from e
-        raise InputError(
-            f"world {name}: there is no module {e.name!r} in the working directory or where Python looks"
-        ) from e
     except Exception as e:
-        raise InputError(f"world {name}: importing {module} raised {error_line(e)}") from e
+        if isinstance(e, ModuleNotFoundError) and e.name and f"{module}.".startswith(f"{e.name}."):
+            why = f"there is no module {e.name!r} in the working directory or where Python looks"
+        else:
+            why = f"importing {module} raised {error_line(e)}"
+        raise InputError(f"world {name}: {why}") from e
 
 
 def error_line(error: BaseException) -> str:
@@ -115,7 +104,7 @@ def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
     Raises:
         InputError: one cannot be read.
     """
-    named = [source_of(s) for s in scenes if is_factory(s)]
+    named = [Path(_module(s).__file__ or "") for s in scenes if is_factory(s)]
     files = [Path(s) for s in scenes if s not in {*campaign_worlds(), *built_in()} and not is_factory(s)]
     named += [path for scene in files for path in (scene, *_paths(read_scene(scene).model_dump()))]
     model = settings.terrain.model

@@ -1,0 +1,205 @@
+"""Commands of a flight: live, fly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from alight.cli import options
+from alight.cli.app import ExitCode, app
+from alight.cli.terminal import is_terminal, live_table, print_line, print_stderr, save_result
+
+if TYPE_CHECKING:
+    from alight.flight.session.flight import FlightOutcome, FlightRequest, FlightStatus
+
+
+@dataclass(kw_only=True)
+class FlightOptions(options.RouteOptions):
+    """Options of both commands."""
+
+    rig: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
+    ] = None
+    separation: Annotated[
+        float | None,
+        typer.Option(
+            min=-200.0, max=200.0, help="Ellipsoid minus sea level, m, where the receiver does not report it."
+        ),
+    ] = None
+    record: Annotated[
+        bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
+    ] = True
+
+    def refuse_unused(self, source: str, follow: bool = False, speed: float = 1.0) -> None:
+        """Refuse options that have no effect on a recording, a folder, or cameras.
+
+        Raises:
+            InputError: the message names the option.
+        """
+        from alight.records import InputError
+        from alight.sources.live import is_cameras
+
+        cameras = is_cameras(source)
+        if cameras and follow:
+            raise InputError("--follow: is for a folder that is being filled, and cameras are none; leave it out")
+        if speed != 1.0 and (cameras or follow):
+            raise InputError("--speed: is of a flight log or a recording; cameras and folders that fill have their own")
+        if self.rig is not None and not cameras:
+            raise InputError(f"--rig: is for cameras; {source} brings its own calibration; leave it out")
+
+
+@dataclass(kw_only=True)
+class LiveOptions(FlightOptions):
+    """Options of `alight live`."""
+
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A flight log, a recording (.mcap), a folder being filled, or cameras: camera:0,camera:2",
+        ),
+    ]
+    speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: 2 is twice as fast as it was.")] = 1.0
+    follow: Annotated[
+        bool, typer.Option("--follow", help="The folder is being filled; 10 s without anything new end it.")
+    ] = False
+    telemetry: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Autopilot that gives GPS/INS: udp:0.0.0.0:14550.")
+    ] = None
+
+
+@app.command()
+@options.command_of(LiveOptions)
+def live(o: LiveOptions) -> None:
+    """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
+    chosen = o.read_settings()
+    o.refuse_unused(o.source, o.follow, o.speed)
+    from alight.flight.live.run import LiveRequest, fly_live
+    from alight.runner.opening import open_live
+    from alight.runs import flown_home, wanted_home, with_home
+
+    wanted = wanted_home(o.home, o.geoid)
+    opened = open_live(o.source, chosen, o.speed, o.follow, o.rig)
+    if o.telemetry is not None:
+        from alight.flight.live.telemetry import with_telemetry
+
+        opened = with_telemetry(opened, o.telemetry, o.separation)
+    compile_if_cold()  # a lane that compiles does not answer
+    inputs = [path] if (path := Path(o.source)).is_file() else []
+    request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs)
+    with live_table() as show:
+        result = fly_live(opened.source, opened.events, request, lambda line: show((), [line]))
+    save_result(with_home(result, flown_home(wanted, opened.telemetry(), o.separation)), o.out, o.force)
+
+
+def compile_if_cold() -> None:
+    """Compile all loops if they are not in the cache: once, before a flight."""
+    from alight import compiled
+
+    if not compiled.is_warm():
+        from alight.trials.warmup import compile_kernels
+
+        print_stderr("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
+        compile_kernels(lambda stage, share: None)
+
+
+@dataclass(kw_only=True)
+class FlyOptions(FlightOptions):
+    """Options of `alight fly`."""
+
+    link: Annotated[
+        str, typer.Option(metavar="LINK", help="The autopilot: udp:127.0.0.1:14550, tcp:HOST:PORT, serial:DEVICE:BAUD.")
+    ]
+    camera: Annotated[
+        str, typer.Option(metavar="SOURCE", help="Cameras (camera:0,camera:2) or a folder that is being filled.")
+    ]
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show every order instead of sending it.")] = False
+    take_off: Annotated[
+        float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
+    ] = None
+    imu: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to request; 0: none.")
+    ] = 100.0
+
+
+@app.command()
+@options.command_of(FlyOptions)
+def fly(o: FlyOptions) -> None:
+    """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
+    chosen = o.read_settings()
+    o.refuse_unused(o.camera)
+    from alight.flight.session.flight import FlightRequest
+    from alight.records.executive import FlightState
+    from alight.runs import wanted_home
+
+    request = FlightRequest(
+        o.link, o.camera, o.out, chosen, o.rig, o.dry_run, wanted_home(o.home, o.geoid), o.separation, o.take_off,
+        o.imu, o.record, o.force,
+    )  # fmt: skip
+    outcome = _flown(request)
+    for check in outcome.checks:
+        print_line(check.line)
+    if outcome.state is None:
+        print_line(f"NOT FLOWN  {outcome.why}")
+    elif o.dry_run:
+        print_line(f"DRY RUN  nothing was flown; {outcome.why}".removesuffix("; "))
+    else:
+        words = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
+        print_line(f"{words.get(outcome.state, 'ENDED')}  {outcome.why}")
+    if outcome.result is None:
+        raise typer.Exit(ExitCode.FAULT_FOUND)
+    save_result(outcome.result, o.out, o.force)
+    if not o.dry_run and outcome.state is not FlightState.LANDED:
+        raise typer.Exit(ExitCode.NOT_LANDED)
+
+
+def _flown(request: FlightRequest) -> FlightOutcome:
+    """Fly; the status is a table on a terminal, else a line at a new phase and every ten seconds."""
+    from alight.flight.session.flight import fly_vehicle
+
+    if is_terminal():
+        with live_table() as show:
+            return fly_vehicle(
+                request,
+                lambda status: show(facts(status), [c.line for c in status.checks if c.verdict != "good"]),
+                lambda line: print_stderr(line, "none"),
+            )
+    phase, printed = "", -math.inf
+
+    def report(status: FlightStatus) -> None:
+        nonlocal phase, printed
+        if status.phase != phase:
+            phase = status.phase
+            print_stderr(phase)
+        if status.view is not None and status.view.t - printed >= 10.0:
+            printed = status.view.t
+            print_stderr("; ".join(f"{name} {value}" for name, value in facts(status)))
+
+    return fly_vehicle(request, report, print_stderr)
+
+
+def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
+    """Name and value of each fact of the status for a person."""
+    from alight.records import p_safe_text
+
+    view, telemetry = status.view, status.telemetry
+    yield "state", status.phase if view is None else view.state.value
+    if view is not None:
+        yield "time", f"{view.t:.0f} s"
+        yield "order", view.order
+        if (p := view.target) is not None:
+            yield "place", f"{p.kind} at east {p.east:.1f} m north {p.north:.1f} m, P(safe) {p_safe_text(p.p_safe)}"
+        if view.height is not None:
+            yield "height", f"{view.height:.1f} m above {'it' if view.target is not None else 'the ground'}"
+        yield "motion", f"{view.situation.state.name.lower()}, newest picture {view.situation.picture_age:.1f} s old"
+    if telemetry is not None:
+        age, share = telemetry.ages.get("HEARTBEAT", math.nan), telemetry.battery.share
+        yield "link", f"{telemetry.firmware}, {telemetry.mode_name or 'no mode'}, heartbeat {age:.1f} s ago"
+        yield "battery", "not reported" if math.isnan(share) else f"{100 * share:.0f} %"
+    if status.health is not None:
+        yield "lanes", status.health

@@ -1,0 +1,277 @@
+"""Commands on recordings and rasters, and of the program: run, check, evaluate, hazards, terrain, settings, warmup."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from alight.cli import options
+from alight.cli.app import ExitCode, app
+from alight.cli.terminal import print_answer, print_line, print_stderr, progress_bar, save_result
+
+if TYPE_CHECKING:
+    from alight.training.confusion import Confusion
+
+terrain = typer.Typer(help="Train and test the model of what ground looks like.")
+app.add_typer(terrain, name="terrain")
+SamplingOption = Annotated[
+    float, typer.Option("--gsd", min=0.001, max=1.0, help="Metres a pixel, where no index.csv gives it.")
+]
+
+
+@dataclass(kw_only=True)
+class RunOptions(options.RouteOptions):
+    """Options of `alight run`."""
+
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/), photos, or a video with .srt.")]
+    poses: Annotated[
+        str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
+    ] = None
+    quality: Annotated[
+        Literal["fast", "normal", "fine"] | None,
+        typer.Option(help="Size of the cells: the same as --set parallax.quality=..."),
+    ] = None
+    prior_dem: Annotated[
+        Path | None, typer.Option(metavar="DEM", help="Heights from elsewhere: to begin with and to compare with.")
+    ] = None
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
+    ] = False
+    scheduler: options.Scheduler = None
+
+
+@app.command()
+@options.command_of(RunOptions)
+def run(o: RunOptions) -> None:
+    """Find a landing site in a recorded flight or a folder of photos."""
+    chosen = o.read_settings(after=[f"parallax.quality={o.quality}"] if o.quality else ())
+    from alight.runner import replay
+    from alight.runs import known_home
+
+    armed_at = known_home(o.home, o.geoid)
+    wishes = replay.Find(chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at)
+    with progress_bar() as report:
+        result = replay.find(o.source, o.out, wishes, report)
+    save_result(result, o.out, o.force)
+
+
+@dataclass(kw_only=True)
+class CheckOptions(options.SettingsOptions):
+    """Options of `alight check`."""
+
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/), a recording (.mcap), or photos.")
+    ]
+    seconds: Annotated[float, typer.Option(min=1.0, help="How much of the recording is read.")] = 10.0
+    start: Annotated[float, typer.Option(min=0.0, help="Seconds from the first exposure at which to begin.")] = 0.0
+    as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False
+
+
+@app.command()
+@options.command_of(CheckOptions)
+def check(o: CheckOptions) -> None:
+    """Find faults of a rig: cameras, mounting, clocks, units, lenses; the exit code is 3 if a check is bad.
+
+    Of photos: the facts in their tags, one line a photo.
+    """
+    chosen = o.read_settings()
+    from alight.checks.checking import check_source
+    from alight.checks.result import Judged
+    from alight.records import PhotoRow
+    from alight.runner.opening import open_source
+
+    recording = open_source(o.source, chosen)
+    if recording.photos:
+        for w in recording.warnings:
+            print_stderr(f"warning: {w}")
+        rows = [PhotoRow(p, None) for p in recording.photos]
+        _print_rows([row.line for row in rows], [row.as_json() for row in rows], o.as_json)
+        return
+    with progress_bar() as report:
+        found = check_source(recording, o.seconds, o.start, lambda share: report("checking", share))
+    _print_rows([r.line for r in found], [asdict(r) for r in found], o.as_json)
+    if any(r.verdict is Judged.BAD for r in found):
+        raise typer.Exit(ExitCode.FAULT_FOUND)
+
+
+def _print_rows(lines: list[str], records: list[dict[str, Any]], as_json: bool) -> None:
+    for line in [json.dumps(records, indent=1)] if as_json else lines:
+        print_line(line)
+
+
+@app.command()
+def evaluate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that a run left.")],
+    truth: Annotated[
+        Path,
+        typer.Option(
+            metavar="FOLDER", help="A flight with truth/, or a folder with a structure-from-motion reference."
+        ),
+    ],
+    verbose: options.Verbose = False,
+) -> None:
+    """Compare a run with the truth and print the numbers."""
+    from alight.evaluation import evaluate as compare
+
+    for line in compare(out, truth).lines():
+        print_line(line)
+
+
+@dataclass(kw_only=True)
+class HazardsOptions(options.ResultOptions):
+    """Options of `alight hazards`."""
+
+    dem: Annotated[Path, typer.Argument(metavar="DEM.tif", help="Heights in metres, square cells, north up.")]
+    sigma: Annotated[
+        str | None, typer.Option(metavar="S.tif|METRES", help="1-sigma of the heights; default: their second band.")
+    ] = None
+    image: Annotated[
+        Path | None,
+        typer.Option(metavar="I.tif", help="The same ground seen from above, 1, 2, 4, ... pixels a cell, 8 bit."),
+    ] = None
+    lander: Annotated[
+        Path | None, typer.Option(metavar="lander.yaml", help="Keys of the lander, as under 'lander' in the settings.")
+    ] = None
+
+
+@app.command("hazards")
+@options.command_of(HazardsOptions)
+def judge_raster(o: HazardsOptions) -> None:
+    """Judge any height raster: P(safe) and reasons of each cell, and the landing sites of this lander."""
+    from alight.outputs.folder import prepare_folder
+    from alight.runner import judge
+    from alight.sources.raster import read_ground
+
+    chosen = judge.for_surveyed_heights(o.read_settings(before=_lander(o.lander) if o.lander else ()))
+    ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
+    prepare_folder(o.out, o.force, ground.files)
+    with progress_bar() as report:
+        report("judging", 0.0)
+        judgement = judge.judge_ground(ground, chosen, o.dem.name)
+        report("judging", 1.0)
+    result = judgement.result
+    assert result.hazards is not None
+    share = 100 * float((result.hazards.reasons == 0).mean())
+    for w in result.warnings:
+        print_stderr(f"warning: {w}")
+    print_answer(result.sites, lambda at: f"east {at[0]:.2f} north {at[1]:.2f}", f", {share:.1f} % is safe")
+    judgement.save(o.out, o.force)
+    print_line(f"report: {o.out / 'report.html'}")
+
+
+def _lander(file: Path) -> list[str]:
+    """The keys of a lander's file as assignments; they may stand alone or under `lander:`.
+
+    Raises:
+        SettingsError: the file cannot be read or holds no keys.
+    """
+    from alight.documents import DocumentError, parse_yaml
+    from alight.records import SettingsError
+
+    try:
+        tree: Any = parse_yaml(options.yaml_text(file))
+    except DocumentError as e:
+        raise SettingsError(f"{file}: {e}") from e
+    tree = tree.get("lander", tree) if isinstance(tree, dict) else tree
+    if not isinstance(tree, dict) or not tree:
+        raise SettingsError(f"{file}: needs keys of the lander such as 'radius: 1.5'; 'alight settings' lists them")
+    return [f"lander.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
+
+
+@terrain.command("train")
+def train_model(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="One folder of pictures a class: bare, water, ...")],
+    out: Annotated[Path, typer.Option("--out", metavar="MODEL", help="File for the model (.npz).")],
+    sampling: SamplingOption = 0.05,
+    verbose: options.Verbose = False,
+) -> None:
+    """Train a model on your own pictures, and test it on each site with that site left out."""
+    from alight.runner.appearance import train_to_file
+
+    with progress_bar() as report:
+        found = train_to_file(folder, out, sampling, report)
+    print_line(found.model.provenance)
+    if found.left_out is None:
+        print_line(
+            "tested on nothing: all pictures are of one site; put those of another place into a folder of their own"
+        )
+    print_line(f"model: {out}")
+
+
+@terrain.command("test")
+def evaluate_model(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="One folder a class, or images/ with labels/.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="MODEL", help="A trained model; default: the package's own.")
+    ] = None,
+    leave_out: Annotated[
+        bool, typer.Option("--leave-out", help="Test each site with a model trained on the others.")
+    ] = False,
+    sampling: SamplingOption = 0.05,
+    verbose: options.Verbose = False,
+) -> None:
+    """Print the confusion matrix of a model, by site. Without FOLDER: the provenance of the model."""
+    from alight.runner.appearance import judge_appearance
+    from alight.sources.appearance import read_model
+    from alight.training.confusion import lines_of
+
+    if leave_out and (folder is None or model is not None):
+        wrong = "needs FOLDER" if folder is None else "trains models of its own: leave out --model"
+        raise typer.BadParameter(f"--leave-out {wrong}")
+    if folder is None:
+        print_line(read_model(model).provenance)
+        return
+    with progress_bar() as report:
+        found = _left_out(folder, sampling, report) if leave_out else judge_appearance(folder, model, sampling, report)
+    for line in lines_of(found):
+        print_line(line)
+
+
+def _left_out(folder: Path, sampling: float, report: Callable[[str, float], None]) -> Confusion:
+    from alight.records import InputError
+    from alight.sources.library import read_library
+    from alight.training.train import elsewhere
+
+    patches = read_library(folder, sampling)
+    try:
+        return elsewhere(patches, lambda share: report("testing", share))
+    except ValueError as e:
+        raise InputError(f"{folder}: {e}; put the pictures of each site into a folder of its own") from e
+
+
+@dataclass(kw_only=True)
+class ShowOptions(options.SettingsOptions):
+    """Options of `alight settings`."""
+
+    everything: Annotated[bool, typer.Option("--all", help="With the tuned constants of every stage.")] = False
+    markdown: Annotated[bool, typer.Option("--markdown", help="The keys with their descriptions, as a page.")] = False
+
+
+@app.command("settings")
+@options.command_of(ShowOptions)
+def show_settings(o: ShowOptions) -> None:
+    """Print every setting with its value, as YAML that --settings takes back."""
+    chosen = o.read_settings()
+    if o.markdown:
+        from alight.settings.page import settings_page
+
+        print_line(settings_page().rstrip("\n"))
+    else:
+        print_line(chosen.to_yaml(tuning=o.everything).rstrip("\n"))
+
+
+@app.command()
+def warmup(verbose: options.Verbose = False) -> None:
+    """Compile all loops, so that the first run does not wait for it."""
+    from alight.trials.warmup import compile_kernels
+
+    with progress_bar() as report:
+        compile_kernels(report)
+    print_line("ready")
