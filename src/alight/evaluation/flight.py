@@ -51,7 +51,7 @@ def read_flight_truth(folder: Path) -> FlightTruth:
     Raises:
         InputError: one is missing, unreadable, or the two are not on one grid.
     """
-    mend = "give a flight with truth/dem.tif and truth/class.tif"
+    mend = "copy it again: --truth takes a flight with truth/dem.tif and truth/class.tif"
     (dem, grid), (label, same) = (
         read_bands(folder / "truth" / f"{name}.tif", 1, kinds, mend) for name, kinds in (("dem", "fiu"), ("class", "u"))
     )

@@ -23,7 +23,7 @@ GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons i
 
 
 class _Line(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, revalidate_instances="always")
 
 
 class FaultRecord(_Line):
