@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.hazards.footprint_kernels import cast_shadows
-from alight.raster import upsample
+from alight.raster import grey_levels, upsample
 from alight.records import ElevationMap
 from alight.settings.tuning.hazards import SharpenTuning
 from alight.spread import SIGMA_OF_MAD
@@ -267,9 +267,8 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
     level = float(np.median(elevation.height[known]))
     cells = np.where(known, elevation.height - np.float32(level), np.float32(0))
     weight = np.where(known, 1 / np.maximum(elevation.sigma, np.float32(HEIGHT_FLOOR)) ** 2, np.float32(0))
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     pixel = elevation.grid.cell / factor
-    fine = np.asarray(grey, dtype=np.float32) + np.float32(0.5)
+    fine = grey_levels(image).astype(np.float32) + np.float32(0.5)
     found = _solve(_Scene(cells, weight, fine, factor, pixel, tuning))
     return None if found is None else _refined(elevation, found[0] + np.float32(level), found[1], image, factor)
 

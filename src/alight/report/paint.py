@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, U8
-from alight.raster import gradient
+from alight.raster import gradient, grey_levels
 from alight.records import ElevationMap, Flag, Hazard, Terrain
 
 Colour = tuple[int, int, int]
@@ -124,7 +124,7 @@ def over_ground(
     colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
 ) -> U8:
     """Colours laid over the grey of the ground where `painted`, so that a person recognises the place."""
-    grey = cv2.cvtColor(elevation.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey = grey_levels(elevation.rgb).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
     ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)
     share = np.where(True if painted is None else painted, np.float32(strength), np.float32(0))
