@@ -32,20 +32,17 @@ Operator = Callable[[F32], F32]
 
 
 def cell_weights(factor: int) -> F32:
-    """Weights (2 factor,) of the pixels in a cell that was made by linear resampling: a tent two cells wide (S2)."""
-    at = (np.arange(2 * factor) + 0.5) / factor - 1.0
-    tent = 1 - np.abs(at)
-    weights: F32 = (tent / tent.sum()).astype(np.float32)
-    return weights
+    """Weights (2 factor,) of the pixels in a cell that was made by linear resampling: a tent two cells wide (S2).
 
-
-def _spans(factor: int) -> tuple[int, int]:
-    return factor // 2, factor - factor // 2  # pixels of the tent before the cell's own; even factors only are centred
+    Half of the factor lies before the cell's own pixels: only tents of even factors are centred.
+    """
+    tent = 1 - np.abs((np.arange(2 * factor) + 0.5) / factor - 1.0)
+    return np.asarray(tent / tent.sum(), np.float32)
 
 
 def coarsen(fine: F32, factor: int) -> F32:
     """Heights of the cells (S2) from those of the pixels; beyond the rim its heights are repeated."""
-    weights, before = cell_weights(factor), _spans(factor)[0]
+    weights, before = cell_weights(factor), factor // 2
     padded = cv2.copyMakeBorder(fine, before, factor, before, factor, cv2.BORDER_REPLICATE)
     rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
     tall = sum(w * padded[i : i + rows * factor : factor] for i, w in enumerate(weights))
@@ -55,7 +52,7 @@ def coarsen(fine: F32, factor: int) -> F32:
 
 def coarsen_transposed(cells: F32, factor: int) -> F32:
     """Transpose of `coarsen`, except at the rim, where it leaves out the repeated pixels."""
-    weights, before = cell_weights(factor), _spans(factor)[0]
+    weights, before = cell_weights(factor), factor // 2
     rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
     wide = np.zeros((cells.shape[0], cols + before + factor), np.float32)
     for i, w in enumerate(weights):
@@ -90,8 +87,7 @@ def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
 
 def _up(along: F32, across: F32) -> F32:
     """Upward part of the unit normal."""
-    out: F32 = (1 / np.sqrt(1 + along * along + across * across)).astype(np.float32)
-    return out
+    return np.asarray(1 / np.sqrt(1 + along * along + across * across), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,13 +221,8 @@ def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
         use[:2] = use[-2:] = use[:, :2] = use[:, -2:] = False
         for _ in range(steps):
             z = z + _step(scene, z, light, use, iterations)
-        log.info(
-            "light %s, ambient %.1f, left %.2f, shadow below %.0f",
-            light.sun.round(1),
-            light.ambient,
-            light.spread,
-            dark,
-        )
+        at = light.sun.round(1), light.ambient, light.spread, dark
+        log.info("light %s, ambient %.1f, left %.2f, shadow below %.0f", *at)
     return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit, light
 
 
@@ -241,8 +232,7 @@ def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
     unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near
     own = np.maximum(upsample(elevation.sigma, factor), np.float32(HEIGHT_FLOOR))
-    out: F32 = np.hypot(own, unseen).astype(np.float32)
-    return out
+    return np.asarray(np.hypot(own, unseen), np.float32)
 
 
 def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> ElevationMap | None:

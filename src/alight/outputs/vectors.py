@@ -90,19 +90,10 @@ def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -
     return {"type": "Feature", "geometry": place, "properties": properties}
 
 
-def accuracy(covariance: F64) -> dict[str, Any]:
-    """1-sigma of the whole map's place on Earth: horizontal in the worst direction, and vertical.
-
-    `covariance`: (3, 3) m^2, east north up.
-    """
-    sigma = PlaceSigma.of(covariance)
-    return {"horizontal_m": number(sigma.horizontal, 3), "vertical_m": number(sigma.vertical, 3)}
-
-
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
     """The sites, then the candidates, in order of rank; without a site, the `reason`.
 
-    `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: unknown.
+    `covariance`: (3, 3) m^2, of the whole map's place on Earth: 1-sigma in the worst direction, and up; None: unknown.
     """
 
     def place(of: Site | NextView) -> list[float]:
@@ -111,8 +102,11 @@ def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None
     features = [
         feature("Point", place(s), site_properties(s, None if s.look is None else place(s.look))) for s in sites.listed
     ]
-    known = {} if covariance is None else {"accuracy": accuracy(covariance)}
-    return collection(features, sites) | known
+    tree = collection(features, sites)
+    if covariance is not None:
+        horizontal, vertical = (number(v, 3) for v in PlaceSigma.of(covariance))
+        tree["accuracy"] = {"horizontal_m": horizontal, "vertical_m": vertical}
+    return tree
 
 
 def collection(features: list[dict[str, Any]], sites: Sites) -> dict[str, Any]:

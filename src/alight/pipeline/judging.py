@@ -77,12 +77,12 @@ class Verdict:
 
     def in_world(self) -> Verdict:
         """The verdict in the world, for results that leave the pipeline."""
-        frame, land_cover = self.frame, self.land_cover
+        frame, land_cover, hazards = self.frame, self.land_cover, self.hazards
         return replace(
             self,
             elevation=frame.elevation(self.elevation),
-            land_cover=None if land_cover is None else frame.on_grid(land_cover),
-            hazards=frame.on_grid(self.hazards),
+            land_cover=land_cover and replace(land_cover, grid=frame.grid(land_cover.grid)),
+            hazards=replace(hazards, grid=frame.grid(hazards.grid)),
             sites=frame.sites(self.sites),
             frame=replace(frame, offset_world=np.zeros(3)),
         )
@@ -243,8 +243,8 @@ def observer(seen: MapSnapshot) -> sites.Observer | None:
     newest = [v for v in seen.views if v.t_ns == t_ns]
     if not newest:
         return None
-    vehicle, stereo = seen.vehicle, len({v.cam for v in newest}) > 1
-    return sites.Observer(vehicle.position, vehicle.height_above_ground, newest[-1].camera.fu, stereo)
+    stereo = len({v.cam for v in newest}) > 1
+    return sites.Observer(seen.position, seen.height_above_ground, newest[-1].camera.fu, stereo)
 
 
 def without_water(elevation: ElevationMap, land_cover: TerrainMap | None) -> ElevationMap:

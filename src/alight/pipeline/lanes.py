@@ -99,7 +99,7 @@ def conclude(
     progress("judging", 1.0)
     return replace(
         moved, sites=verdict.sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
-        route=route, height_above_ground=found.snapshot.vehicle.height_above_ground,
+        route=route, height_above_ground=found.snapshot.height_above_ground,
         notes={**trajectory.notes, **found.notes, **judging.notes(verdict)},
         warnings=[*warnings, *judging.memory.warnings, *verdict.warnings],
     )  # fmt: skip
@@ -109,6 +109,6 @@ def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | 
     """The way to the best of the sites, planned in the world."""
     if not sites.sites:
         return None
-    vehicle, elevation = seen.frame.point(seen.vehicle.position), seen.frame.elevation(seen.elevation)
+    vehicle, elevation = seen.frame.point(seen.position), seen.frame.elevation(seen.elevation)
     way = plan_route(sites.sites[0], elevation, vehicle, settings)
     return replace(way, frame_id=seen.frame.frame_id)

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.records import Datum, ElevationMap, HazardMap, Motion, PlaceSigma, Sites, TerrainMap
-
-OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
+from alight.records import Datum, ElevationMap, Motion, PlaceSigma, Sites
 
 
 class Tie(NamedTuple):
@@ -84,10 +82,6 @@ class MapFrame:
         covariance = datum.covariance.copy()
         covariance[0, 0] = max(covariance[0, 0] - self.offset_world[2] ** 2, 0.0)
         return Datum(datum.east + self.offset_world[0], datum.north + self.offset_world[1], covariance)
-
-    def on_grid(self, found: OnGrid) -> OnGrid:
-        """Land cover or hazards of this frame in the world."""
-        return replace(found, grid=self.grid(found.grid))
 
     def sites(self, sites: Sites) -> Sites:
         """Sites and candidates of this frame in the world, with the frame number."""

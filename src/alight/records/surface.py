@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self
 
 import cv2
 import numpy as np
@@ -170,40 +170,35 @@ class ElevationMap(Heights):
     @property
     def trusted(self) -> NDArray[np.bool_]:
         """(R, C): cells whose height may be given out."""
-        trusted: NDArray[np.bool_] = np.isfinite(self.height) & is_trusted(self.flags)
-        return trusted
-
-
-class _OnGrid(Protocol):
-    """Arrays (R, C) on the cells of a grid."""
-
-    @property
-    def grid(self) -> Grid: ...
-
-
-Cells = TypeVar("Cells", bound=_OnGrid)
-
-
-def on_grid(record: Cells, grid: Grid, unknown: float = 0) -> Cells:
-    """The arrays of a record on another grid, each cell with the value of the nearest one.
-
-    Outside, floating-point numbers are NaN and others are `unknown`.
-    """
-    if grid == record.grid:
-        return record
-
-    def moved(values: NDArray[Any]) -> NDArray[Any]:
-        return record.grid.nearest_on(grid, values, np.nan if values.dtype.kind == "f" else unknown)
-
-    arrays = {k: moved(v) for k, v in vars(record).items() if isinstance(v, np.ndarray)}
-    return replace(record, grid=grid, **arrays)  # type: ignore[type-var]
+        return np.asarray(np.isfinite(self.height) & is_trusted(self.flags))
 
 
 @dataclass(frozen=True, eq=False)
-class TerrainMap:
-    """Land cover of every cell."""
+class OnGrid:
+    """Arrays (R, C) on the cells of a grid."""
+
+    unknown: ClassVar[int] = 0  # value of integers outside of it; floating-point numbers are NaN there
 
     grid: Grid
+
+    def on(self, grid: Grid) -> Self:
+        """The same on another grid, each cell with the value of the nearest one; unknown outside.
+
+        A map may be judged on coarser cells than its heights have; files and pictures share the grid of the heights.
+        """
+        if grid == self.grid:
+            return self
+
+        def moved(values: NDArray[Any]) -> NDArray[Any]:
+            return self.grid.nearest_on(grid, values, np.nan if values.dtype.kind == "f" else self.unknown)
+
+        return replace(self, grid=grid, **{k: moved(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainMap(OnGrid):
+    """Land cover of every cell."""
+
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
     water: F32  # (R, C) probability of water; NaN = nothing seen
@@ -218,10 +213,6 @@ class TerrainMap:
         roof = (raised > 0.5) & ~np.isnan(self.landable)
         label = np.where(roof, np.uint8(Terrain.STRUCTURE), self.label)
         return replace(self, label=label, landable=np.minimum(self.landable, 1 - raised), raised=raised)
-
-    def on(self, grid: Grid) -> TerrainMap:
-        """The land cover on another grid; see `on_grid`."""
-        return on_grid(self, grid)
 
 
 @dataclass(frozen=True, eq=False)

@@ -155,7 +155,7 @@ def _frame(number: int, p: LookPicture, result: RunResult) -> Figure:
     return Figure(
         title=f"Look {number}, from {p.look.height:.1f} m",
         alt=f"Look {number}: photo and P(safe) of {2 * p.reach:.0f} m about the place",
-        uri=canvas.data_uri(both),
+        uri=canvas.embedded(canvas.webp(both)),
         height=round(canvas.WIDTH * both.shape[0] / side, 1),
         caption=f"at {p.look.t:.0f} s: {p.look.verdict}, P(safe) {p_safe_text(p.look.p_safe)}{doubt}",
         classes=("film",),

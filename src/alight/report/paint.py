@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, U8
-from alight.raster import gradient, grey_levels
+from alight.raster import gradient, grey_levels, weighted_gaussian
 from alight.records import ElevationMap, Flag, Hazard, Terrain
 
 Colour = tuple[int, int, int]
@@ -91,17 +91,10 @@ def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[fl
     return float(a), float(max(b, a + 1e-3))
 
 
-def _smooth(height: F32, known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """A little smoothing over the known cells only: noise of a few centimetres drowns the relief otherwise."""
-    blur = (0, 0), 1.2
-    weight = cv2.GaussianBlur(known.astype(np.float32), *blur)
-    total = cv2.GaussianBlur(np.where(known, height, 0).astype(np.float32), *blur)
-    return np.asarray(total / np.maximum(weight, 1e-3), dtype=np.float32)
-
-
 def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.float32]:
     """Light from the north-west at 45 degrees on the relief, (R, C), about 0.4 to 1.15; 1 on the flat."""
-    down, right = gradient(_smooth(height, known), cell)
+    smooth = weighted_gaussian(height, known.astype(np.float32), 1.2).mean  # else noise of centimetres drowns it
+    down, right = gradient(smooth, cell)
     nx, ny = -right, down  # east, north parts of the upward normal
     light = (-nx + ny + np.sqrt(2.0)) / np.sqrt(2.0 * (1 + nx**2 + ny**2))
     edge = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0

@@ -211,8 +211,7 @@ def scores(head: Head, features: F32) -> F32:
     """Evidence for each class before the temperature, (N, K): it fades with the distance from the classes (T4)."""
     z = standardised(head, features)
     fading = 1 / (1 + np.maximum(distance(head, z) - 1, 0))
-    out: F32 = ((z @ head.weights.T + head.bias) * fading[:, None]).astype(np.float32)
-    return out
+    return np.asarray((z @ head.weights.T + head.bias) * fading[:, None], np.float32)
 
 
 def log_softmax(values: NDArray[Real], axis: int = -1) -> NDArray[Real]:

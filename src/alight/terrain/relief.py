@@ -32,8 +32,7 @@ def ground_under(low: F32, window_cells: float) -> F32:
     disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
     opened = cv2.dilate(np.where(eroded < 1e5, eroded, np.float32(-1e6)), disc, borderValue=-1e6)
-    out: F32 = np.where(np.isfinite(low), np.minimum(opened, low), np.float32(np.nan))
-    return out
+    return np.where(np.isfinite(low), np.minimum(opened, low), np.float32(np.nan))
 
 
 def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:

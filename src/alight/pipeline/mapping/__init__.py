@@ -23,20 +23,13 @@ NO_HEIGHT = "no height could be measured: no place was seen by two views"
 
 
 @dataclass(frozen=True, eq=False)
-class VehiclePosition:
-    """Position of the vehicle."""
-
-    position: F64  # (3,) metres
-    height_above_ground: float  # metres
-
-
-@dataclass(frozen=True, eq=False)
 class MapSnapshot:
     """The map at one moment, by value, with its views; all in the map's frame."""
 
     elevation: ElevationMap
     views: tuple[View, ...]  # that look down on it
-    vehicle: VehiclePosition
+    position: F64  # (3,) metres, of the vehicle
+    height_above_ground: float  # metres, of the vehicle
     frame: MapFrame
     attitude: bool = True  # one was measured, or the poses are given
     passed: Remembered = NOWHERE  # places that something moved across before
@@ -85,5 +78,5 @@ def map_at_end(
     """The map at the end of a recording, with the vehicle's last place and its median height above ground."""
     ups = [m.world_from_body.translation[2] for m in trajectory.usable.values()]
     above = float(np.median(ups) - frame.offset_world[2] - (ground or 0))
-    vehicle = VehiclePosition(trajectory.motions[-1].world_from_body.translation - frame.offset_world, above)
-    return MapSnapshot(elevation, tuple(looking_down(views)), vehicle, frame, trajectory.attitude)
+    last = trajectory.motions[-1].world_from_body.translation - frame.offset_world
+    return MapSnapshot(elevation, tuple(looking_down(views)), last, above, frame, trajectory.attitude)

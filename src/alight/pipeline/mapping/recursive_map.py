@@ -14,7 +14,7 @@ from alight.elevation import TiledElevation, TileStore, doublings_up_to
 from alight.geometry import Box, Grid
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.map_frame import MapFrame, Tie
-from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, VehiclePosition, map_at_end
+from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
 from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
@@ -286,10 +286,11 @@ class RecursiveMapper:
         elevation = self._map.under(views[-len(self._rig.cameras) :], about)
         if elevation is None or self._frame is None:
             return None
-        centre = views[-1].centre
-        vehicle = VehiclePosition(centre, float(centre[2] - (self._map.ground_height or 0.0)))
-        attitude = self._newest is None or self._newest.attitude
-        return MapSnapshot(elevation, tuple(views), vehicle, self._frame, attitude, self._map.passed, self._map.came)
+        centre, attitude = views[-1].centre, self._newest is None or self._newest.attitude
+        return MapSnapshot(
+            elevation, tuple(views), centre, float(centre[2] - (self._map.ground_height or 0.0)), self._frame, attitude,
+            self._map.passed, self._map.came,
+        )  # fmt: skip
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
         """The map as the last keyframe left it; that of all keyframes where they end before the ground is found."""
