@@ -241,11 +241,6 @@ class PictureSpots(NamedTuple):
     bright: F32  # the brightest pixel
 
 
-def spots_of(light: F32, height: float) -> F32:
-    """Contrast of spots as wide as an obstacle of a height in pixels, (R, C), of log brightness or another measure."""
-    return difference_of_gaussians(light, *(s * height for s in SPOTS))
-
-
 def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     """Contrast of the spots of the finest picture, as wide as an obstacle of `height` metres; unseen ground is even."""
     rgb, factor = elevation.finest
@@ -278,4 +273,4 @@ def _seen_spots(found: BlockLight | BlockGreen, height: float) -> F32:
         around = gaussian_mean(measure, SPOTS[1] * height)
         around /= share
         np.copyto(measure, around, where=~seen)
-    return spots_of(measure, height) * seen
+    return difference_of_gaussians(measure, *(s * height for s in SPOTS)) * seen

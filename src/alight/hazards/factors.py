@@ -44,15 +44,14 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     margins = margins_over_sigma(t, on)
     if on.settings.smoothed:
         return _of_matched_heights(t, margins, on, missing)
-    deviation = [] if margins.deviation is None else [margins.deviation]
     hidden = np.float32(on.settings.hidden_hazard) * t.footprint.unknown
-    relief, like = kept([*margins.of_the_vehicle, *deviation]) * (1 - hidden), margins.tilt
+    relief, like = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden), margins.tilt
     never = np.full_like(like, np.nan)
     return SafetyFactors(relief, _beyond_cells(on), np.ones_like(like), np.full_like(like, on.cell), never)
 
 
 def _of_matched_heights(t: Touchdowns, margins: Margins, on: Inputs, missing: MissingVeto) -> SafetyFactors:
-    tilt, vehicle = margins.tilt, margins.of_the_vehicle
+    tilt, vehicle = margins.tilt, margins.vehicle
     del margins  # the deviation is among the evidence
     obstacle, ground = _chances(evidence_of(t, tilt, on), on, missing)
     relief, least = kept(vehicle), np.minimum.reduce(vehicle)
@@ -177,14 +176,8 @@ class Margins(NamedTuple):
     """Margins to the limits of every touchdown, (R, C) sigmas each."""
 
     tilt: F32
-    belly: F32 | None  # None: not judged
-    deviation: F32 | None  # of the ground from the plane; None: the margin of the belly replaces it
-    rotor: F32 | None  # None: the rotors lie within the footprint
-
-    @property
-    def of_the_vehicle(self) -> list[F32]:
-        """Margins of the vehicle's attitude and parts: all but the deviation."""
-        return [m for m in (self.tilt, self.belly, self.rotor) if m is not None]
+    vehicle: list[F32]  # its tilt, the belly where it is judged, and rotors that reach beyond the footprint
+    deviation: list[F32]  # of the ground from the plane; empty: the margin of the belly replaces it
 
 
 def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
@@ -201,8 +194,10 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
     tilt = _over(lander.max_slope - t.slope, tilt_sigma)
     if t.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
-        return Margins(tilt, _over(lander.belly_clearance - t.rise, rise_sigma), None, t.rotor)
-    return Margins(tilt, None, _over(lander.max_roughness - t.footprint.roughness, local), t.rotor)
+        parts, deviation = [_over(lander.belly_clearance - t.rise, rise_sigma)], []
+    else:
+        parts, deviation = [], [_over(lander.max_roughness - t.footprint.roughness, local)]
+    return Margins(tilt, [tilt, *parts, *([] if t.rotor is None else [t.rotor])], deviation)
 
 
 def _over(margin: F32, sigma: F32) -> F32:

@@ -82,11 +82,10 @@ def report_file(result: RunResult) -> Contents:
 
 def contents(r: RunResult) -> Contents:
     """Every file but run.json, in the order of writing; the caller's own reasons win."""
-    names = ("trajectory.tum", "trajectory.csv")
-    motion: Contents = dict.fromkeys(names, "the motion was not estimated")
-    if r.motions:
-        makers = (vectors.tum, vectors.csv)
-        motion = {name: partial(make, r.motions) for name, make in zip(names, makers, strict=True)}
+    makers = {"trajectory.tum": vectors.tum, "trajectory.csv": vectors.csv}
+    motion: Contents = {
+        name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
+    }
     # the answer first: on a full disk, the small and most important files still find room
     return _sites(r) | _route(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
 
