@@ -237,12 +237,7 @@ def _rotor(height: F32, footprint: Footprint, on: Inputs) -> F32 | None:
 def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:
     """Least margin below the rotor between the footprint's rim and its own, (R, C) in sigmas of the heights (G6, G8c).
 
-    Args:
-        height: (R, C) metres, NaN = unknown.
-        sigma: (R, C) metres, of each height.
-        footprint: its planes; the ground under the rotor may rise above them by at most `rotor_rise`.
-        lander: its rotor.
-        cell: metres.
+    The ground under the rotor may rise above the footprint's plane by at most `rotor_rise`; NaN is unknown ground.
     """
     assert lander.rotor_radius is not None
     outer = disc_spans(lander.rotor_radius / cell)

@@ -163,7 +163,8 @@ class JudgingLane:
         _tidy(elevation)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(found, land_cover, elevation, s.sites, s.lander, observer(seen))
-            self._keep(chosen, found, frame)
+            apart = sites.separation(s.sites, s.lander)
+            self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
@@ -183,10 +184,6 @@ class JudgingLane:
         if m.frame is not None and frame.frame_id != m.frame.frame_id:
             m = m.tied(m.frame.tie(frame), frame)
         self.memory = replace(m, kept=replace(m.kept, frame_id=frame.frame_id), frame=frame)
-
-    def _keep(self, chosen: Sites, found: HazardMap, frame: MapFrame) -> None:
-        apart = sites.separation(self._settings.sites, self._settings.lander)
-        self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """Notes of a run on a verdict: sites of earlier maps, and the reasons why others were given up."""

@@ -66,22 +66,23 @@ class MapFrame:
         return replace(grid, east=grid.east + east, north=grid.north + north)
 
     def elevation(self, elevation: ElevationMap) -> ElevationMap:
-        """A map of this frame in the world, with its frame number and the covariance of its place."""
-        datum, up = elevation.datum, np.float32(self.offset_world[2])
+        """A map of this frame in the world, with its frame number and the covariance of its place.
+
+        The offset is applied there, and is no common error of its heights any more.
+        """
+        datum, (east, north, up) = elevation.datum, self.offset_world
+        if datum is not None:
+            covariance = datum.covariance.copy()
+            covariance[0, 0] = max(covariance[0, 0] - up**2, 0.0)
+            datum = Datum(datum.east + east, datum.north + north, covariance)
         return replace(
             elevation,
             grid=self.grid(elevation.grid),
-            height=elevation.height + up if up else elevation.height,
-            datum=None if datum is None else self._datum(datum),
+            height=elevation.height + np.float32(up) if up else elevation.height,
+            datum=datum,
             frame_id=self.frame_id,
             position_covariance=self.covariance,
         )
-
-    def _datum(self, datum: Datum) -> Datum:
-        """Common error of all heights in the world: the offset is applied there, and is no error any more."""
-        covariance = datum.covariance.copy()
-        covariance[0, 0] = max(covariance[0, 0] - self.offset_world[2] ** 2, 0.0)
-        return Datum(datum.east + self.offset_world[0], datum.north + self.offset_world[1], covariance)
 
     def sites(self, sites: Sites) -> Sites:
         """Sites and candidates of this frame in the world, with the frame number."""

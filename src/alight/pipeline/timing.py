@@ -16,11 +16,7 @@ def unreported(stage: str, share: float) -> None:
 
 
 class Timings:
-    """Seconds of every step, by stage.
-
-    Args:
-        history: keep all of them; without it, those of the last steps.
-    """
+    """Seconds of every step, by stage; without `history`, of the last steps alone."""
 
     def __init__(self, clock: Clock = lambda: 0.0, history: bool = True) -> None:
         self._clock, self._most = clock, None if history else 1000

@@ -135,8 +135,7 @@ class Settings(FrozenModel):
     def stages(self, imu: ImuNoise | None = None) -> StageSettings:
         """The settings of every stage: its keys of a user and its tuned constants, which are valid already, as one.
 
-        Args:
-            imu: noise that the recording states for its IMU; constants that are set here win over it.
+        `imu`: noise that the recording states for its IMU; constants that are set here win over it.
         """
         t, motion, stages = self.tuning, self.motion, get_type_hints(StageSettings)
         noise = (imu or ImuNoise()).in_flight(t.filter.imu_margin)
@@ -147,11 +146,7 @@ class Settings(FrozenModel):
         return StageSettings(**{name: kind.model_construct(**parts[name]) for name, kind in stages.items()})
 
     def to_yaml(self, tuning: bool = False) -> str:
-        """YAML text that `load_settings` takes back: all keys of a user, and the tuned constants that were changed.
-
-        Args:
-            tuning: with all tuned constants.
-        """
+        """YAML text that `load_settings` takes back: the keys of a user, and changed (or all) constants of `tuning`."""
         tree: dict[str, Any] = self.model_dump(mode="json")
         if not tuning:
             tree.pop("tuning")

@@ -46,11 +46,9 @@ def lit(picture: U8) -> Mask:
 
 
 def appearance(elevation: ElevationMap, scale: float = PIXEL) -> Appearance:
-    """Measure colour and texture.
+    """Measure colour and texture of the finest picture.
 
-    Args:
-        elevation: its `finest` picture and `views` are used.
-        scale: metres, the finest detail that is used, so that maps of any cell size compare.
+    `scale`: metres, the finest detail that is used, so that maps of any cell size compare.
     """
     rgb, n = elevation.picture(scale)
     known = lit(rgb) & upsample(elevation.views > 0, n)

@@ -73,12 +73,9 @@ def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
 
 
 def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Relief:
-    """Measure the shape of the ground; on blocks of about half a metre where it is wide.
+    """Measure the shape of the trusted heights; on blocks of about half a metre where it is wide.
 
-    Args:
-        elevation: its trusted heights are used.
-        wet: (R, C) 0 to 1, likeness of the cell to water.
-        settings: scales.
+    `wet`: (R, C) 0 to 1, likeness of the cell to water.
     """
     cell = elevation.grid.cell
     shape = elevation.grid.shape

@@ -28,13 +28,9 @@ QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 
 
 def cell_size(view: View, ground: float, settings: StageSettings, by_quality: bool) -> float:
-    """Size of a cell that suits a view of the ground, metres: 1.8 pixels, unless the settings want larger ones.
+    """Size of a cell that suits a view of ground at a height (metres): 1.8 pixels, unless settings want larger ones.
 
-    Args:
-        view: with its pose.
-        ground: metres, height of the ground below it.
-        settings: a fixed `parallax.cell` wins.
-        by_quality: for a map of a whole recording, which takes `parallax.quality` into account.
+    A fixed `parallax.cell` wins. `by_quality`: of a whole recording, for which `parallax.quality` counts.
     """
     if settings.parallax.cell is not None:
         return settings.parallax.cell
