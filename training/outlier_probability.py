@@ -21,6 +21,7 @@ from sklearn.linear_model import LogisticRegression
 
 import alight_sim as simulate
 from alight.arrays import F32, F64
+from alight.learned import read_wrong_match
 from alight.parallax import uncertainty as trust
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
@@ -78,7 +79,7 @@ def rows_of(
 
 def names() -> list[str]:
     """The terms that have a coefficient."""
-    return [k.removeprefix("odds_") for k in UncertaintyTuning.model_fields if k.startswith("odds_")]
+    return [k for k in read_wrong_match() if k != "constant"]
 
 
 def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
@@ -120,8 +121,8 @@ def main() -> None:
             print(f"{labels[-1]}: {len(part[1])} cells, {100 * part[1].mean():.2f} % wrong", flush=True)
     weight = np.concatenate([np.full(len(y), 1 / len(y)) for _, y in parts])
     b = logistic(np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts]), weight)
-    fitted = zip([*(f"odds_{k}" for k in names()), "odds"], b, strict=True)
-    print("tuning.parallax.uncertainty:", {k: round(float(v), 2) for k, v in fitted})
+    fitted = zip([*names(), "constant"], b, strict=True)
+    print("wrong_match of learned/heights.yaml:", {k: round(float(v), 2) for k, v in fitted})
     for label, (X, y) in zip(labels, parts, strict=True):
         p = 1 / (1 + np.exp(-(np.c_[X, np.ones(len(X))] @ b)))
         kept = p < UncertaintyTuning().max_outlier

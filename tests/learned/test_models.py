@@ -155,7 +155,7 @@ def test_no_evidence_lowers_a_floor(name: str) -> None:
             assert (np.diff(at) >= -1e-6).all(), term
 
 
-@pytest.mark.parametrize("name", [*RATES, "detection", "known_ground", "land_cover", "appearance", "floors"])
+@pytest.mark.parametrize("name", [*RATES, "detection", "known_ground", "land_cover", "appearance", "floors", "heights"])
 def test_every_table_has_a_card_that_explains_it(name: str) -> None:
     card = table_path(name).with_suffix(".md").read_text(encoding="utf-8")
     for heading in ("What it is", "Fitted on", "Made by", "Metrics", "Limits"):

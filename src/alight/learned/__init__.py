@@ -4,10 +4,13 @@ from alight.learned.models import (
     KnownGround,
     Net,
     Rate,
+    SigmaCoefficients,
     arrays_of,
     read_floors,
     read_known,
     read_net,
     read_rate,
+    read_sigma,
+    read_wrong_match,
     table_path,
 )

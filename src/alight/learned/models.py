@@ -1,6 +1,6 @@
 """The fitted tables and the models in them: a net, the known kinds of ground, rates of hazards, floors under these.
 
-Their files are `.npz`, or `.yaml` where set by hand, each with a card (`.md`) of the same name.
+Their files are `.npz`, or `.yaml` for a few numbers, each with a card (`.md`) of the same name.
 """
 
 from __future__ import annotations
@@ -261,8 +261,35 @@ def read_floors() -> dict[str, Floor]:
         knots: NDArray[Any] = np.array(at, np.float64) if at else np.log(log_of)
         return knots, np.array(heights, np.float64)
 
-    floors = yaml.safe_load(table_path("floors").with_suffix(".yaml").read_text(encoding="utf-8"))
     return {
         name: Floor(f["factor"], f["nearness"], tuple({k: curve(**c) for k, c in p.items()} for p in f["sum"]))
-        for name, f in floors.items()
+        for name, f in _yaml("floors").items()
     }
+
+
+class SigmaCoefficients(NamedTuple):
+    """Coefficients of the sigma of a height (eq. 14); `heights.yaml` explains them."""
+
+    fit: float
+    floor_cells: float
+    relief: float
+    hidden_px: float
+    fine_power: float
+    broad_power: float
+    noise_power: float
+
+
+@cache
+def read_sigma() -> SigmaCoefficients:
+    """Read the coefficients of sigma, once."""
+    return SigmaCoefficients(**_yaml("heights")["sigma"])
+
+
+@cache
+def read_wrong_match() -> dict[str, float]:
+    """Read the log odds of a wrong match by evidence, and their `constant` (eq. 15), once."""
+    return dict(_yaml("heights")["wrong_match"])
+
+
+def _yaml(name: str) -> dict[str, Any]:
+    return dict(yaml.safe_load(table_path(name).with_suffix(".yaml").read_text(encoding="utf-8")))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32, U8, U16
 from alight.geometry import Grid
+from alight.learned import SigmaCoefficients, read_sigma, read_wrong_match
 from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.gauss_newton import Fit
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
@@ -48,9 +49,10 @@ def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
     low, high, mid, uneven, mean, square, s2, fitted = out
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
     per_px = np.ascontiguousarray(per_px[::2, ::2])
-    hidden2 = _hidden(mid, uneven, s2, per_px, tuning) + np.float32((tuning.floor_cells * fit.grid.cell) ** 2)
+    sigma = read_sigma()
+    hidden2 = _hidden(mid, uneven, s2, per_px, sigma) + np.float32((sigma.floor_cells * fit.grid.cell) ** 2)
     # (14) of 2 x 2 cells, for the evidence only: heights get it from `kernels.height_sigma`
-    sigma2 = np.float32(tuning.fit) * fitted + hidden2 / (per_px * per_px)
+    sigma2 = np.float32(sigma.fit) * fitted + hidden2 / (per_px * per_px)
     near = np.ones((2 * tuning.step_cells + 1,) * 2, np.uint8)
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
     share = s2 / np.maximum(texture + s2, 1e-6)
@@ -70,16 +72,16 @@ def _filled(height: F32) -> F32:
     return np.where(known, height, upsample(nearest_known(level, share > 0), 2))
 
 
-def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyTuning) -> F32:
+def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, by: SigmaCoefficients) -> F32:
     """Variance of the relief that the windows flatten, metres^2, from the visible relief and the noise (eq. 14)."""
     fine, trend = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
     rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(trend * trend, (0, 0), 1.5)
     square = per_px * per_px
-    out = square * np.float32(tuning.hidden_px**2)
-    for variance, power in ((rough, tuning.fine_power), (wide, tuning.broad_power)):
+    out = square * np.float32(by.hidden_px**2)
+    for variance, power in ((rough, by.fine_power), (wide, by.broad_power)):
         out *= cv2.pow(np.maximum(variance / square, np.float32(1e-4)), 2 * power)
-    out *= cv2.pow(np.maximum(noise, np.float32(1e-5)), 2 * tuning.noise_power)
-    return np.asarray(out + np.float32(tuning.relief) * rough, dtype=np.float32)
+    out *= cv2.pow(np.maximum(noise, np.float32(1e-5)), 2 * by.noise_power)
+    return np.asarray(out + np.float32(by.relief) * rough, dtype=np.float32)
 
 
 def _box(values: F32, cells: int) -> F32:
@@ -110,13 +112,13 @@ def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str,
     }
 
 
-def outlier_probability(terms: dict[str, F32], tuning: UncertaintyTuning) -> F32:
+def outlier_probability(terms: dict[str, F32]) -> F32:
     """Probability that a height is off by more than a hundredth of the height above ground (eq. 15).
 
     The log odds are linear in the logarithms of terms without unit, so they are valid for any camera and height.
     """
-    weights = {k: np.float32(getattr(tuning, f"odds_{k}")) for k in terms}
-    score = sum((weights[k] * np.log(terms[k]) for k in terms), start=np.float32(tuning.odds))
+    odds = {k: np.float32(v) for k, v in read_wrong_match().items()}
+    score = sum((odds[k] * np.log(terms[k]) for k in terms), start=odds["constant"])
     return np.asarray(1.0 / (1.0 + np.exp(-score)), dtype=np.float32)
 
 
@@ -153,11 +155,11 @@ def judged(
     near |= _bit((grey < 3) | (grey > 252), Flag.SATURATED)
     near |= _bit(np.maximum(terms["drop"], terms["rise"]) > tuning.step_px, Flag.STEP)
     near |= _bit(seen.texture + seen.noise < (tuning.min_contrast / NORM_FLOOR) ** 2, Flag.TEXTURE)
-    near |= _bit(outlier_probability(terms, tuning) > tuning.max_outlier, Flag.UNSURE)
+    near |= _bit(outlier_probability(terms) > tuning.max_outlier, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
     # (14) of each cell; `pooled` has it of 2 x 2 cells
-    kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, tuning.fit, sigma)
+    kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, read_sigma().fit, sigma)
     kernels.flag(
         near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,
         (int(Flag.UNSEEN), int(Flag.INCONSISTENT), int(Flag.FEW), int(Flag.RANGE)), residual, flags,

@@ -275,7 +275,7 @@ class ExecutiveKeys(FrozenModel):
     look_again: bool = Field(
         True,
         description="Look again from lower heights, and during the descent; false: for comparison, land without a "
-        "further look on the first site, or candidate of `tuning.executive.at_once`, that is found",
+        "further look on the first site, or candidate of `tuning.executive.probable`, that is found",
     )
     time_budget: Positive = Field(300.0, description="Time after which a landing that is not begun is given up, s")
     least_battery: Fraction = Field(0.2, description="Share of the battery below which the vehicle returns")

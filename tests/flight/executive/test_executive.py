@@ -1046,7 +1046,7 @@ def test_a_search_does_not_come_down_beside_what_it_has_climbed_over() -> None:
 def test_a_steady_error_of_position_does_not_keep_it_from_its_look(off: float) -> None:
     """Beside its way the vehicle keeps its height, but not at the end of its way."""
     aside = np.array([off, 0.0, 0.0])
-    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("tuning.executive.over_site=0.9")))
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("tuning.executive.on_way=0.9")))
     f.change = lambda now, executive: replace(now, position=now.position + aside)  # type: ignore[operator]
     f.fly(120.0)
     assert S.COMMIT in f.states

@@ -111,7 +111,7 @@ class Descent:
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
-        within = self._keys.off_site if self._over else self._keys.over_site
+        within = self._keys.off_way if self._over else self._keys.on_way
         enough = self._over or self._has_enough_verdicts(left)
         self._over = low or (beside <= within and enough and self._is_checked(left))
         at = np.array([place.east, place.north, place.up])

@@ -184,7 +184,7 @@ class Executive:
     def _progress(self, now: Situation) -> Event:
         assert now.position is not None or self.state is S.ABORT
         if self.state is S.HOLD:
-            recovered = now.t - self._limits.missing_at >= self._keys.recovered  # a flicker does not end a hold
+            recovered = now.t - self._limits.missing_at >= self._keys.degraded  # a flicker does not end a hold
             return (E.RECOVERED, "") if recovered else (None, "")
         if self.state is S.SEARCH:
             return self._searching(now)
@@ -267,7 +267,7 @@ class Executive:
         if (outcome := look_outcome(found, visit.height, better, k)) is not None:
             return outcome
         visit.doubts += candidate
-        if candidate and visit.doubts < k.patience:
+        if candidate and visit.doubts < k.refusals_to_abort:
             stage.leg_done = None
             self._plan(self._leg_across(now, visit))  # once more, from the other side
             return None, ""
@@ -282,7 +282,7 @@ class Executive:
             return None
         self._judged = seen.number
         same = k.same_spot if low else max(k.same_place, k.beside * visit.height)
-        least, is_open = k.abort_p_safe if low else k.hopeless, self._is_open(now)
+        least, is_open = k.probable if low else k.hopeless, self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
         found = opinion(visit.place, seen, same, least, may, self._margin)
         if low and self._descent.judged(seen.t, found, visit.left):

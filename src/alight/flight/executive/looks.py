@@ -82,7 +82,7 @@ class LookPlanner:
     """Look legs over the newest map."""
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
-        self._keys, self._calm, self._clear_way = settings.executive, settings.route.calm, clear_way
+        self._keys, self._route, self._clear_way = settings.executive, settings.route, clear_way
         self._open: dict[Site, bool] = {}  # by the newest verdict
         self._number = -1  # of it
 
@@ -90,14 +90,14 @@ class LookPlanner:
         """Height of the first look at a place, metres above it: of its next view, or a share of the present one."""
         assert now.position is not None
         least, up = self._keys.commit_height, float(now.position[2]) - place.up
-        wanted = place.look.height if place.look is not None else up * self._keys.lower
+        wanted = place.look.height if place.look is not None else up * self._route.look_share
         return float(np.clip(wanted, least, max(up, least)))
 
     def next_height(self, height: float) -> float:
         """Height of the look after one from `height`, metres: half of it, down to that for a place in doubt."""
         k = self._keys
         least = k.commit_height if height > k.commit_height * ABOUT else k.nearest
-        return min(height, max(least, height * k.lower))
+        return min(height, max(least, height * self._route.look_share))
 
     def across(
         self, place: Site, height: float, now: Situation, seen: MapVerdict | None, flown: LookLeg | None = None
@@ -113,7 +113,7 @@ class LookPlanner:
         assert now.position is not None
         half = max(self._keys.look_base * height, self._keys.least_base)
         above = np.array([place.east, place.north, place.up + height])
-        leg = LookLeg(above, half, now.position, downwind(now.wind, self._calm))
+        leg = LookLeg(above, half, now.position, downwind(now.wind, self._route.calm))
         if seen is None:
             return leg
         if (found := leg.cleared(self._clear_way, place.up, seen)) is not None or flown is None:

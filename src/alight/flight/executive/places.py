@@ -142,7 +142,7 @@ class KnownPlaces:
     def worth_a_visit(self, place: Site) -> bool:
         """True if the search is broken off for a place: a site, or a good candidate as long as few were refused."""
         few = len(self._refused) < self._keys.tries_at_once
-        return place.kind == "site" or (few and place.p_safe >= self._keys.at_once)
+        return place.kind == "site" or (few and place.p_safe >= self._keys.probable)
 
     def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
         """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""

@@ -13,8 +13,11 @@ class ExecutiveTuning(FrozenModel):
     lane: Positive = Field(0.7, description="Distance of two lanes of the search, over the height")
     look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")
     least_base: Positive = Field(1.5, description="Least half length of a look leg, m")
-    lower: Fraction = Field(0.5, description="Height of the next look over that of the last")
-    at_once: Fraction = Field(0.8, description="P(safe) of a candidate for which the search is broken off")
+    probable: Fraction = Field(
+        0.8,
+        description="P(safe) of a candidate for which the search is broken off; a verdict below it on a landing under "
+        "way refuses its place",
+    )
     tries_at_once: int = Field(
         4, ge=0, description="Places refused from near by after which the search is broken off for sites only"
     )
@@ -27,10 +30,9 @@ class ExecutiveTuning(FrozenModel):
     same_spot: Positive = Field(
         0.5, description="The same once the landing has begun: it comes down without a swerve, m"
     )
-    abort_p_safe: Fraction = Field(
-        0.8, description="P(safe) below which a verdict on a landing under way refuses its place"
+    abort_median: Fraction = Field(
+        0.9, description="Median P(safe) of the last verdicts on a landing under way, below which they refuse its place"
     )
-    abort_median: Fraction = Field(0.9, description="The same for the median of the last verdicts on it")
     last_verdicts: int = Field(5, ge=1, description="So many of them")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
     plain: Fraction = Field(
@@ -40,9 +42,11 @@ class ExecutiveTuning(FrozenModel):
         4.0, description="Height of one more look at a place that is in doubt from the height to commit from, m"
     )
     refusals_to_abort: int = Field(
-        2, ge=1, description="Verdicts in a row that refuse a place before a look, a descent or a landing ends"
+        2,
+        ge=1,
+        description="Verdicts in a row that refuse a place, or leave it in doubt from the lowest look, before it is "
+        "given up",
     )
-    patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
     visits: int = Field(
         8, ge=1, description="Places refused from near by after which candidates are visited no more, sites only"
     )
@@ -51,7 +55,11 @@ class ExecutiveTuning(FrozenModel):
         60.0, description="Time without navigation or pictures that the autopilot is let hold its place, s"
     )
     lasting: NonNegative = Field(3.0, description="Time beyond the limit of wind or battery before it counts, s")
-    degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
+    degraded: Positive = Field(
+        1.0,
+        description="Time of degraded motion that ends a look, a descent or a landing; time with motion and pictures "
+        "after which a hold ends, s",
+    )
     degraded_height: NonNegative = Field(
         3.0, description="Height above the site below which it does not end a landing, where the autopilot holds, m"
     )
@@ -63,11 +71,10 @@ class ExecutiveTuning(FrozenModel):
         2.0,
         description="Way down at most below the height from which so many verdicts saw the place, m",
     )
-    recovered: NonNegative = Field(1.0, description="Time with motion and pictures after which a hold ends, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
-    over_site: Positive = Field(0.4, description="Distance from the site within which it begins to come down, m")
-    off_site: Positive = Field(0.7, description="Distance from the site beyond which it keeps its height again, m")
+    on_way: Positive = Field(0.4, description="Distance from its way, or its site, within which it comes down, m")
+    off_way: Positive = Field(0.7, description="Distance from it beyond which it keeps its height again, m")
     aside_speed: Positive = Field(
         0.4,
         description="Speed sideways while it comes down, m/s, half of it at last: a jump of GPS must not rush it. "
@@ -82,6 +89,4 @@ class ExecutiveTuning(FrozenModel):
         3.0, description="Height above the ground about it from which what is in doubt may be a tree, m"
     )
     risen: NonNegative = Field(1.0, description="Area of this below a way that may be flown low, m^2")
-    off_way: Positive = Field(0.6, description="Distance beside a way down to a look beyond which it stays level, m")
-    on_way: Positive = Field(0.3, description="Distance from this way within which it comes down again, m")
     arrived: Positive = Field(1.0, description="Distance within which a way-point is reached, m")

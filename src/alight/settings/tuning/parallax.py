@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from alight.settings.base import Finite, Fraction, FrozenModel, NonNegative, Positive
+from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 Triple = tuple[Positive, Positive, Positive]
 
@@ -60,7 +60,7 @@ class RefinementTuning(FrozenModel):
 
 
 class UncertaintyTuning(FrozenModel):
-    """Sigma of a height (eq. 14), the probability of a wrong match (eq. 15), and flags."""
+    """Flags, and what they look at; the coefficients of sigma and of a wrong match are fitted (`alight.learned`)."""
 
     min_contrast: Positive = Field(0.7, description="Least contrast of the views, grey levels; below: TEXTURE")
     max_residual: Fraction = Field(
@@ -69,30 +69,12 @@ class UncertaintyTuning(FrozenModel):
     max_cost_ratio: Positive = Field(
         1.2, description="Largest mean ratio of best to second-best cost nearby; above: AMBIGUOUS"
     )
-    fit: Positive = Field(0.16, description="Factor of the variance of the fit (noise over information)")
-    floor_cells: NonNegative = Field(0.03, description="Least 1-sigma, cells")
-    relief: NonNegative = Field(2.2, description="Factor of the variance of the visible relief")
-    hidden_px: NonNegative = Field(6.5, description="Factor of the relief that the windows flatten, parallax px")
-    fine_power: NonNegative = Field(0.16, description="Power of the 1-sigma of the fine relief in it")
-    broad_power: NonNegative = Field(0.22, description="Power of the 1-sigma of the broad relief in it")
-    noise_power: NonNegative = Field(0.42, description="Power of the 1-sigma of the samples in it")
     step_px: Positive = Field(
         4.0, description="Height difference to a neighbour from which a cell is a STEP, parallax px"
     )
     step_cells: int = Field(2, ge=1, description="Reach of the neighbours across a step, cells of half resolution")
     near_cells: int = Field(5, ge=1, description="Window of what is nearby, cells of half resolution")
     max_outlier: Fraction = Field(0.45, description="Largest probability of a wrong match; above: UNSURE")
-    odds: Finite = Field(-0.97, description="Log odds of a wrong match: constant term")
-    odds_ambiguity: Finite = Field(1.2, description="Log odds per logarithm of the cost ratio nearby")
-    odds_residual: Finite = Field(1.1, description="Log odds per logarithm of the residual share nearby")
-    odds_sigma: Finite = Field(0.3, description="Log odds per logarithm of sigma nearby, parallax px")
-    odds_drop: Finite = Field(
-        0.99, description="Log odds per logarithm of the drop to the lowest neighbour, parallax px"
-    )
-    odds_rise: Finite = Field(
-        0.63, description="Log odds per logarithm of the rise to the highest neighbour, parallax px"
-    )
-    odds_slide: Finite = Field(-1.9, description="Log odds per logarithm of the baseline over the height")
 
 
 class ConsistencyTuning(FrozenModel):

@@ -24,7 +24,7 @@ class RouteTuning(FrozenModel):
     """Way-points to the best site."""
 
     look_share: Fraction = Field(
-        0.5, description="Height of the last inspection of the ground over the approach height"
+        0.5, description="Height of a look over that of the last; of the last inspection over the approach height"
     )
     air_speed: Positive = Field(
         12.0, description="Most speed through the air, m/s; against the wind it flies slower over the ground"
