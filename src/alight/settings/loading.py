@@ -49,7 +49,7 @@ def settings_of_run(stored: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
     """
-    return _validated(_tree((key, value) for key, value in _leaves(stored) if key in all_keys()))
+    return _validated(_tree(item for item in _leaves(stored) if item[0] in all_keys()))
 
 
 def _to_fly(tree: Tree) -> Settings:
@@ -146,9 +146,5 @@ def nearest(key: str) -> str | None:
     """The known key or group that is most like an unknown one; None where none is alike."""
     names = dict.fromkeys(name for k in all_keys() for name in (k, k.rpartition(".")[0]))
     found = get_close_matches(key, names, n=3, cutoff=0.75)
-    return max(found, key=lambda name: _likeness(name, key), default=None)
-
-
-def _likeness(one: str, other: str) -> float:
-    """Likeness of the last parts of two keys, 0 to 1."""
-    return SequenceMatcher(None, one.rpartition(".")[2], other.rpartition(".")[2]).ratio()
+    last = key.rpartition(".")[2]
+    return max(found, key=lambda name: SequenceMatcher(None, name.rpartition(".")[2], last).ratio(), default=None)
