@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
-from alight.landing.next_view import Observer
-from alight.landing.sites import choose_sites
+from alight.landing.sites import Observer, choose_sites
 from alight.pipeline.judging import find_land_cover
 from alight.records import ElevationMap, HazardMap
 from alight.settings import HazardsSettings, Lander, Settings

@@ -34,7 +34,7 @@ from alight.geometry import so3_log
 from alight.pipeline import Pipeline, PipelineOptions
 from alight.records import ElevationMap, Event, Motion
 from alight.settings import Settings, load_settings
-from alight.settings.keys import walk
+from alight.settings.loading import walk
 from alight.settings.tuning import Tuning
 from alight.spread import nmad
 from alight_sim import SimulatedFlight

@@ -25,7 +25,7 @@ from tables import DATA
 from alight import hazards
 from alight.arrays import F32
 from alight.landing import sites
-from alight.landing.next_view import Observer
+from alight.landing.sites import Observer
 from alight.pipeline.judging import find_land_cover
 from alight.raster import distance_to
 from alight.records import Hazard, HazardMap, Site

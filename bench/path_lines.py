@@ -15,7 +15,7 @@ LEFT_OUT = (
     "alight.photos.bundle", "alight.training", "alight.outputs", "alight.report", "alight.evaluation", "alight.cli",
     "alight.api", "alight.result", "alight.trials.demo", "alight.runner.judge", "alight.flight.live",
     "alight.photos.reading.photo", "alight.photos.work", "alight.sources.raster",
-    "alight.hazards.sharpen", "alight.hazards.sunlight", "alight.settings.page",
+    "alight.hazards.sharpen", "alight.settings.page",
 )  # fmt: skip
 
 

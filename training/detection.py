@@ -23,8 +23,7 @@ from ground_maps import HOWS, TUNING, judgeable
 from ground_truth import GroundTruth
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.hazards.evidence import patch_mean, power_of_bumps, relief_power
-from alight.hazards.picture_spots import picture_spots
+from alight.hazards.evidence import patch_mean, picture_spots, power_of_bumps, relief_power
 from alight.raster import distance_to, ellipse, local_max
 from alight.records import LANDABLE, Terrain
 from alight.settings import Lander, Settings

@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from PIL import ExifTags, Image
 
-from alight.settings.keys import all_keys, user_keys
+from alight.settings.loading import all_keys, user_keys
 
 NUMBERS = (
     "", "nan", "inf", "-inf", "0", "-0.0", "-1", "1", "1e-300", "1e300", "-1e300", "1e200", "1e9", "-1e9", "1e5", "0.5",

@@ -158,8 +158,7 @@ def judge(
         Path(dem), None if sigma is None else str(sigma), None if image is None else Path(image),
         chosen.hazards.usual_sigma,
     )  # fmt: skip
-    judgement = runner.judge_ground(ground, chosen, Path(dem).name)
-    return Result(judgement.result, lambda record, out, overwrite: judgement.save(out, overwrite))
+    return runner.judge_ground(ground, chosen, Path(dem).name)
 
 
 def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -> SimulatedFlight:

@@ -24,7 +24,6 @@ from alight.records import InputError
 log = logging.getLogger(__name__)
 
 FILES = 8  # that a process of `InProcesses` takes here: its queues and what wakes them
-_here = threading.local()  # of a thread of `do_alone`: the object that it keeps from task to task
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +36,7 @@ class Sent:
 
 @dataclass(frozen=True, eq=False)
 class KeptHere:
-    """An argument that a process, or a thread of it, makes for itself and keeps from task to task, such as a cache."""
+    """An argument that a process makes for itself and keeps from task to task, such as a cache."""
 
     name: str  # the same name is the same object
     make: Callable[[], Any]  # can be pickled; its result may be used by several threads
@@ -72,46 +71,46 @@ class Jobs(Protocol):
         """
 
 
+class LastKept:
+    """The object of the last `KeptHere`, for the threads that share it: a step has one, hundreds of megabytes."""
+
+    def __init__(self) -> None:
+        self._last: tuple[str, Any] = "", None
+        self._making = threading.Lock()
+
+    def get(self, kept: KeptHere) -> Any:
+        """The object, made anew where the last one had another name."""
+        with self._making:
+            if self._last[0] != kept.name:
+                self._last = kept.name, kept.make()
+            return self._last[1]
+
+
 class InTurn:
     """Tasks done by this process, in turn or on its threads."""
 
     def __init__(self) -> None:
-        self._kept: tuple[str, Any] = "", None  # the last one: a step has one, hundreds of megabytes
-        self._making = threading.Lock()
+        self._kept = LastKept()
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
         """As `Jobs`. The object that is kept from task to task (`KeptHere`) is freed after the last task."""
         threads = compiled.most_threads() if at_once else 1
-        try:
-            yield from self._on_threads(tasks, threads) if threads > 1 else map(self.do, tasks)
-        finally:
-            self._kept = "", None
-            memory.give_back()
-
-    def _on_threads(self, tasks: Iterable[Task], threads: int) -> Iterator[Any]:
-        pool = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,))
+        pool = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,))  # starts none before a task
         try:  # few at a time: their arguments are large
-            yield from results(tasks, lambda task: pool.submit(self.do, task), lambda: threads + 1)
+            on_threads = results(tasks, lambda task: pool.submit(self.do, task), lambda: threads + 1)
+            yield from on_threads if threads > 1 else map(self.do, tasks)
         finally:
             pool.shutdown(cancel_futures=True)
+            self._kept = LastKept()
+            memory.give_back()
 
     def do(self, task: Task) -> Any:
         """Do one task."""
-        return task.do(*resolved(task.arguments, lambda sent: sent.value, self._keep))
-
-    def _keep(self, kept: KeptHere) -> Any:
-        with self._making:
-            if self._kept[0] != kept.name:
-                self._kept = kept.name, kept.make()
-            return self._kept[1]
+        return task.do(*resolved(task.arguments, lambda sent: sent.value, self._kept.get))
 
 
 class InProcesses:
-    """Tasks done by processes of this machine, one each at a time: a process that dies loses its own task alone.
-
-    Args:
-        count: number of processes.
-    """
+    """Tasks done by `count` processes of this machine, one each at a time: one that dies loses its own task alone."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -227,14 +226,10 @@ def do_alone(do: Callable[..., Any], *arguments: Any) -> Any:
     """Do a task in another process than its sender's, on one thread, for the same results."""
     compiled.use_threads(1)
     with threadpool_limits(limits=1, user_api="blas"):
-        return do(*resolved(arguments, lambda sent: sent.value, _kept))
+        return do(*resolved(arguments, lambda sent: sent.value, _here.get))
 
 
-def _kept(kept: KeptHere) -> Any:
-    """The last object that this thread made for itself, or a new one in its place."""
-    if getattr(_here, "name", None) != kept.name:
-        _here.name, _here.value = kept.name, kept.make()
-    return _here.value
+_here = LastKept()  # of the tasks of `do_alone`
 
 
 def resolved(

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from alight.arrays import F32, I64, U8, Mask
@@ -346,6 +346,12 @@ def log_offset(values: F32, offset: float) -> F32:
 # -- log brightness and excess green of a picture: contrasts in them do not depend on the exposure
 
 
+def grey_levels(picture: ArrayLike) -> U8:
+    """Grey levels (R, C) of a picture of 8 bits, (R, C) grey or (R, C, 3) RGB."""
+    levels = np.asarray(picture)
+    return levels if levels.ndim == 2 else np.asarray(cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
 def log_levels(levels: U8) -> F32:
     """Natural logarithm of grey levels, of any shape."""
     return np.asarray(_LOG_LEVELS[levels])
@@ -353,7 +359,7 @@ def log_levels(levels: U8) -> F32:
 
 def log_brightness(rgb: U8) -> F32:
     """Natural logarithm of the brightness of a picture, (R, C) of (R, C, 3)."""
-    return log_levels(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
+    return log_levels(grey_levels(rgb))
 
 
 class BlockLight(NamedTuple):

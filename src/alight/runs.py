@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from alight.pipeline import Decision
 from alight.records import Home, InputError, PhotoRow, RunResult, Telemetry
@@ -115,31 +116,11 @@ def result_of(
     timings: Mapping[str, Sequence[float]],
     photos: Sequence[PhotoRow] = (),
 ) -> RunResult:
-    """Collect the contents of the output folder and the report.
-
-    Args:
-        source: the recording, or the source of a flight's events.
-        settings: all settings.
-        d: the decision.
-        timings: seconds of every step, by stage.
-        photos: outcome of each photo.
-    """
+    """Collect the contents of the output folder and the report; `timings`: seconds of every step, by stage."""
+    found: dict[str, Any] = vars(d) | {
+        "notes": {**source.notes, **d.notes}, "warnings": [*source.warnings, *d.warnings],
+    }  # fmt: skip
     return RunResult(
-        source_name=source.name,
-        source_kind=source.kind,
-        local=source.local,
-        georeferenced=source.georeferenced,
-        settings=settings,
-        sites=d.sites,
-        elevation=d.elevation,
-        terrain=d.terrain,
-        hazards=d.hazards,
-        route=d.route,
-        motions=d.motions,
-        height_above_ground=d.height_above_ground,
-        counts=source.counts,
-        notes={**source.notes, **d.notes},
-        warnings=[*source.warnings, *d.warnings],
-        photos=photos,
-        timings=timings,
-    )
+        source_name=source.name, source_kind=source.kind, local=source.local, georeferenced=source.georeferenced,
+        settings=settings, counts=source.counts, photos=photos, timings=timings, **found,
+    )  # fmt: skip

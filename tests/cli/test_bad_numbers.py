@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from damage import UNSMOOTHED, change_field, dji_tags, write_photo, write_yaml, xmp_packet
@@ -13,7 +14,7 @@ from length import first_rows
 from PIL import ExifTags, Image
 
 from alight.cli import call
-from alight.pipeline.mapping.cell_size import refuse_too_large
+from alight.pipeline.mapping.ground_map import refuse_too_large
 from alight.records import SettingsError
 
 
@@ -154,11 +155,12 @@ def test_photos_that_fix_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_a_map_too_large_is_refused_with_the_cell_that_mends_it() -> None:
-    refuse_too_large((0.0, 0.0), (1000.0, 1000.0), 0.05, 22.0)
+    corners = np.zeros(2), np.full(2, 1000.0)
+    refuse_too_large(*corners, 0.05, 22.0)
     with pytest.raises(
         SettingsError, match=r"1,000 x 1,000 m needs about 22,000,000 GB; parallax\.cell=0\.1 would need"
     ):
-        refuse_too_large((0.0, 0.0), (1000.0, 1000.0), 1e-6 * 31.6227766, 22.0)
+        refuse_too_large(*corners, 1e-6 * 31.6227766, 22.0)
 
 
 @pytest.mark.parametrize(

@@ -10,19 +10,18 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
-from ground import GREY, covered, ground, plane, textured
+from ground import GREY, covered, ground, land_cover, plane, textured
 from numpy.testing import assert_allclose
 from scipy.special import logit
 
 from alight.geometry import Grid
 from alight.hazards import assess
-from alight.hazards.evidence import ground_odds
-from alight.hazards.picture_spots import green_spots, picture_spots
-from alight.hazards.usable_heights import measured_height
+from alight.hazards.evidence import green_spots, ground_odds, picture_spots
+from alight.hazards.touchdown import measured_height
 from alight.learned import read_floors
 from alight.learned.terms import NearTerm
 from alight.raster import clearance_of
-from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
+from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap
 from alight.settings import HazardsSettings, Lander
 
 EXACT = HazardsSettings(tilt_sigma=0.0, smoothed=False)
@@ -359,8 +358,7 @@ def test_a_doubtful_height_tells_of_an_obstacle_unless_its_sigma_says_that_it_is
 def test_rock_counts_as_ground_that_bears_where_the_classes_say_so() -> None:
     grid, label = Grid(0.0, 0.0, 0.1, 1, 1), np.ones((1, 1), np.uint8)
     landable, bears = (np.full((1, 1), p, np.float32) for p in (0.6, 0.99))
-    assert_allclose(ground_odds(TerrainMap(grid, label, landable, bears=bears), (1, 1)), logit(0.01), atol=0.01)
-    assert_allclose(ground_odds(TerrainMap(grid, label, landable), (1, 1)), logit(0.4), atol=0.01)
+    assert_allclose(ground_odds(land_cover(grid, label, landable, bears=bears), (1, 1)), logit(0.01), atol=0.01)
     assert ground_odds(None, (1, 1))[0, 0] < logit(0.001)
 
 

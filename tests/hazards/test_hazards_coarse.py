@@ -45,7 +45,7 @@ def test_surveyed_cells_that_are_too_wide_leave_the_usual_obstacles_unseen() -> 
 @pytest.mark.parametrize(("cell", "warned"), [(0.1, False), (0.5, True)])
 def test_a_raster_of_wide_cells_is_warned_of_and_its_places_are_candidates(cell: float, warned: bool) -> None:
     raster = GroundRaster(ground(np.zeros((81, 81)), cell=cell, sigma=0.01), None, None, (), ())
-    result = judge_ground(raster, for_surveyed_heights(Settings()), "dem.tif").result
+    result = judge_ground(raster, for_surveyed_heights(Settings()), "dem.tif").record
     told = [w for w in result.warnings if w.startswith("cells of 0.5 m do not show every obstacle of 0.15 m")]
     assert bool(told) == warned
     assert bool(result.sites.sites) != warned

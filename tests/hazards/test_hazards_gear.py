@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from alight.hazards import assess
 from alight.hazards.gear import feet_of, is_coarse
-from alight.hazards.usable_heights import measured_height, usable_height
+from alight.hazards.touchdown import measured_height, usable_height
 from alight.records import Flag, Hazard, HazardMap, Terrain
 from alight.settings import HazardsSettings, Lander
 

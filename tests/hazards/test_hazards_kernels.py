@@ -12,10 +12,9 @@ from length import first
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
-from alight.hazards.contact import footprint_of, step_of
 from alight.hazards.contact_kernels import resting_pitches
 from alight.hazards.gear import block_starts, feet_of, gear_contact, skids_of, unlike_directions
-from alight.hazards.touchdown import rotor_margin
+from alight.hazards.touchdown import footprint_of, rotor_margin, step_of
 from alight.raster import disc_any, disc_mask, disc_spans
 from alight.settings import Lander
 from alight.terrain.basin_kernels import fill_basins

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.hazards.footprint_kernels import cast_shadows
-from alight.hazards.sharpen import coarsen, coarsen_transposed, sharpen
-from alight.hazards.sunlight import find_light, gradients, in_shadow, shadow_level
+from alight.hazards.sharpen import coarsen, coarsen_transposed, find_light, gradients, in_shadow, shadow_level, sharpen
 from alight.records import Flag
 from alight.settings import HazardsSettings, Lander
 from alight.settings.tuning.hazards import SharpenTuning

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ground import ground
+from ground import covered, ground
 from numpy.testing import assert_allclose
 
 from alight.hazards import assess
@@ -69,9 +69,7 @@ def looked_at(
 def plants(bears: float) -> TerrainMap:
     """Tall plants with this probability of bearing, whose class refuses nothing."""
     shape = (81, 81)
-    every = np.full(shape, bears, np.float32)
-    grid = ground(np.zeros(shape)).grid
-    return TerrainMap(grid, np.full(shape, Terrain.TALL_VEGETATION, np.uint8), every, bears=every.copy())
+    return covered(ground(np.zeros(shape)), bears, Terrain.TALL_VEGETATION)
 
 
 def test_even_ground_that_hardly_bears_is_no_site_from_near_by_and_a_footprint_of_half_a_chance_costs_nothing() -> None:

@@ -14,7 +14,7 @@ from alight.flight.live.lanes import NavigationProcess
 from alight.pipeline import Verdict
 from alight.pipeline.judging import JudgingLane
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.mapping.recursive_map import RecursiveMapper
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.navigation.filter_lane import FrameBatch
 from alight.pipeline.timing import Timings

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,7 +36,15 @@ def plane(rows: int, cols: int, east_slope: float, north_slope: float, cell: flo
 def covered(elevation: ElevationMap, landable: ArrayLike, label: Terrain = Terrain.SHORT_GRASS) -> TerrainMap:
     """Land cover of one class, with P(landable) of each cell."""
     p = np.broadcast_to(np.asarray(landable, dtype=np.float32), elevation.grid.shape).copy()
-    return TerrainMap(elevation.grid, np.full(elevation.grid.shape, label, np.uint8), p)
+    return land_cover(elevation.grid, np.full(elevation.grid.shape, label, np.uint8), p)
+
+
+def land_cover(grid: Grid, label: NDArray[np.uint8], landable: NDArray[np.float32], **others: Any) -> TerrainMap:
+    """Land cover of dry, open ground like all known ground, which bears where it is landable; `others` win."""
+    nothing = np.zeros(grid.shape, np.float32)
+    water = (label == Terrain.WATER).astype(np.float32)
+    plain = {"water": water, "enclosed": nothing, "raised": nothing, "novelty": nothing, "bears": landable}
+    return TerrainMap(grid, label, landable, **{**plain, **others})
 
 
 def textured(colour: tuple[int, int, int], shape: tuple[int, int], contrast: float, seed: int) -> NDArray[np.uint8]:

@@ -8,8 +8,8 @@ from functools import cache
 from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
 from alight.pipeline.mapping import FinishedMap
-from alight.pipeline.mapping.batch_mapper import BatchMapper
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.mapping.batch_map import BatchMapper
+from alight.pipeline.mapping.recursive_map import RecursiveMapper
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Timings
 from alight.records import ElevationMap, Event, ImuSample, Rig, RigCamera
@@ -59,7 +59,8 @@ def mapped(mapper: BatchMapper | RecursiveMapper, events: tuple[Event, ...] | No
         navigation = lane.feed(e)
         if navigation is not None:
             mapper.feed(navigation)
-        most_bytes, most_keyframes = max(most_bytes, mapper.store.bytes), max(most_keyframes, len(mapper.store))
+        most_bytes = max(most_bytes, mapper.store.bytes)
+        most_keyframes = max(most_keyframes, len(mapper.store.keyframes))
     found = mapper.finish(lane.finish(lambda share: None), lambda share: None)
     return Mapped(found, most_bytes, most_keyframes)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from ground import land_cover
 
 from alight.geometry import Grid, LocalFrame, Pose, so3_exp
 from alight.records import (
@@ -56,7 +57,7 @@ def terrain() -> TerrainMap:
     label = np.full(GRID.shape, Terrain.SHORT_GRASS, np.uint8)
     label[80:110, 100:150] = Terrain.WATER
     label[:10, :10] = Terrain.UNKNOWN
-    return TerrainMap(GRID, label, np.where(label == Terrain.WATER, 0.0, 1.0).astype(np.float32))
+    return land_cover(GRID, label, np.where(label == Terrain.WATER, 0.0, 1.0).astype(np.float32))
 
 
 def hazards() -> HazardMap:

@@ -9,7 +9,7 @@ import pytest
 from parsed import PACKAGE, ROOT, nodes_of, text_of
 
 from alight.records import Flag, Hazard
-from alight.report import words
+from alight.report import paint
 
 PAGE = text_of(ROOT / "docs" / "reading-the-report.md")
 STAGES = [p for part in ("pipeline", "landing", "motion") for p in (PACKAGE / part).rglob("*.py")]
@@ -50,9 +50,9 @@ def test_a_share_of_the_ground_is_on_the_page(share: str) -> None:
 
 @pytest.mark.parametrize("hazard", list(Hazard))
 def test_a_key_of_the_map_of_reasons_is_on_the_page(hazard: Hazard) -> None:
-    assert f"| {words.HAZARDS[hazard]} | {hazard.name} |" in PAGE
+    assert f"| {paint.HAZARDS[hazard].text} | {hazard.name} |" in PAGE
 
 
 @pytest.mark.parametrize("flag", list(Flag))
 def test_a_key_of_the_map_of_flags_is_on_the_page(flag: Flag) -> None:
-    assert f"| {words.FLAGS[flag]} | {flag.name} |" in PAGE
+    assert f"| {paint.FLAGS[flag].text} | {flag.name} |" in PAGE

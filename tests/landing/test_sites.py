@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.landing import sites
-from alight.landing.next_view import Observer, next_view
 from alight.landing.reserve import Reserve
+from alight.landing.sites import Observer, next_view
 from alight.raster import clearance_of
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, NextView, Sites, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander, SitesSettings

@@ -388,7 +388,7 @@ def test_csv_has_velocity_and_sigma(out: Path) -> None:
 
 def test_attitude_sigma_turns_into_the_body() -> None:
     m = some_run().motions[0]  # heading 1.2 rad: roll and pitch mix the world's east and north parts
-    roll, pitch, _ = outputs.trajectory.attitude_sigma(m)
+    roll, pitch, _ = outputs.vectors.attitude_sigma(m)
     s, c = np.sin(1.2), np.cos(1.2)
     assert roll == pytest.approx(np.hypot(1e-3 * c, 2e-3 * s), rel=0.02)
     assert pitch == pytest.approx(np.hypot(1e-3 * s, 2e-3 * c), rel=0.02)
@@ -504,9 +504,9 @@ def test_a_judgement_and_a_run_leave_nothing_of_each_other(tmp_path: Path) -> No
     judged = some_run(source_kind="heights", georeferenced=False)
     own = {"safe.tif", "reasons.tif", "hazards.tif", "report.html", "run.json"}
     write_run(some_run(), tmp_path)
-    write_judgement(judged, None, False, tmp_path, False)
+    write_judgement(judged, tmp_path, False, None, False)
     assert {p.name for p in tmp_path.iterdir()} == own
-    write_judgement(judged, None, True, tmp_path, False)
+    write_judgement(judged, tmp_path, False, None, True)
     assert (tmp_path / "heights.tif").exists()
     write_run(some_run(), tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {*FILES, "run.json"}

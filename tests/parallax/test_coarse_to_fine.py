@@ -16,7 +16,7 @@ from alight.parallax.batch import Images, match_tile
 from alight.parallax.plane_sweep import Spans, narrowed, upright
 from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.batch_map import MARGIN, BatchMap
-from alight.pipeline.mapping.cell_size import cell_size
+from alight.pipeline.mapping.ground_map import cell_size
 from alight.records import is_trusted
 from alight.settings import ParallaxSettings, load_settings
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ground import land_cover
 
 from alight.geometry import Grid
-from alight.pipeline.cover_memory import FADES, SURE, CoverMemory
+from alight.pipeline.remembered import FADES, SURE, CoverMemory
 from alight.records import Terrain, TerrainMap
 
 GRID = Grid(0.0, 10.0, 0.25, 20, 24)
@@ -16,7 +17,7 @@ SECOND = 1_000_000_000
 def look(bears: float, novelty: float, grid: Grid = GRID) -> TerrainMap:
     every = np.full(grid.shape, bears, np.float32)
     label = np.full(grid.shape, Terrain.PAVED, np.uint8)
-    return TerrainMap(grid, label, every, bears=every.copy(), novelty=np.full(grid.shape, novelty, np.float32))
+    return land_cover(grid, label, every, bears=every.copy(), novelty=np.full(grid.shape, novelty, np.float32))
 
 
 def after(*looks: tuple[TerrainMap, float]) -> TerrainMap:
@@ -79,13 +80,6 @@ def test_a_memory_moves_with_the_frame_and_one_that_is_not_sure_is_dropped() -> 
     assert memory.moved(shift, SURE).with_seen(there, SECOND).doubted(there).bears == pytest.approx(0.4)
     for sigma in (1.1 * SURE, float("nan")):
         assert memory.moved(shift, sigma).with_seen(there, SECOND).doubted(there).bears == pytest.approx(0.97)
-
-
-def test_land_cover_without_probabilities_passes() -> None:
-    plain = TerrainMap(GRID, np.zeros(GRID.shape, np.uint8), np.ones(GRID.shape, np.float32))
-    memory = CoverMemory().with_seen(look(0.4, 0.2), 0)
-    assert memory.with_seen(plain, 1) is memory
-    assert memory.doubted(plain) is plain
 
 
 def test_an_earlier_look_fades_alike_however_often_a_map_is_made() -> None:

@@ -15,7 +15,7 @@ from alight.hazards import assess
 from alight.parallax.orthophoto import orthophoto
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict, find_land_cover, observer
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping import MapSnapshot, VehiclePosition
+from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.remembered import NOWHERE
 from alight.pipeline.timing import Timings
 from alight.raster import block_mean, cells_as_blocks
@@ -34,8 +34,8 @@ def test_the_observer_is_the_vehicle_with_the_cameras_of_the_newest_instant(
 ) -> None:
     """The cameras of the exposure before had another focal length, and there were two."""
     views = (look_down(1, 0, 300.0), look_down(1, 1, 300.0), *(look_down(2, cam, 500.0) for cam in newest))
-    vehicle = VehiclePosition(np.array([1.0, 2.0, 9.0]), 8.0)
-    seen = MapSnapshot(elevation(), views, vehicle, MapFrame(0, np.zeros(3), np.eye(3)))
+    vehicle = np.array([1.0, 2.0, 9.0]), 8.0
+    seen = MapSnapshot(elevation(), views, *vehicle, MapFrame(0, np.zeros(3), np.eye(3)))
     who = observer(seen)
     assert (who.focal, who.stereo, who.height_above_ground) == (500.0, stereo, 8.0)
     np.testing.assert_array_equal(who.position, [1.0, 2.0, 9.0])
@@ -117,8 +117,8 @@ def test_a_missing_second_camera_or_attitude_is_warned_of_and_p_pays_for_it(
 
 def test_a_snapshot_knows_which_veto_is_missing() -> None:
     one, two = (look_down(0, cam, 300.0) for cam in (0, 1))
-    place = VehiclePosition(np.zeros(3), 10.0)
-    seen = MapSnapshot(elevation(), (one, two), place, MapFrame(0, np.zeros(3), np.eye(3)))
+    place = np.zeros(3), 10.0
+    seen = MapSnapshot(elevation(), (one, two), *place, MapFrame(0, np.zeros(3), np.eye(3)))
     assert seen.missing == MissingVeto(0)
     assert replace(seen, views=(one,)).missing == MissingVeto.SECOND_CAMERA
     assert replace(seen, attitude=False).missing == MissingVeto.ATTITUDE
@@ -151,9 +151,9 @@ def on_a_roof(half: float) -> MapSnapshot:
     grid = replace(seen.grid, east=-half, north=half)
     x, y = (np.abs(v) for v in grid.xy())
     height = np.where((x < 4)[None] & (y < 4)[:, None], 4.0, 0.0).astype(np.float32)
-    place = VehiclePosition(np.array([0.0, 0.0, 20.0]), 16.0)
+    place = np.array([0.0, 0.0, 20.0]), 16.0
     frame = MapFrame(0, np.zeros(3), np.eye(3))
-    return MapSnapshot(replace(seen, grid=grid, height=height), (look_down(1, 0, 300.0),), place, frame)
+    return MapSnapshot(replace(seen, grid=grid, height=height), (look_down(1, 0, 300.0),), *place, frame)
 
 
 def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:

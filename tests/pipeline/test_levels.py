@@ -14,9 +14,9 @@ from descent_views import descent, level_flight, look, surface
 from alight.elevation import FIELDS, NullStore
 from alight.geometry import Pose
 from alight.pipeline.mapping.batch_map import BatchMap
-from alight.pipeline.mapping.cell_size import level_for
+from alight.pipeline.mapping.ground_map import level_for
+from alight.pipeline.mapping.keyframes import footprint
 from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.pipeline.mapping.view_geometry import footprint
 from alight.pipeline.remembered import NOWHERE
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings

@@ -17,7 +17,7 @@ from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
 from alight.pipeline import Decision, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.mapping.recursive_map import RecursiveMapper
 from alight.pipeline.navigation import Navigation, NavigationLane, Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Progress, Timings
@@ -73,7 +73,7 @@ def test_without_an_offset_every_bit_stays() -> None:
 
 
 def test_sites_and_views_move_with_it() -> None:
-    there = frame_of().site(site())
+    there = frame_of().sites(Sites((site(),))).sites[0]
     assert (there.east, there.north) == (site().east + 1.25, site().north - 0.5)
     assert there.up == pytest.approx(site().up + 0.75)
     seen = frame_of(frame_id=3).sites(Sites((site(),), candidates=(candidate(2),)))
@@ -91,7 +91,7 @@ def test_a_verdict_stays_in_the_frame_of_its_map_until_it_leaves() -> None:
     there = verdict.in_world()
     assert there.elevation.grid == there.hazards.grid == frame_of().grid(elevation().grid)
     assert_allclose(there.elevation.height, elevation().height + 0.75, rtol=1e-6)
-    assert there.sites.sites == (frame_of().site(site()),)
+    assert there.sites.sites == frame_of().sites(Sites((site(),))).sites
     assert there.sites.frame_id == there.elevation.frame_id == there.frame.frame_id == 3
     again = there.in_world()
     assert again.elevation.height is there.elevation.height
@@ -103,7 +103,7 @@ def test_a_tie_adds_up_what_is_not_known_of_both_places() -> None:
         frame_of(np.zeros(3), 1, covariance=np.diag([0.16, 0.01, 1.0]))
     )
     assert_allclose(tie.shift, OFFSET)
-    assert tie.sigma_horizontal == pytest.approx(0.5)
+    assert tie.sigma == pytest.approx(0.5)
 
 
 def test_a_site_in_reserve_is_moved_where_its_clearance_covers_the_tie() -> None:

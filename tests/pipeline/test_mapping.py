@@ -16,14 +16,12 @@ from alight.geometry import Grid, Pose
 from alight.landing.reserve import Reserve
 from alight.parallax.sparse_points import height_range
 from alight.parallax.views import prepare_view
-from alight.pipeline.decision import conclude
 from alight.pipeline.judging import JudgingLane
-from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.lanes import conclude
+from alight.pipeline.map_frame import MapFrame, in_world
 from alight.pipeline.mapping import FinishedMap, ground_map
 from alight.pipeline.mapping.batch_map import BatchMap
-from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, in_world
-from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.mapping.recursive_map import RecursiveMap, RecursiveMapper
 from alight.pipeline.navigation import Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Timings
@@ -34,37 +32,22 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 DARK = np.zeros((LENS.height, LENS.width), np.uint8)
 
 
-def frame(t_ns: int) -> Frame:
-    return Frame(t_ns, (np.zeros((2, 3), np.uint8),))
-
-
 # -- the frame store
 
 
 def test_keyframes_of_two_map_frames_are_each_placed_by_their_own_offset() -> None:
     """Both exposures were taken at one place; the first map frame is 3 m off, and the motion then began anew."""
 
-    def keyframe(t_ns: int, place: list[float], offset: list[float], frame_id: int) -> Keyframe:
+    def motion(t_ns: int, place: list[float], offset: list[float], frame_id: int) -> Motion:
         pose = Pose(DOWN, np.array(place))
-        return Keyframe(
-            frame(t_ns), Motion(t_ns, pose, (pose,), np.eye(6), offset_world=np.array(offset), frame_id=frame_id)
-        )
+        return Motion(t_ns, pose, (pose,), np.eye(6), offset_world=np.array(offset), frame_id=frame_id)
 
-    early, late = keyframe(1, [8.0, 1.0, 17.0], [2.0, -1.0, 1.0], 0), keyframe(2, [8.0, 1.0, 17.0], [2.0, -1.0, 3.0], 0)
-    anew = keyframe(3, [10.0, 0.0, 20.0], [0.0, 0.0, 0.0], 1)
-    for k in in_world([early, late, anew]):  # the newest offset of a frame is the best one
-        assert k.motion is not None
-        np.testing.assert_allclose(k.motion.world_from_body.translation, [10.0, 0.0, 20.0])
-
-
-def test_the_bytes_of_a_store_are_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Summed anew at each photo, they took seconds for some thousand photos."""
-    counted = []
-    monkeypatch.setattr(Keyframe, "bytes", property(lambda k: counted.append(k) or 6))
-    store = FrameStore()
-    for k in range(10):
-        store.keep(frame(k))
-    assert (store.bytes, len(counted)) == (60, 10)
+    early, late = motion(1, [8.0, 1.0, 17.0], [2.0, -1.0, 1.0], 0), motion(2, [8.0, 1.0, 17.0], [2.0, -1.0, 3.0], 0)
+    anew = motion(3, [10.0, 0.0, 20.0], [0.0, 0.0, 0.0], 1)
+    placed = in_world([early, late, anew])
+    assert len(placed) == 3
+    for m in placed:  # the newest offset of a frame is the best one
+        np.testing.assert_allclose(m.world_from_body.translation, [10.0, 0.0, 20.0])
 
 
 def test_a_full_store_without_ground_keeps_every_second_keyframe(caplog: pytest.LogCaptureFixture) -> None:

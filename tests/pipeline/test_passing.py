@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ground import covered
 from numpy.testing import assert_allclose
 from some_run import elevation
 
 from alight.geometry import Grid
 from alight.hazards import assess
 from alight.pipeline.remembered import CELL, NOWHERE, traffic, what_moves, who_came
-from alight.records import ElevationMap, Flag, Hazard, Terrain, TerrainMap
+from alight.records import ElevationMap, Flag, Hazard, Terrain
 from alight.settings import HazardsSettings, Lander
 
 SECOND = 1_000_000_000
@@ -139,7 +140,7 @@ def test_a_person_is_enough_to_be_remembered(side: float, kept: int) -> None:
 @pytest.mark.parametrize(("kind", "kept"), [(Terrain.PAVED, 1), (Terrain.BARE, 0), (Terrain.SHORT_GRASS, 0)])
 def test_plants_that_sway_are_no_traffic(kind: Terrain, kept: int) -> None:
     e = road((4.0, 8.0, 8.0, 10.0))
-    cover = TerrainMap(e.grid, np.full(e.grid.shape, kind, np.uint8), np.ones(e.grid.shape, np.float32))
+    cover = covered(e, 1.0, kind)
     assert traffic(NOWHERE.with_seen(what_moves(e.grid, e.flags), 0), e.grid, cover).any() == bool(kept)
 
 

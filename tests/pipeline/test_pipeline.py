@@ -14,10 +14,9 @@ from alight.arrays import I64
 from alight.elevation import NullStore
 from alight.pipeline import Decision, FlightPolicy, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.mapping import recursive_map
-from alight.pipeline.mapping.cell_size import nice_cell
-from alight.pipeline.mapping.ground_map import lone
+from alight.pipeline.mapping.ground_map import lone, nice_cell
 from alight.pipeline.mapping.keyframes import FrameStore
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.mapping.recursive_map import RecursiveMapper
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.navigation.filter_lane import FilterLane
 from alight.pipeline.navigation.given import GivenLane
@@ -168,7 +167,7 @@ def test_a_height_among_refused_ones_is_refused() -> None:
     given[5, 5] = given[20:34, 60:74] = True  # one cell, and 196 of 1681
     given[60:, :] = True  # a half-plane: at its border half of the surrounding cells are given out
     given[75:80, 60:65] = False
-    alone = lone(given, MappingTuning())
+    alone = lone(given, (slice(0, 100), slice(0, 120)), MappingTuning())
     assert alone.sum() == 197
     assert not alone[60:].any()
 
@@ -238,7 +237,7 @@ def test_a_hover_without_history_holds_little() -> None:
         navigation = lane.feed(e)
         assert navigation is not None
         mapper.feed(navigation)
-    assert len(mapper.store) == 1
+    assert len(mapper.store.keyframes) == 1
 
 
 def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:

@@ -276,10 +276,9 @@ def test_large_pictures_shrink_without_bleeding_the_unseen() -> None:
 
 
 def test_the_first_reason_wins_and_shares_add_up() -> None:
-    order = [int(h) for h in paint.HAZARD_COLOURS]
+    names = list(paint.HAZARDS)
     bits = np.array([[0, Hazard.UNKNOWN, Hazard.UNKNOWN | Hazard.TERRAIN, Hazard.EDGE | Hazard.SLOPE]], np.uint16)
-    index = paint.first_reason(bits, order)
-    names = list(paint.HAZARD_COLOURS)
+    index = paint.first_reason(bits, names)
     assert index[0, 0] == -1
     assert [names[i] for i in index[0, 1:]] == [Hazard.UNKNOWN, Hazard.TERRAIN, Hazard.SLOPE]
     keys = maps.reasons_figure(hazards(), elevation(), canvas.whole(elevation())).keys
@@ -287,9 +286,9 @@ def test_the_first_reason_wins_and_shares_add_up() -> None:
 
 
 def test_every_reason_has_a_colour_and_a_word() -> None:
-    assert set(paint.HAZARD_COLOURS) == set(words.HAZARDS) == set(Hazard)
-    assert set(paint.FLAG_COLOURS) == set(words.FLAGS) == set(Flag)
-    assert len(set(paint.HAZARD_COLOURS.values()) | {paint.SAFE_COLOUR}) == len(Hazard) + 1
+    assert set(paint.HAZARDS) == set(Hazard)
+    assert set(paint.FLAGS) == set(Flag)
+    assert len({r.colour for r in paint.HAZARDS.values()} | {paint.SAFE_COLOUR}) == len(Hazard) + 1
 
 
 def test_light_comes_from_the_north_west() -> None:

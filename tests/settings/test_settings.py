@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 import alight
 from alight.settings import ImuNoise, Settings, load_settings, settings_of_keys, settings_of_run
-from alight.settings.keys import all_keys, user_keys
+from alight.settings.loading import all_keys, user_keys
 from alight.settings.page import settings_page
 
 

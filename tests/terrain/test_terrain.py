@@ -7,12 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ground import BROWN, GREEN, GREY, POND, ground, textured
+from ground import BROWN, GREEN, GREY, POND, ground, land_cover, textured
 from numpy.testing import assert_allclose
 
 from alight.geometry import Grid
 from alight.hazards import assess
-from alight.records import ElevationMap, Flag, Terrain, TerrainMap
+from alight.records import ElevationMap, Flag, Terrain
 from alight.settings import HazardsSettings, Lander, TerrainSettings
 from alight.terrain import classify, open_water
 from alight.terrain.appearance import appearance
@@ -140,9 +140,6 @@ def test_nothing_seen_is_unknown_and_no_evidence() -> None:
     assert (t.label[:, :100] == Terrain.UNKNOWN).all()
     assert np.isnan(t.landable[:, :100]).all()
     assert np.isfinite(t.landable[:, 100:]).all()
-    off = classify(e, TerrainSettings(enabled=False))
-    assert np.isnan(off.landable).all()
-    assert not off.label.any()
 
 
 def pit(side: int, level: int, fine: bool, plain: Flag = Flag.SATURATED) -> ElevationMap:
@@ -219,11 +216,10 @@ def test_a_height_is_taken_back_where_the_patch_is_water_not_where_that_is_the_l
     p[5, 5] = 0.2  # a doubtful cell of a pond
     p[2:12, 15:25] = 0.4  # a shadow beside a bush
     p[3, 16] = 0.9
-    cover = TerrainMap(Grid(0.0, 0.0, 0.1, 20, 30), label, np.zeros((20, 30), np.float32), water=p)
+    cover = land_cover(Grid(0.0, 0.0, 0.1, 20, 30), label, np.zeros((20, 30), np.float32), water=p)
     wet = open_water(cover)
     assert wet[2:12, 2:12].all()
     assert wet.sum() == 100
-    assert open_water(replace(cover, water=None)).sum() == 218  # only the names of classes are known
 
 
 def test_water_stands_to_the_brim_and_runs_off_where_the_ground_is_not_known() -> None:

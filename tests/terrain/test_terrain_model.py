@@ -21,8 +21,17 @@ from alight.settings import TerrainSettings
 from alight.sources.appearance import DEFAULT_MODEL, model_bytes, read_model
 from alight.sources.library import kind_of, read_labelled, read_library
 from alight.terrain import classify, describe
-from alight.terrain.features import against, appearance_features, frame_of, level_of, names
-from alight.terrain.model import Model, distance, log_probability, standardised
+from alight.terrain.model import (
+    Model,
+    against,
+    appearance_features,
+    distance,
+    frame_of,
+    level_of,
+    log_probability,
+    names,
+    standardised,
+)
 from alight.training.confusion import Confusion
 from alight.training.patches import LabelledPatch
 from alight.training.train import UNTESTED, elsewhere, judge_patches, judge_pixels, train

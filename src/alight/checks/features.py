@@ -9,6 +9,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Camera
+from alight.raster import grey_levels
 
 LEAST_FEATURES = 25  # that a homography is fitted to
 LEAST_MATCHES = 40
@@ -27,7 +28,7 @@ class PictureFlow:
 
 def downscaled(image: U8, longest: int) -> tuple[U8, int]:
     """Return a grey version whose longer side is at most `longest`, and the factor by which it is smaller."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    grey = grey_levels(image)
     k = -(-max(grey.shape) // longest)
     if k > 1:
         grey = cv2.resize(grey, (grey.shape[1] // k, grey.shape[0] // k), interpolation=cv2.INTER_AREA)

@@ -10,6 +10,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.checks.features import LEAST_FEATURES, downscaled, followed
+from alight.raster import grey_levels
 
 STEP = 0.12  # of the longer side: the ground has moved by as much between two pictures that are compared
 
@@ -39,8 +40,7 @@ def edge_widths(image: U8) -> F64:
     blurs. Of the edges with most contrast, the sharpest tenth shows the sharpness of the lens; the others depend on the
     ground (docs/lab/flight.md).
     """
-    grey = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image).astype(np.float32)
-    grey = cv2.GaussianBlur(grey, (0, 0), 0.6)
+    grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), 0.6)
     return np.array([_width(grey), _width(np.ascontiguousarray(grey.T))])
 
 

@@ -152,15 +152,15 @@ def judge_raster(o: HazardsOptions) -> None:
     prepare_folder(o.out, o.force, ground.files)
     with progress_bar() as report:
         report("judging", 0.0)
-        judgement = judge.judge_ground(ground, chosen, o.dem.name)
+        judged = judge.judge_ground(ground, chosen, o.dem.name)
         report("judging", 1.0)
-    result = judgement.result
+    result = judged.record
     assert result.hazards is not None
     share = 100 * float((result.hazards.reasons == 0).mean())
     for w in result.warnings:
         print_stderr(f"warning: {w}")
     print_answer(result.sites, lambda at: f"east {at[0]:.2f} north {at[1]:.2f}", f", {share:.1f} % is safe")
-    judgement.save(o.out, o.force)
+    judged.save(o.out, o.force)
     print_line(f"report: {o.out / 'report.html'}")
 
 

@@ -14,11 +14,7 @@ __all__ = ["Evaluation", "evaluate"]
 
 
 def evaluate(out: Path, truth: Path) -> Evaluation:
-    """Compare the run in `out` with the truth.
-
-    Args:
-        out: folder with the results of a run.
-        truth: a flight with `truth/`, or a folder with `sfm_reference.npz`.
+    """Compare the run in the folder `out` with a flight with `truth/`, or with a folder with `sfm_reference.npz`.
 
     Raises:
         InputError: `out` is no run, or `truth` holds neither.

@@ -45,25 +45,19 @@ class FlightTruth:
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
 
-def _raster(path: Path, kinds: str) -> tuple[NDArray[Any], Grid]:
-    if not path.exists():
-        raise InputError(f"{path}: missing; --truth takes a flight with truth/dem.tif and truth/class.tif")
-    bands, grid = read_bands(path, 1, kinds, "copy it again")
-    return bands[0], grid
-
-
 def read_flight_truth(folder: Path) -> FlightTruth:
     """Read the rasters in `truth/`.
 
     Raises:
         InputError: one is missing, unreadable, or the two are not on one grid.
     """
+    mend = "copy it again: --truth takes a flight with truth/dem.tif and truth/class.tif"
     (dem, grid), (label, same) = (
-        _raster(folder / "truth" / f"{name}.tif", kinds) for name, kinds in (("dem", "fiu"), ("class", "u"))
+        read_bands(folder / "truth" / f"{name}.tif", 1, kinds, mend) for name, kinds in (("dem", "fiu"), ("class", "u"))
     )
     if grid != same:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
-    return FlightTruth(dem.astype(np.float32), label, grid)
+    return FlightTruth(dem[0].astype(np.float32), label[0], grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,18 +192,6 @@ def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
     return 100 * float(part.sum() / max(whole.sum(), 1))
 
 
-def lander_of(run: Run) -> Lander:
-    """Return the lander of the run's own settings.
-
-    Raises:
-        InputError: run.json holds no settings, or a value that is not valid.
-    """
-    try:
-        return run.settings.lander
-    except (KeyError, ValueError) as e:
-        raise InputError(f"{run.folder / 'run.json'}: of another version of Alight; run again") from e
-
-
 def places_of(run: Run, kind: str) -> F64:
     """East and north of the sites or of the candidates, (N, 2) metres."""
     places = run.info["answer"][kind]
@@ -264,7 +246,7 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
         raise InputError(
             f"{folder / 'truth' / 'dem.tif'}: has no height on the run's map; name the flight that was run"
         )
-    safe = truth.safe(lander_of(run))
+    safe = truth.safe(run.settings.lander)
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
     compared = _Comparison(run, truth, safe, out, np.zeros(3))
     compared.heights()

@@ -131,21 +131,19 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     sigma = interpolated(run.sigma, run.grid, points[given, 0], points[given, 1])
     known = np.isfinite(sigma)
     total = np.sqrt(sigma[known] ** 2 + 0.028**2)
-    out.put("height above ground, m", above)
-    out.put("points compared", f"{given.sum()} of {len(points)}")
-    out.put("NMAD less a plane, m", nmad(left))
-    out.put("P95 of |error| less a plane, m", float(np.percentile(np.abs(left), 95)))
-    out.put("bias (median), m", float(np.median(error[given])))
-    out.put("tilt, mrad", float(1e3 * np.hypot(*plane[:2])))
-    off = float((np.abs(left) > 0.01 * above).sum() / len(points))
-    out.put(
-        "off by more than 1 % of height and given out, % of all points", 100 * off if np.isfinite(above) else np.nan
-    )
-    out.put(
-        "within 1.96 sigma (points' own 0.028 m added), %", 100 * float(np.mean(np.abs(left[known]) < 1.96 * total))
-    )
+    off = float((np.abs(left) > 0.01 * above).sum() / len(points)) if np.isfinite(above) else np.nan
     seen = ~is_flagged(run.flags, Flag.UNSEEN | Flag.FEW)
-    out.put("accepted of cells seen by three photos or more, %", 100 * float(np.isfinite(run.height)[seen].mean()))
+    out.values |= {
+        "height above ground, m": above,
+        "points compared": f"{given.sum()} of {len(points)}",
+        "NMAD less a plane, m": nmad(left),
+        "P95 of |error| less a plane, m": float(np.percentile(np.abs(left), 95)),
+        "bias (median), m": float(np.median(error[given])),
+        "tilt, mrad": float(1e3 * np.hypot(*plane[:2])),
+        "off by more than 1 % of height and given out, % of all points": 100 * off,
+        "within 1.96 sigma (points' own 0.028 m added), %": 100 * float(np.mean(np.abs(left[known]) < 1.96 * total)),
+        "accepted of cells seen by three photos or more, %": 100 * float(np.isfinite(run.height)[seen].mean()),
+    }
 
 
 def _slab(run: Run, points: F64, inlier: NDArray[np.bool_], out: Evaluation) -> None:
@@ -155,12 +153,9 @@ def _slab(run: Run, points: F64, inlier: NDArray[np.bool_], out: Evaluation) -> 
     if not slab.any():
         out.put("slab", "not on the map")
         return
-    given = np.isfinite(run.height)
+    given, fine = np.isfinite(run.height), high_pass(run.height.astype(np.float64), run.grid.cell)
     out.put("accepted on the slab, %", 100 * float(given[slab].mean()))
-    out.put(
-        "slab flatness (NMAD after 1 m high-pass), m",
-        nmad(high_pass(run.height.astype(np.float64), run.grid.cell)[slab & given]),
-    )
+    out.put("slab flatness (NMAD after 1 m high-pass), m", nmad(fine[slab & given]))
 
 
 def _centres(run: Run, centres: F64, out: Evaluation) -> None:

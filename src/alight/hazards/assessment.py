@@ -6,8 +6,7 @@ import numpy as np
 
 from alight.arrays import F32, U16, Mask
 from alight.hazards.evidence import Evidence, evidence_of
-from alight.hazards.factors import factors_of
-from alight.hazards.margins import margins_over_sigma
+from alight.hazards.factors import factors_of, margins_over_sigma
 from alight.hazards.touchdown import Inputs, Touchdowns, measure
 from alight.raster import clearance_of, disc_any, disc_max, disc_mean, log_brightness
 from alight.records import NOTHING_MISSING, ElevationMap, Hazard, HazardMap, MissingVeto, TerrainMap, is_site

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,11 +17,14 @@ from scipy.special import logit
 from alight.arrays import F32
 from alight.geometry import Grid
 from alight.hazards.detection import read_detection
-from alight.hazards.picture_spots import green_spots, picture_spots
 from alight.hazards.ridges import straight_ridges
 from alight.hazards.touchdown import Inputs, Touchdowns
 from alight.learned.terms import DensityTerm, FloorTerm, GroundTerm, NearTerm, ReliefTerm
 from alight.raster import (
+    BlockGreen,
+    BlockLight,
+    block_green,
+    block_light,
     block_max,
     block_mean,
     difference_of_gaussians,
@@ -34,6 +38,8 @@ from alight.raster import (
 from alight.records import ElevationMap, TerrainMap
 
 BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are more
+SPOTS = 0.45, 2.3  # heights of the obstacle, 1-sigma, of spots of the picture: it is about twice as wide as high
+GREY = 0.02  # excess green that the greenest spot of a grey picture counts as: ground with a few plants
 BAND = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
 NEAR_SAMPLES = 0.5, 0.9  # limits, ground that a sample covers: fully near by, not near by at all
 NEAR_PIXELS = 0.3, 0.5  # limits, ground that a pixel covers: likewise
@@ -193,12 +199,11 @@ def _near_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
 def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
     """Log odds (R, C) against ground that bears and is dry, rock counted as such: stones are obstacles.
 
-    A cell without a class counts as landable. Where nothing is known of rock, landable ground alone counts.
+    A cell without a class counts as landable.
     """
     if land_cover is None:
         return np.full(shape, -9.2, np.float32)
-    bears = land_cover.landable if land_cover.bears is None else land_cover.bears
-    known = np.where(np.isfinite(bears), bears, np.float32(1))
+    known = np.where(np.isfinite(land_cover.bears), land_cover.bears, np.float32(1))
     return np.asarray(-logit(known.clip(1e-4, 1 - 1e-4)), np.float32)
 
 
@@ -207,8 +212,9 @@ def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: 
     odds = ground_odds(land_cover, elevation.grid.shape)
     smooth = discs.coarse(gaussian_mean(odds, 0.2 / elevation.grid.cell))
     mean = discs.coarse(odds)
-    signs = (None, None) if land_cover is None else (land_cover.novelty, land_cover.enclosed)
-    novelty, enclosed = (np.zeros_like(odds) if sign is None else np.nan_to_num(sign) for sign in signs)
+    novelty = enclosed = np.zeros_like(odds)
+    if land_cover is not None:
+        novelty, enclosed = (np.nan_to_num(sign) for sign in (land_cover.novelty, land_cover.enclosed))
     return {
         GroundTerm.WORST: discs.worst(discs.largest(odds)),
         GroundTerm.WORST_SMOOTH: discs.worst(smooth),
@@ -225,3 +231,46 @@ def unlike_ground(terms: Mapping[str, F32]) -> F32:
     """Log odds of the softest 0.2 m of a footprint over those of the ground about it, by the terms of the ground."""
     about = np.minimum(terms[GroundTerm.MEAN], terms[GroundTerm.MEAN_BEYOND])
     return np.asarray(terms[GroundTerm.WORST_SMOOTH] - about)
+
+
+class PictureSpots(NamedTuple):
+    """Contrast of spots against their surroundings, natural logarithms of brightness, (R, C) each."""
+
+    power: F32  # mean square of the contrast in the cell
+    dark: F32  # the darkest pixel
+    bright: F32  # the brightest pixel
+
+
+def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
+    """Contrast of the spots of the finest picture, as wide as an obstacle of `height` metres; unseen ground is even."""
+    rgb, factor = elevation.finest
+    halves = min(factor, 2)
+    spot = _seen_spots(block_light(rgb, factor // halves), height * halves / elevation.grid.cell)
+    return PictureSpots(block_mean(spot * spot, halves), block_max(-spot, halves), block_max(spot, halves))
+
+
+def green_spots(elevation: ElevationMap, height: float) -> F32:
+    """The greenest spot of every cell against its surroundings, (R, C) of excess green (2 G - R - B) / (R + G + B).
+
+    A tuft on bare ground is a plant, however flat matching makes it. Arguments as of `picture_spots`.
+    """
+    rgb, factor = elevation.finest
+    halves = min(factor, 2)
+    green = block_green(rgb, factor // halves)
+    if not green.coloured:
+        return np.full(elevation.grid.shape, GREY, np.float32)
+    return block_max(_seen_spots(green, height * halves / elevation.grid.cell), halves)
+
+
+def _seen_spots(found: BlockLight | BlockGreen, height: float) -> F32:
+    """Spots as wide as an obstacle of a height in pixels; unseen pixels are 0. Overwrites what was found."""
+    measure, seen = found.mean, found.seen > 0.999
+    del found  # pictures have tens of megapixels
+    if not seen.all():  # these are filled with the mean about them
+        measure *= seen
+        share = gaussian_mean(seen.astype(np.float32), SPOTS[1] * height)
+        np.maximum(share, np.float32(1e-3), out=share)
+        around = gaussian_mean(measure, SPOTS[1] * height)
+        around /= share
+        np.copyto(measure, around, where=~seen)
+    return difference_of_gaussians(measure, *(s * height for s in SPOTS)) * seen

@@ -1,19 +1,22 @@
-"""P(safe) as a product of three factors, each with evidence of its own (docs/method/p-safe.md, G7, G7b to G7e)."""
+"""P(safe) as a product of three factors, each with evidence of its own (docs/method/p-safe.md, G7 to G9).
+
+Relief rests on the margins of a touchdown to its limits, in sigmas, for normal errors.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
 from alight.hazards.evidence import Discs, Evidence, evidence_of, widths
-from alight.hazards.margins import Margins, kept, margins_over_sigma
-from alight.hazards.touchdown import Inputs, Touchdowns
+from alight.hazards.touchdown import CERTAIN, NO_NOISE, Inputs, Touchdowns
 from alight.learned import read_floors, read_rate
 from alight.raster import log_at_least
 from alight.records import MissingVeto, Terrain
@@ -41,15 +44,14 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     margins = margins_over_sigma(t, on)
     if on.settings.smoothed:
         return _of_matched_heights(t, margins, on, missing)
-    deviation = [] if margins.deviation is None else [margins.deviation]
     hidden = np.float32(on.settings.hidden_hazard) * t.footprint.unknown
-    relief, like = kept([*margins.of_the_vehicle, *deviation]) * (1 - hidden), margins.tilt
+    relief, like = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden), margins.tilt
     never = np.full_like(like, np.nan)
     return SafetyFactors(relief, _beyond_cells(on), np.ones_like(like), np.full_like(like, on.cell), never)
 
 
 def _of_matched_heights(t: Touchdowns, margins: Margins, on: Inputs, missing: MissingVeto) -> SafetyFactors:
-    tilt, vehicle = margins.tilt, margins.of_the_vehicle
+    tilt, vehicle = margins.tilt, margins.vehicle
     del margins  # the deviation is among the evidence
     obstacle, ground = _chances(evidence_of(t, tilt, on), on, missing)
     relief, least = kept(vehicle), np.minimum.reduce(vehicle)
@@ -135,7 +137,7 @@ def _density(on: Inputs, discs: Discs) -> F32:
 def _unlike_dry_ground(on: Inputs, discs: Discs) -> F32:
     """Expected hazards from level surfaces below their banks, and from ground unlike all known ground."""
     settings, cover = on.settings, on.land_cover
-    if cover is None or cover.enclosed is None or cover.novelty is None:
+    if cover is None:
         return np.zeros(discs.grid.shape, np.float32)
     enclosed = discs.worst(discs.largest(cover.enclosed))
     novel = np.nan_to_num(discs.mean(discs.coarse(np.maximum(cover.novelty - 1, 0))))
@@ -168,3 +170,67 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
     out = np.where(relief < np.minimum(obstacle, ground), np.minimum(flatter, half), closer)
     out = np.where(ground < np.minimum(obstacle, relief), np.minimum(half, fine), out)
     return np.where(out >= np.float32(FINEST * on.lander.tallest_obstacle), out, np.float32(np.nan)).astype(np.float32)
+
+
+class Margins(NamedTuple):
+    """Margins to the limits of every touchdown, (R, C) sigmas each."""
+
+    tilt: F32
+    vehicle: list[F32]  # its tilt, the belly where it is judged, and rotors that reach beyond the footprint
+    deviation: list[F32]  # of the ground from the plane; empty: the margin of the belly replaces it
+
+
+def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
+    """Margins to the limits of tilt, of rise or deviation, and of the rotors, in sigmas (G7 to G9)."""
+    lander, settings, cell = on.lander, on.settings, on.cell
+    local = np.fmin(t.sigma, t.footprint.scatter)  # the part of the noise that the footprint does not share
+    if lander.has_gear:
+        variance = (np.float32(_gear_lever(lander, cell, settings)) * local) ** 2  # of the tilt (G8b)
+    else:  # noise shared over `noise_length` (G8)
+        independent = np.maximum(t.footprint.count / max(1.0, (settings.noise_length / cell) ** 2), 3.0)
+        spread = t.footprint.count * np.float32(cell**2) / np.float32(4 * math.pi)  # mean x^2 of a disc: area / 4 pi
+        variance = t.sigma**2 / (independent * spread)
+    tilt_sigma = np.sqrt(variance + np.float32(on.common_tilt**2)).astype(np.float32)
+    tilt = _over(lander.max_slope - t.slope, tilt_sigma)
+    if t.rise is not None and lander.belly_clearance is not None:
+        rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
+        parts, deviation = [_over(lander.belly_clearance - t.rise, rise_sigma)], []
+    else:
+        parts, deviation = [], [_over(lander.max_roughness - t.footprint.roughness, local)]
+    return Margins(tilt, [tilt, *parts, *([] if t.rotor is None else [t.rotor])], deviation)
+
+
+def _over(margin: F32, sigma: F32) -> F32:
+    """The margin in sigmas; +-`CERTAIN` without noise."""
+    sure = np.where(margin >= 0, CERTAIN, -CERTAIN)
+    out = np.where(sigma > NO_NOISE, margin / np.maximum(sigma, np.float32(NO_NOISE)), sure)
+    return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
+
+
+def _gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
+    """Tilt of a lander on feet or skids from 1 m of noise at each contact, worst heading, 1/m (G8b).
+
+    The noise of a foot that stands on the mean of its cells is shared by those that are independent.
+    """
+    if lander.skids is not None:
+        return math.sqrt(2.0) / min(lander.skids)
+    from alight.hazards.gear import feet_of
+
+    gradients = feet_of(lander, cell).solve[:, :, 1:] / cell  # (headings, t, 2, 3)
+    worst = np.linalg.eigvalsh(gradients @ gradients.swapaxes(-1, -2)).max()
+    return math.sqrt(worst / _independent_heights(lander, cell, settings))
+
+
+def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings) -> float:
+    """Independent heights that one contact is the mean of."""
+    if lander.foot_contact == "highest":
+        return 1.0
+    return max(1.0, math.pi * lander.foot_radius**2 / max(settings.noise_length, cell) ** 2)
+
+
+def kept(margins: Sequence[F32]) -> F32:
+    """(R, C) probability that all of some limits are kept; their margins in sigmas."""
+    p = ndtr(margins[0])
+    for margin in margins[1:]:
+        p = p * ndtr(margin)
+    return np.asarray(p, np.float32)

@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F32, F64, I64, Mask
 from alight.hazards import contact_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
-from alight.hazards.contact import Footprint
+from alight.hazards.touchdown import Footprint
 from alight.raster import RIM, disc_spans
 from alight.settings import Lander
 
@@ -85,9 +85,9 @@ def _holds_centre(corners: F64) -> bool:
 
 
 def _double_areas(points: F64, triples: I64) -> F64:
-    """(t,) twice the areas between every three of the points (n, 2)."""
-    u, v = (points[triples[:, k]] - points[triples[:, 0]] for k in (1, 2))
-    return np.asarray(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
+    """(..., t) twice the areas between every three of the points (..., n, 2)."""
+    u, v = (points[..., triples[:, k], :] - points[..., triples[:, 0], :] for k in (1, 2))
+    return np.asarray(np.abs(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]))
 
 
 def _triples(feet: F64, any_three: bool) -> I64:
@@ -120,24 +120,18 @@ def feet_of(lander: Lander, cell: float) -> Feet:
     assert lander.feet is not None
     body = np.array(lander.feet) / cell  # forward, left
     triples = _triples(body, lander.support == "any")
-    xy: list[F64] = []
-    offsets: list[I64] = []
-    starts: list[I64] = []
-    begin, coarse = 0, False
-    for ahead in unlike_directions(lander.headings, np.array(lander.feet)):
-        left = np.array([ahead[1], -ahead[0]])
-        at = body[:, :1] * ahead + body[:, 1:] * left
-        cells = [_cells_within(foot, lander.foot_radius / cell) for foot in at]
-        ends = np.cumsum([len(c) for c in cells])
-        starts.append(begin + np.concatenate([[0], ends]))
-        begin += int(ends[-1])
-        offsets += cells
-        centroids = np.array([c[:, ::-1].mean(axis=0) for c in cells])
-        apart = bool((_double_areas(centroids, triples) >= 0.25 * _double_areas(at, triples)).all())
-        xy.append(centroids if apart else at)
-        coarse |= not apart
-    centres, begins = np.array(xy), np.array(starts, dtype=np.int64)
-    return Feet(centres, np.concatenate(offsets), begins, triples, _solves(centres, triples), coarse)
+    ahead = unlike_directions(lander.headings, np.array(lander.feet))[:, None]  # (headings, 1, 2)
+    left = np.stack([ahead[..., 1], -ahead[..., 0]], axis=-1)
+    exact = body[:, :1] * ahead + body[:, 1:] * left
+    cells = [[_cells_within(foot, lander.foot_radius / cell) for foot in feet] for feet in exact]
+    centroids = np.array([[c[:, ::-1].mean(axis=0) for c in feet] for feet in cells])
+    apart = np.asarray((_double_areas(centroids, triples) >= 0.25 * _double_areas(exact, triples)).all(axis=1))
+    xy = np.where(apart[:, None, None], centroids, exact)
+    counts = np.array([[len(c) for c in feet] for feet in cells], np.int64)
+    ends = counts.cumsum().reshape(counts.shape)
+    starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
+    offsets = np.concatenate([c for feet in cells for c in feet])
+    return Feet(xy, offsets, starts, triples, _solves(xy, triples), not apart.all())
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:

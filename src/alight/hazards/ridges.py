@@ -25,11 +25,7 @@ def straight_ridges(height: F32, cell: float) -> F32:
     the heights, and its mean is taken over three parts of a line, one after the other. The least of the three counts,
     in the direction in which it is largest. So a stone, which raises one part, is no ridge, and noise averages out.
 
-    A kerb of 0.1 m has a relief of about 0.045 m.
-
-    Args:
-        height: (R, C) metres; NaN: unknown, which counts as the nearest known height.
-        cell: metres.
+    A kerb of 0.1 m has a relief of about 0.045 m. An unknown height (NaN) counts as the nearest known one.
     """
     n = max(round(CELL / cell), 1)
     coarse = block_mean(whole_blocks(filled_surface(height), n), n)

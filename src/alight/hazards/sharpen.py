@@ -14,15 +14,16 @@ import cv2
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, cg
 
-from alight.arrays import F32, U8, Mask
-from alight.hazards.sunlight import DIFFERENCE, SMOOTHING, Sunlight, find_light, gradients, in_shadow, shadow_level
-from alight.raster import upsample
+from alight.arrays import F32, F64, U8, Mask
+from alight.hazards.footprint_kernels import cast_shadows
+from alight.raster import grey_levels, upsample
 from alight.records import ElevationMap
 from alight.settings.tuning.hazards import SharpenTuning
+from alight.spread import SIGMA_OF_MAD
 
 log = logging.getLogger(__name__)
 
-
+DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
 HEIGHT_FLOOR = 0.001  # metres; least sigma of a cell
 ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
 UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes alternation from pixel to pixel
@@ -31,20 +32,17 @@ Operator = Callable[[F32], F32]
 
 
 def cell_weights(factor: int) -> F32:
-    """Weights (2 factor,) of the pixels in a cell that was made by linear resampling: a tent two cells wide (S2)."""
-    at = (np.arange(2 * factor) + 0.5) / factor - 1.0
-    tent = 1 - np.abs(at)
-    weights: F32 = (tent / tent.sum()).astype(np.float32)
-    return weights
+    """Weights (2 factor,) of the pixels in a cell that was made by linear resampling: a tent two cells wide (S2).
 
-
-def _spans(factor: int) -> tuple[int, int]:
-    return factor // 2, factor - factor // 2  # pixels of the tent before the cell's own; even factors only are centred
+    Half of the factor lies before the cell's own pixels: only tents of even factors are centred.
+    """
+    tent = 1 - np.abs((np.arange(2 * factor) + 0.5) / factor - 1.0)
+    return np.asarray(tent / tent.sum(), np.float32)
 
 
 def coarsen(fine: F32, factor: int) -> F32:
     """Heights of the cells (S2) from those of the pixels; beyond the rim its heights are repeated."""
-    weights, before = cell_weights(factor), _spans(factor)[0]
+    weights, before = cell_weights(factor), factor // 2
     padded = cv2.copyMakeBorder(fine, before, factor, before, factor, cv2.BORDER_REPLICATE)
     rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
     tall = sum(w * padded[i : i + rows * factor : factor] for i, w in enumerate(weights))
@@ -54,7 +52,7 @@ def coarsen(fine: F32, factor: int) -> F32:
 
 def coarsen_transposed(cells: F32, factor: int) -> F32:
     """Transpose of `coarsen`, except at the rim, where it leaves out the repeated pixels."""
-    weights, before = cell_weights(factor), _spans(factor)[0]
+    weights, before = cell_weights(factor), factor // 2
     rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
     wide = np.zeros((cells.shape[0], cols + before + factor), np.float32)
     for i, w in enumerate(weights):
@@ -77,6 +75,89 @@ def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int
     matrix = LinearOperator((size, size), lambda x: normal(x.reshape(shape)).ravel(), dtype=np.float32)
     jacobi = LinearOperator((size, size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
     return np.asarray(cg(matrix, right.ravel(), rtol=1e-6, maxiter=steps, M=jacobi)[0], np.float32).reshape(shape)
+
+
+def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
+    """Sobel gradients along columns and rows, metres a metre: similar to those of a renderer and of a camera's blur."""
+    scale = np.float32(1 / (8 * pixel))
+    along = cv2.sepFilter2D(height, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING)
+    across = cv2.sepFilter2D(height, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale)
+    return np.asarray(along), np.asarray(across)
+
+
+def _up(along: F32, across: F32) -> F32:
+    """Upward part of the unit normal."""
+    return np.asarray(1 / np.sqrt(1 + along * along + across * across), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Sunlight:
+    """Brightness = sun . normal + ambient, of one kind of ground (Lambert) seen from above (S1)."""
+
+    sun: F64  # (3,) grey levels along columns, rows and up
+    ambient: float  # grey levels
+    spread: float  # grey levels, 1-sigma of the residual
+    explained: float  # share of the image's variance that it explains
+
+    @property
+    def elevation(self) -> float:
+        """Height of the sun above the horizon, rad."""
+        return math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1]))
+
+    def brightness(self, along: F32, across: F32) -> tuple[F32, F32, F32]:
+        """Brightness (R, C) at these gradients, and its derivatives along columns and rows."""
+        ax, ay, az = (np.float32(v) for v in self.sun)
+        n = _up(along, across)
+        facing = (az - ax * along - ay * across) * n
+        d_along = -ax * n - facing * along * n * n
+        d_across = -ay * n - facing * across * n * n
+        out: tuple[F32, F32, F32] = (facing + np.float32(self.ambient), d_along, d_across)
+        return out
+
+
+def _fitted(terms: F32, image: F32) -> F64:
+    a, b = terms.astype(np.float64), image.astype(np.float64)
+    return np.asarray(np.linalg.lstsq(a.T @ a, a.T @ b, rcond=1e-9)[0])
+
+
+def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
+    """Fit the light to the `lit` pixels of an image of ground with known heights, without outliers (S1)."""
+    along, across = gradients(height, pixel)
+    n = _up(along, across)
+    use = lit.copy()
+    use[:2] = use[-2:] = use[:, :2] = use[:, -2:] = False
+    terms, seen = np.stack([-along * n, -across * n, n, np.ones_like(n)], axis=-1)[use], image[use]
+    if seen.size < 100:
+        return Sunlight(np.zeros(3), 0.0, math.inf, 0.0)
+    x, typical = _fitted(terms, seen), math.inf
+    for _ in range(8):
+        off = np.abs(seen - terms @ x.astype(np.float32))
+        typical = float(np.median(off))
+        kept = off < max(4 * typical, 2.0)
+        x = _fitted(terms[kept], seen[kept])
+    left = np.clip(seen - terms @ x.astype(np.float32), -4 * seen.std(), 4 * seen.std())
+    explained = 1 - float((left**2).mean()) / max(float(seen.var()), 1e-9)
+    return Sunlight(x[:3], float(x[3]), SIGMA_OF_MAD * typical, explained)
+
+
+def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) -> Mask:
+    """Pixels that the sun does not reach: turned away from it, or behind an object up to `longest` cells away."""
+    level = math.hypot(light.sun[0], light.sun[1])
+    if level < 1e-6:
+        return np.zeros(height.shape, dtype=np.bool_)
+    towards = light.sun[:2] / level
+    out = np.zeros(height.shape, dtype=np.bool_)
+    cast_shadows(height, float(towards[1]), float(towards[0]), math.tan(light.elevation) * pixel, longest, out)
+    along, across = gradients(height, pixel)
+    return out | (light.brightness(along, across)[0] < light.ambient)
+
+
+def shadow_level(image: F32, shadow: Mask) -> float:
+    """Grey level up to which a pixel may lie in shadow; -inf where fewer than 50 pixels should lie in one."""
+    core = cv2.erode(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if core.sum() < 50:
+        return -math.inf
+    return float(np.quantile(image[core], 0.95)) + 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +221,8 @@ def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
         use[:2] = use[-2:] = use[:, :2] = use[:, -2:] = False
         for _ in range(steps):
             z = z + _step(scene, z, light, use, iterations)
-        log.info(
-            "light %s, ambient %.1f, left %.2f, shadow below %.0f",
-            light.sun.round(1),
-            light.ambient,
-            light.spread,
-            dark,
-        )
+        at = light.sun.round(1), light.ambient, light.spread, dark
+        log.info("light %s, ambient %.1f, left %.2f, shadow below %.0f", *at)
     return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit, light
 
 
@@ -156,8 +232,7 @@ def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
     unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near
     own = np.maximum(upsample(elevation.sigma, factor), np.float32(HEIGHT_FLOOR))
-    out: F32 = np.hypot(own, unseen).astype(np.float32)
-    return out
+    return np.asarray(np.hypot(own, unseen), np.float32)
 
 
 def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> ElevationMap | None:
@@ -182,9 +257,8 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
     level = float(np.median(elevation.height[known]))
     cells = np.where(known, elevation.height - np.float32(level), np.float32(0))
     weight = np.where(known, 1 / np.maximum(elevation.sigma, np.float32(HEIGHT_FLOOR)) ** 2, np.float32(0))
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     pixel = elevation.grid.cell / factor
-    fine = np.asarray(grey, dtype=np.float32) + np.float32(0.5)
+    fine = grey_levels(image).astype(np.float32) + np.float32(0.5)
     found = _solve(_Scene(cells, weight, fine, factor, pixel, tuning))
     return None if found is None else _refined(elevation, found[0] + np.float32(level), found[1], image, factor)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.arrays import F64
-from alight.landing.reasons import REASON_WORDS
+from alight.landing.sites import REASON_WORDS
 from alight.records import Hazard, HazardMap, Site, Sites
 
 SIGMAS_OF_TIE = 2.0  # sigmas that the clearance of a site must cover, to be a site in another frame
@@ -22,6 +22,11 @@ class Reserve:
     lost: tuple[tuple[Site, str], ...] = ()  # by the newest map
     frame_id: int = 0  # of the map that their places belong to
 
+    def moved(self, shift: F64) -> Reserve:
+        """All sites moved by `shift`, (3,) metres."""
+        lost = tuple((s.moved(shift), why) for s, why in self.lost)
+        return replace(self, sites=tuple(s.moved(shift) for s in self.sites), lost=lost)
+
     def tied(self, shift: F64, sigma: float, frame_id: int) -> Reserve:
         """Move all sites into another frame; sites whose clearance does not cover the error of the tie are lost.
 
@@ -30,7 +35,7 @@ class Reserve:
             sigma: metres, 1-sigma of it on the ground.
             frame_id: of the other frame.
         """
-        moved = [s.moved(shift) for s in self.sites]
+        moved = self.moved(shift).sites
         kept = [s for s in moved if s.clearance >= SIGMAS_OF_TIE * sigma]
         why = f"the motion began anew, and its place is known to {sigma:.2f} m only"
         lost = tuple((s, why) for s in moved if s not in kept)

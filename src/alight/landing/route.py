@@ -93,11 +93,7 @@ def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float
 
     Ground beyond both ends does not count: the way does not pass it.
 
-    Args:
-        start, to: (2,) metres or more, the ends of the way.
-        grid: of the map.
-        mapped: (R, C), True for cells with a height, even a doubtful one; off the map there are none.
-        width: metres on either side.
+    `mapped` (R, C) holds for cells of the grid with a height, even a doubtful one; off the map there are none.
     """
     rows, cols = grid.index(*np.array([start[:2], to[:2]]).T)
     reach, corner = math.ceil(width / grid.cell) + 1, (math.floor(rows.min()), math.floor(cols.min()))

@@ -1,4 +1,4 @@
-"""Landing sites and candidates: the best places to touch down, ranked, or the reason for none (eq. 5, G11, G11a)."""
+"""Landing sites, candidates with the view to settle their doubt, or the reason for none (eq. 5, G11, G11a, G19)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,81 @@ import numpy as np
 
 from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid
-from alight.landing.next_view import Observer, next_view
-from alight.landing.reasons import why_no_site
 from alight.raster import DiscWindow, clearance_of, disc_mean, disc_window
-from alight.records import Doubt, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap, keeps_margin
+from alight.records import (
+    Doubt,
+    ElevationMap,
+    Hazard,
+    HazardMap,
+    NextView,
+    Site,
+    Sites,
+    Terrain,
+    TerrainMap,
+    keeps_margin,
+)
 from alight.settings import Lander, SitesSettings
 
 Cell = tuple[int, int]  # row, column
 RADII_APART = 4.0  # footprint radii between two listed places, at least: one hazard must not make both useless
+REASON_WORDS = {
+    Hazard.ROUGHNESS: "is too rough",
+    Hazard.SLOPE: "is too steep",
+    Hazard.STEP: "has too high a step",
+    Hazard.CLEARANCE: "leaves the rotor or the belly no room",
+    Hazard.TERRAIN: "is covered by what cannot be landed on (water, plants, structures)",
+    Hazard.TRAFFIC: "is where something moved a moment ago",
+    Hazard.UNKNOWN: "has unknown ground within the footprint",
+    Hazard.EDGE: "is too near to the map's edge",
+    Hazard.DOUBT: "meets every limit, but not surely enough",
+}
 
 
 def separation(settings: SitesSettings, lander: Lander) -> float:
     """Least distance between two listed places, metres."""
     return max(settings.separation or 0.0, RADII_APART * lander.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """The vehicle with the cameras that look at the ground."""
+
+    position: F64  # (3,) metres, in the frame of the map
+    height_above_ground: float  # metres
+    focal: float  # pixels, of the newest view that looks down
+    stereo: bool  # two cameras look down at the same time
+
+
+def next_view(place: F64, settles_at: float, observer: Observer, settings: SitesSettings) -> NextView | None:
+    """Propose the highest view whose pixels are fine enough to settle the doubt about a place.
+
+    A pixel on the ground is the height over the focal length in pixels. The view is not lower than `lowest_look` and
+    not higher than the vehicle is now. One camera needs a base, so it looks from beside the place, on the side of the
+    vehicle; two cameras have a base of their own and look from straight above.
+
+    Args:
+        place: (3,) metres, on the ground.
+        settles_at: metres, size of the pixel on the ground that settles the doubt; NaN: none does.
+        observer: the vehicle and its cameras.
+        settings: the lowest height and the base.
+
+    Returns:
+        The view; None where no pixel settles the doubt.
+    """
+    if not math.isfinite(settles_at):
+        return None
+    wanted = settles_at * observer.focal
+    height = max(min(wanted, observer.height_above_ground), settings.lowest_look)
+    base = 0.0 if observer.stereo else settings.look_base * height
+    east, north = (float(v) for v in place[:2] + base * _towards(place, observer.position))
+    return NextView(east, north, float(place[2]) + height, height, settles=height <= wanted)
+
+
+def _towards(place: F64, vehicle: F64) -> F64:
+    """Unit vector on the ground, (2,), from a place to the vehicle; north if the vehicle is overhead."""
+    way = np.asarray(vehicle[:2] - place[:2], dtype=np.float64)
+    distance = float(np.hypot(*way))
+    return way / distance if distance > 1e-3 else np.array([0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,3 +236,24 @@ def choose_sites(
     sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
     candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
     return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings, lander), candidates=candidates)
+
+
+def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander) -> str:
+    """The reasons against a landing in one sentence, as shares of the ground that was seen; they may overlap."""
+    seen, cell, hazards = elevation.trusted, hazards.grid.cell, hazards.on(elevation.grid)
+    if not seen.any():
+        return "no safe site: no ground was seen well enough to know its height"
+    if ((hazards.reasons[seen] & Hazard.EDGE) != 0).all():
+        return "no safe site: the map is smaller than the footprint"
+    safe = seen & (hazards.reasons == 0)
+    if safe.any():
+        room = float(hazards.clearance[safe].max())
+        return (
+            f"no safe site: {safe.sum() / seen.sum():.1%} of the seen ground is safe, but the most room there is "
+            f"{room:.2f} m and {settings.margin:.2f} m is wanted"
+        )
+    shares = {bit: float(((hazards.reasons[seen] & bit) != 0).mean()) for bit in REASON_WORDS}
+    ranked = sorted((s, b) for b, s in shares.items() if s >= 0.005)[::-1]
+    parts = [f"{100 * share:.0f} % {REASON_WORDS[bit]}" for share, bit in ranked]
+    too_wide = f"; cells of {cell:g} m are wider than the radius of {lander.radius:g} m, so no plane fits"
+    return "no safe site: of the seen ground " + ", ".join(parts) + (too_wide if lander.radius < cell else "")

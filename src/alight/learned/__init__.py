@@ -1,32 +1,16 @@
 """Fitted tables, each with a card beside it, and the models in them."""
 
 from alight.learned.models import (
-    Floor,
     KnownGround,
     Net,
     Rate,
     SigmaCoefficients,
+    arrays_of,
     read_floors,
     read_known,
     read_net,
     read_rate,
     read_sigma,
     read_wrong_match,
+    table_path,
 )
-from alight.learned.tables import arrays_of, table_path
-
-__all__ = [
-    "Floor",
-    "KnownGround",
-    "Net",
-    "Rate",
-    "SigmaCoefficients",
-    "arrays_of",
-    "read_floors",
-    "read_known",
-    "read_net",
-    "read_rate",
-    "read_sigma",
-    "read_wrong_match",
-    "table_path",
-]

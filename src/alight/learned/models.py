@@ -1,12 +1,17 @@
-"""What the fitted tables hold: a net, the known kinds of ground, rates of hazards, and floors under these."""
+"""The fitted tables and the models in them: a net, the known kinds of ground, rates of hazards, floors under these.
+
+Their files are `.npz`, or `.yaml` for a few numbers, each with a card (`.md`) of the same name.
+"""
 
 from __future__ import annotations
 
 import io
 import math
+import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -14,10 +19,37 @@ import yaml
 from numpy.typing import NDArray
 
 from alight.arrays import F16, F32, F64
-from alight.learned.tables import arrays_of, table_path
 from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, LAND_COVER_TERMS, NEAR_TERMS, RELIEF_TERMS
 
 CELLS_AT_A_TIME = 8192  # whose hidden units, or distances, stay in the cache
+
+
+def table_path(name: str) -> Path:
+    """The file of a table of the package."""
+    return Path(__file__).parent / f"{name}.npz"
+
+
+def arrays_of(content: bytes, largest: int = 256_000_000) -> dict[str, NDArray[Any]]:
+    """The arrays in the bytes of a table, by name.
+
+    Args:
+        content: of an archive (.npz) without Python objects, however damaged.
+        largest: bytes that its arrays may need.
+
+    Raises:
+        ValueError: it is damaged, holds Python objects, or unpacks to more than `largest`.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > largest:
+            raise ValueError(f"the table unpacks to {unpacked / 1e6:.0f} MB")
+        with np.load(io.BytesIO(content), allow_pickle=False) as z:
+            return {key: z[key] for key in z.files}
+    except ValueError:
+        raise
+    except Exception as e:  # a damaged archive raises errors of many kinds
+        raise ValueError(f"the table is damaged ({e})") from e
 
 
 @dataclass(frozen=True, eq=False)

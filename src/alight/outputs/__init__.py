@@ -3,13 +3,3 @@
 from alight.outputs.file_store import FileStore
 from alight.outputs.folder import FILES, is_finished, prepare_folder, timing_summary, write_run
 from alight.outputs.rasters import ellipsoidal_height
-
-__all__ = [
-    "FILES",
-    "FileStore",
-    "ellipsoidal_height",
-    "is_finished",
-    "prepare_folder",
-    "timing_summary",
-    "write_run",
-]

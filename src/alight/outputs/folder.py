@@ -15,7 +15,7 @@ import numpy as np
 
 from alight import __version__, report
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
-from alight.outputs import plan, rasters, trajectory, vectors
+from alight.outputs import plan, rasters, vectors
 from alight.outputs.atomic_write import ANOTHER, output_error, partial_path, write_whole
 from alight.outputs.folder_lock import LOCK, holds_folder, lock_folder, release_folder
 from alight.records import ElevationMap, OutputError, RunResult
@@ -30,7 +30,7 @@ FILES = (
 KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two of `alight hazards`
 BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
 WORK = "unfinished-work"  # folder of a run that was interrupted
-NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
+NO_PLACE = "the input has no place on Earth; run.json has the sites in metres"
 
 # a file's name -> the function that makes it, or the reason why it cannot be made
 Contents = dict[str, Callable[[], bytes] | str]
@@ -82,11 +82,10 @@ def report_file(result: RunResult) -> Contents:
 
 def contents(r: RunResult) -> Contents:
     """Every file but run.json, in the order of writing; the caller's own reasons win."""
-    names = ("trajectory.tum", "trajectory.csv")
-    motion: Contents = dict.fromkeys(names, "the motion was not estimated")
-    if r.motions:
-        makers = (trajectory.tum, trajectory.csv)
-        motion = {name: partial(make, r.motions) for name, make in zip(names, makers, strict=True)}
+    makers = {"trajectory.tum": vectors.tum, "trajectory.csv": vectors.csv}
+    motion: Contents = {
+        name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
+    }
     # the answer first: on a full disk, the small and most important files still find room
     return _sites(r) | _route(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
 
@@ -223,55 +222,11 @@ def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = 
         raise output_error(out, e) from e
 
 
-class _Writer:
-    """Writes one file after the other; a failure is remembered and does not stop the others."""
-
-    def __init__(self, out: Path) -> None:
-        self._out = out
-        self.written: list[Path] = []
-        self.failed: dict[str, OutputError] = {}
-        self.bugs: list[Exception] = []
-
-    def write(self, name: str, make: Callable[[], bytes]) -> str | None:
-        """Make and write one file; return the reason if that failed, and then no old file of the name is left."""
-        self._remove_notes(name)
-        try:
-            write_whole(self._out / name, make())
-        except OutputError as e:
-            self.failed[name] = e
-        except Exception as e:
-            log.error("%s: could not be made: %s", name, e)
-            self.bugs.append(e)
-        else:
-            self.written.append(self._out / name)
-            return None
-        self.remove(name)
-        return str(self.failed.get(name, "it could not be made: a defect of Alight"))
-
-    def remove(self, name: str) -> str | None:
-        """Remove an old file, and what GDAL noted about it; return the reason if that failed."""
-        self._remove_notes(name)
-        try:
-            (self._out / name).unlink(missing_ok=True)
-        except OSError as e:
-            return str(self.failed.setdefault(name, output_error(self._out / name, e)))
-        return None
-
-    def _remove_notes(self, name: str) -> None:
-        """Remove what GDAL or QGIS noted about an old raster (statistics, colours): it is not true of the new one."""
-        notes = self._out / f"{name}.aux.xml"
-        with suppress(OSError):
-            if name.endswith(".tif") and notes.is_file() and b"<PAMDataset" in notes.read_bytes()[:200]:
-                self.remove(notes.name)
-
-    def raise_first(self) -> None:
-        """Raise the first failure, with the names of all failed files and the number of written ones."""
-        if self.failed:
-            first, *others = self.failed
-            also = f"; nor could {', '.join(others)}" if others else ""
-            raise OutputError(f"{self.failed[first]}{also}; {len(self.written)} other files are whole")
-        if self.bugs:
-            raise self.bugs[0]
+def _is_note(path: Path) -> bool:
+    """True for what GDAL or QGIS noted about a raster (statistics, colours): it is not true of a new one."""
+    with suppress(OSError):
+        return path.is_file() and b"<PAMDataset" in path.read_bytes()[:200]
+    return False
 
 
 def write_folder(
@@ -280,10 +235,9 @@ def write_folder(
 ) -> list[Path]:  # fmt: skip
     """Write a folder, each file whole or not at all, run.json last; return the files written.
 
-    An earlier run's run.json is removed first, then the files that this run does not write, and each other file in its
-    turn. So a folder with a run.json is always of one run, and no old file survives beside a new answer. If a file
-    cannot be written or removed, the rest is still written, run.json lists the missing files, and then the error is
-    raised.
+    An earlier run's run.json is removed first, then its other files. So a folder with a run.json is always of one run,
+    and no old file survives beside a new answer. If a file cannot be written or removed, the rest is still written,
+    run.json lists the missing files, and then the error is raised.
 
     Args:
         files: every file but run.json, in the order of writing, or the reason why it is not written.
@@ -296,31 +250,40 @@ def write_folder(
         OutputError: see `prepare_folder`; or the disk is full, with the names of the files that are missing.
     """
     prepare_folder(out, overwrite, inputs)
-    writer, missing = _Writer(out), dict[str, str]()
-    writer.remove(RUN_JSON)
-    if writer.failed:
-        raise writer.failed[RUN_JSON]
-    for name in KNOWN:
-        if name not in files and name != RUN_JSON:
-            writer.remove(name)
-    for name, made in files.items():
+    written, missing, failed = list[Path](), dict[str, str](), dict[str, Exception]()
+    old = dict.fromkeys((RUN_JSON, *KNOWN, *files))
+    for name in [*old, *(note for name in old if _is_note(out / (note := f"{name}.aux.xml")))]:
+        try:
+            (out / name).unlink(missing_ok=True)
+        except OSError as e:
+            failed[name] = output_error(out / name, e)
+            if name == RUN_JSON:
+                raise failed[name] from e
+    for name, made in (*files.items(), (RUN_JSON, lambda: vectors.json_bytes(info(missing)))):
         if isinstance(made, str):
-            missing[name] = writer.remove(name) or made
+            missing[name] = str(failed.get(name, made))
             log.info("%s is not written: %s", name, made)
-        elif (why := writer.write(name, made)) is not None:
-            missing[name] = why
-    writer.write(RUN_JSON, lambda: vectors.json_bytes(info(missing)))
-    if is_run(out) or not writer.written:
+            continue
+        try:
+            write_whole(out / name, made())
+            written.append(out / name)
+            failed.pop(name, None)
+        except OutputError as e:
+            failed[name], missing[name] = e, str(e)
+        except Exception as e:
+            log.error("%s: could not be made: %s", name, e)
+            failed[name], missing[name] = e, "it could not be made: a defect of Alight"
+    if is_run(out) or not written:
         release_folder(out)
-    writer.raise_first()
+    if refused := [name for name, e in failed.items() if isinstance(e, OutputError)]:
+        also = f"; nor could {', '.join(refused[1:])}" if refused[1:] else ""
+        raise OutputError(f"{failed[refused[0]]}{also}; {len(written)} other files are whole")
+    if failed:
+        raise next(iter(failed.values()))
     remove_work(out)
-    return writer.written
+    return written
 
 
 def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
-    """Write the folder of one run; return the files written.
-
-    Raises:
-        OutputError: see `write_folder`.
-    """
+    """Write the folder of one run, as `write_folder`; return the files written."""
     return write_folder(contents(result), partial(run_json, result), out, overwrite)

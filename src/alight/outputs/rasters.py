@@ -16,8 +16,7 @@ from rasterio.io import MemoryFile
 from alight.arrays import F32
 from alight.geometry import Grid, LocalFrame, ellipsoid_fall
 from alight.records import REFUSED, Datum, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
-from alight.report.paint import TERRAIN_COLOURS, rgb
-from alight.report.words import FLAGS, HAZARDS
+from alight.report.paint import FLAGS, HAZARDS, TERRAIN_COLOURS, Reason, rgb
 
 SAFE_BANDS = ("p_safe", "p_relief", "p_obstacle", "p_ground", "resolved")
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
@@ -87,9 +86,9 @@ def common_tags(datum: Datum | None) -> dict[str, str]:
     }
 
 
-def _bits(words: Mapping[Flag, str] | Mapping[Hazard, str]) -> dict[str, str]:
+def _bits(reasons: Mapping[Flag, Reason] | Mapping[Hazard, Reason]) -> dict[str, str]:
     """Tags that name the bits of a raster."""
-    return {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in words.items()}
+    return {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why.text}" for f, why in reasons.items()}
 
 
 def flags_raster(elevation: ElevationMap) -> RasterFile:

@@ -29,35 +29,33 @@ class Run:
     folder: Path
     info: dict[str, Any]  # run.json
     local: LocalFrame | None  # None: the run has no place on Earth
-    grid: Grid | None
-    height: F32 | None  # (R, C) metres above the WGS84 ellipsoid, NaN = not given out
-    sigma: F32 | None  # (R, C) metres
-    flags: U16 | None  # (R, C) bits of Flag
-    terrain: U8 | None  # (R, C) Terrain codes
-    safe: F32 | None  # (R, C) probability, NaN = not judged
-    reasons: U16 | None  # (R, C) bits of Hazard
-    ortho: U8 | None  # (R, C, 3) RGB
+    grid: Grid | None = None
+    height: F32 | None = None  # (R, C) metres above the WGS84 ellipsoid, NaN = not given out
+    sigma: F32 | None = None  # (R, C) metres
+    flags: U16 | None = None  # (R, C) bits of Flag
+    terrain: U8 | None = None  # (R, C) Terrain codes
+    safe: F32 | None = None  # (R, C) probability, NaN = not judged
+    reasons: U16 | None = None  # (R, C) bits of Hazard
+    ortho: U8 | None = None  # (R, C, 3) RGB
 
     @property
     def settings(self) -> Settings:
         """The settings of the run.
 
         Raises:
-            KeyError: run.json holds none.
-            ValueError: a value is not valid.
+            InputError: run.json holds none, or a value that is not valid.
         """
-        return settings_of_run(self.info["settings"])
+        try:
+            return settings_of_run(self.info["settings"])
+        except (KeyError, ValueError) as e:
+            raise InputError(f"{self.folder / RUN_JSON}: of another version of Alight; run again") from e
 
 
-# bands of a run's rasters, and the kind of their numbers: floating, unsigned
+# of a run's rasters: bands, kind of their numbers (floating, unsigned), and the fields of `Run` that they fill
 RASTERS = {
-    "dem": (2, "f"),
-    "flags": (1, "u"),
-    "terrain": (1, "u"),
-    "safe": (1, "f"),
-    "reasons": (1, "u"),
-    "ortho": (3, "u"),
-}
+    "dem": (2, "f", ("height", "sigma")), "flags": (1, "u", ("flags",)), "terrain": (1, "u", ("terrain",)),
+    "safe": (1, "f", ("safe",)), "reasons": (1, "u", ("reasons",)), "ortho": (3, "u", ()),
+}  # fmt: skip
 
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]  # from the origin: a local frame ends long before
 
@@ -84,6 +82,7 @@ class _RunJson(BaseModel):
     """The keys of run.json that are read."""
 
     answer: _Answer
+    origin: LocalFrame | None = None
     height_above_ground_m: FiniteFloat | None = None
     common_error: _CommonError | None = None
     settings: dict[str, Any] = {}
@@ -102,7 +101,7 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
             with north up.
     """
     if not path.is_file():
-        raise InputError(f"{path}: not a plain file; {mend}")
+        raise InputError(f"{path}: missing, or not a plain file; {mend}")
     try:
         with rasterio.open(path) as d:
             t = d.transform
@@ -118,25 +117,17 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
         raise InputError(f"{path}: not a readable raster; {mend}") from e
 
 
-def _bands(folder: Path) -> tuple[dict[str, NDArray[Any]], Grid | None]:
-    """The bands of every raster of a run by its name, and their one grid."""
-    found: dict[str, NDArray[Any]] = {}
-    grid: Grid | None = None
-    for name, (least, kind) in RASTERS.items():
+def _maps(folder: Path) -> dict[str, Any]:
+    """The fields of `Run` that its rasters fill, and their one grid."""
+    found: dict[str, Any] = {}
+    for name, (least, kind, fields) in RASTERS.items():
         path = folder / f"{name}.tif"
         if path.exists():
-            found[name], its = read_bands(path, least, kind, AGAIN)
-            if its != (grid := grid or its):
+            bands, grid = read_bands(path, least, kind, AGAIN)
+            if grid != found.setdefault("grid", grid):
                 raise InputError(f"{path}: not on the grid of the run's other rasters; {AGAIN}")
-    return found, grid
-
-
-def _local(info: dict[str, Any]) -> LocalFrame | None:
-    origin = info.get("origin")
-    try:
-        return LocalFrame(*(float(origin[k]) for k in ("latitude", "longitude", "height"))) if origin else None
-    except (KeyError, TypeError, ValueError) as e:
-        raise InputError(f"{RUN_JSON}: its origin is damaged ({origin!r:.60}); {AGAIN}") from e
+            found |= zip(fields, bands, strict=False) if fields else {name: np.moveaxis(bands[:3], 0, 2)}
+    return found
 
 
 def read_run(folder: Path) -> Run:
@@ -149,26 +140,7 @@ def read_run(folder: Path) -> Run:
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")
     info = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
     try:
-        validated(_RunJson, info)
+        local = validated(_RunJson, info).origin
     except DocumentError as e:
         raise InputError(f"{RUN_JSON}: {e}; {AGAIN}") from e
-    bands, grid = _bands(folder)
-
-    def only(name: str, band: int = 0) -> Any:
-        found = bands.get(name)
-        return None if found is None else found[band]
-
-    rgb = bands.get("ortho")
-    return Run(
-        folder=folder,
-        info=info,
-        local=_local(info),
-        grid=grid,
-        height=only("dem"),
-        sigma=only("dem", 1),
-        flags=only("flags"),
-        terrain=only("terrain"),
-        safe=only("safe"),
-        reasons=only("reasons"),
-        ortho=None if rgb is None else np.moveaxis(rgb[:3], 0, 2),
-    )
+    return Run(folder, info, local, **_maps(folder))

@@ -39,8 +39,8 @@ from alight.records.codec import (
     FlightHead,
     pack,
 )
+from alight.records.events import Spot
 from alight.records.executive import LookRecord, Transition
-from alight.records.schedule import Spot
 
 log = logging.getLogger(__name__)
 

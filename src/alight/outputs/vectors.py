@@ -1,4 +1,4 @@
-"""The answer as vectors: sites and route as GeoJSON (RFC 7946)."""
+"""Sites and route as GeoJSON (RFC 7946); the estimated body poses as TUM text for `evo`, and as a table."""
 
 from __future__ import annotations
 
@@ -11,8 +11,12 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import NextView, PlaceSigma, Route, Site, Sites, Waypoint
+from alight.records import Motion, NextView, PlaceSigma, Route, Site, Sites, Waypoint
 
+COLUMNS = (
+    "t_ns,east_m,north_m,up_m,q_w,q_x,q_y,q_z,v_e,v_n,v_u,"
+    "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,state,tracks"
+)
 UNENCODABLE = "backslashreplace"  # of names of files that are no UTF-8: `\\udcff`, which JSON reads as well
 
 
@@ -86,19 +90,10 @@ def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -
     return {"type": "Feature", "geometry": place, "properties": properties}
 
 
-def accuracy(covariance: F64) -> dict[str, Any]:
-    """1-sigma of the whole map's place on Earth: horizontal in the worst direction, and vertical.
-
-    `covariance`: (3, 3) m^2, east north up.
-    """
-    sigma = PlaceSigma.of(covariance)
-    return {"horizontal_m": number(sigma.horizontal, 3), "vertical_m": number(sigma.vertical, 3)}
-
-
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
     """The sites, then the candidates, in order of rank; without a site, the `reason`.
 
-    `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: unknown.
+    `covariance`: (3, 3) m^2, of the whole map's place on Earth: 1-sigma in the worst direction, and up; None: unknown.
     """
 
     def place(of: Site | NextView) -> list[float]:
@@ -107,8 +102,11 @@ def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None
     features = [
         feature("Point", place(s), site_properties(s, None if s.look is None else place(s.look))) for s in sites.listed
     ]
-    known = {} if covariance is None else {"accuracy": accuracy(covariance)}
-    return collection(features, sites) | known
+    tree = collection(features, sites)
+    if covariance is not None:
+        horizontal, vertical = (number(v, 3) for v in PlaceSigma.of(covariance))
+        tree["accuracy"] = {"horizontal_m": horizontal, "vertical_m": vertical}
+    return tree
 
 
 def collection(features: list[dict[str, Any]], sites: Sites) -> dict[str, Any]:
@@ -157,3 +155,51 @@ def json_bytes(tree: Any) -> bytes:
     """JSON that every reader accepts: UTF-8, no NaN, a new line at the end."""
     text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", UNENCODABLE)
+
+
+def tum_time(t_ns: int) -> str:
+    """Seconds with all nine decimals; a float would round them away."""
+    sign, t = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
+    return f"{sign}{t // 10**9}.{t % 10**9:09d}"
+
+
+def tum(motions: Sequence[Motion]) -> bytes:
+    """One line a pose: t tx ty tz qx qy qz qw; world_from_body, seconds, ENU metres."""
+    lines = ["# timestamp[s] tx ty tz[m, ENU] qx qy qz qw (world from body)"]
+    for m in motions:
+        w, x, y, z = m.world_from_body.quaternion
+        e, n, u = m.world_from_body.translation
+        lines.append(f"{tum_time(m.t_ns)} {e:.6f} {n:.6f} {u:.6f} {x:.9f} {y:.9f} {z:.9f} {w:.9f}")
+    return ("\n".join(lines) + "\n").encode()
+
+
+def attitude_sigma(m: Motion) -> F64:
+    """1-sigma of roll, pitch, yaw, (3,) rad: root diagonal of the attitude's covariance in body axes."""
+    R = m.world_from_body.rotation
+    return np.sqrt(np.diag(R.T @ m.covariance[3:, 3:] @ R))
+
+
+def _fields(values: F64 | None, decimals: int) -> list[str]:
+    if values is None:
+        return [""] * 3
+    return [f"{v:.{decimals}f}" if np.isfinite(v) else "" for v in values]
+
+
+def _row(m: Motion) -> str:
+    return ",".join(
+        [
+            str(m.t_ns),
+            *_fields(m.world_from_body.translation, 6),
+            *(f"{q:.9f}" for q in m.world_from_body.quaternion),
+            *_fields(m.velocity_world, 5),
+            *_fields(np.sqrt(np.diag(m.covariance)[:3]), 5),
+            *_fields(attitude_sigma(m), 7),
+            m.state.name.lower(),
+            str(m.tracks),
+        ]
+    )
+
+
+def csv(motions: Sequence[Motion]) -> bytes:
+    """One row a pose, SI and radians; an empty field is unknown."""
+    return ("\n".join([COLUMNS, *map(_row, motions)]) + "\n").encode()

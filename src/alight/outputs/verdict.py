@@ -89,14 +89,11 @@ def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
 
 
 def write_judgement(
-    result: RunResult, crs: CRS | None, sharpened: bool, out: Path, overwrite: bool, inputs: Sequence[Path] = ()
+    result: RunResult, out: Path, overwrite: bool, crs: CRS | None, sharpened: bool, inputs: Sequence[Path] = ()
 ) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json, each whole or not at all.
 
-    `heights.tif` is added where an image made the heights finer.
-
-    Raises:
-        OutputError: see `folder.write_folder`.
+    `heights.tif` is added where an image made the heights finer. See `folder.write_folder`.
     """
     contents = _contents(result, crs, sharpened)
     return write_folder(contents, lambda missing: _summary(result, crs, missing), out, overwrite, inputs)

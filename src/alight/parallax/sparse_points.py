@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from alight.arrays import F32, F64
-from alight.parallax.views import grey_of
+from alight.raster import grey_levels
 from alight.records import View
 from alight.settings.tuning.parallax import PointsTuning
 
@@ -32,7 +32,7 @@ class ViewFeatures(NamedTuple):
     @classmethod
     def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
         """Detect the strongest features of a view: weak ones where there are no others, as on gravel from far."""
-        grey = grey_of(view.image).astype(np.uint8)
+        grey = grey_levels(view.image)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
         sift = cv2.SIFT_create(tuning.features, contrastThreshold=tuning.contrast)  # type: ignore[attr-defined]

@@ -16,7 +16,8 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Camera, Grid, Pose, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
-from alight.records import Pixels, View
+from alight.raster import grey_levels
+from alight.records import View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
@@ -47,13 +48,6 @@ def tone_of(view: View) -> U8:
     """(256, 3) table from the levels of a view to colours that all views of the same ground share."""
     levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
-
-
-def grey_of(image: Pixels) -> F32:
-    """The image as float32 grey levels (RGB by the usual luma weights)."""
-    pixels = np.asarray(image)
-    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) if pixels.ndim == 3 else pixels
-    return np.asarray(grey, dtype=np.float32)
 
 
 @cache
@@ -93,7 +87,7 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
 
     A camera no higher than the ground, because of a wrong height, keeps `LEAST_SIDE` pixels.
     """
-    grey, camera = grey_of(view.image), view.camera
+    grey, camera = grey_levels(view.image).astype(np.float32), view.camera
     ratio = min(cell / ground_sampling(view, height), max(min(grey.shape) / LEAST_SIDE, 1.0))
     while ratio >= 1.9:  # a cell spans two pixels
         grey, camera = halved(grey, camera)

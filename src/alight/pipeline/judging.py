@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from alight import hazards, memory, terrain
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
-from alight.landing.next_view import Observer
 from alight.landing.reserve import Reserve
 from alight.parallax.orthophoto import orthophoto
-from alight.pipeline.cover_memory import NO_COVER_SEEN, CoverMemory
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.remembered import NOWHERE, Remembered, shown_at, traffic
+from alight.pipeline.remembered import NOWHERE, CoverMemory, Remembered, shown_at, traffic
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import (
@@ -36,7 +34,6 @@ from alight.settings import Lander, StageSettings, TerrainSettings
 WET = np.uint16(Flag.WATER)
 LARGE_MAP = 1_000_000  # cells: judging one leaves hundreds of megabytes free in the heap
 MOST_LOST = 100  # sites whose loss is remembered
-NOTHING = Reserve()
 GREY = (
     "the pictures are grey: no colour can refuse water, plants or buildings, so fewer are recognised and P(safe) is "
     "lower; give colour pictures"
@@ -80,12 +77,12 @@ class Verdict:
 
     def in_world(self) -> Verdict:
         """The verdict in the world, for results that leave the pipeline."""
-        frame, land_cover = self.frame, self.land_cover
+        frame, land_cover, hazards = self.frame, self.land_cover, self.hazards
         return replace(
             self,
             elevation=frame.elevation(self.elevation),
-            land_cover=None if land_cover is None else frame.on_grid(land_cover),
-            hazards=frame.on_grid(self.hazards),
+            land_cover=land_cover and replace(land_cover, grid=frame.grid(land_cover.grid)),
+            hazards=replace(hazards, grid=frame.grid(hazards.grid)),
             sites=frame.sites(self.sites),
             frame=replace(frame, offset_world=np.zeros(3)),
         )
@@ -95,34 +92,29 @@ class Verdict:
 class JudgingMemory:
     """Memory of the judging lane of earlier maps, by value: a lane that replaces another one goes on with it."""
 
-    kept: Reserve = NOTHING  # in the map's frame
+    kept: Reserve = field(default_factory=Reserve)  # in the map's frame
     frame: MapFrame | None = None  # of the newest map
     lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
     warnings: tuple[str, ...] = ()  # on the sites, where the motion began anew
     roofs: Remembered = NOWHERE  # flat roofs, in the map's frame: maps from near by do not show the lower ground
-    cover: CoverMemory = NO_COVER_SEEN  # of the newest map, in its frame
+    cover: CoverMemory = field(default_factory=CoverMemory)  # of the newest map, in its frame
 
     @property
     def reserve(self) -> Reserve:
         """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
-        r, frame = self.kept, self.frame
-        if frame is None:
-            return r
-        return replace(
-            r, sites=tuple(frame.site(s) for s in r.sites), lost=tuple((frame.site(s), why) for s, why in r.lost)
-        )
+        return self.kept if self.frame is None else self.kept.moved(self.frame.offset_world)
 
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
         """The memory moved to another map frame, with a warning of the number of sites that are left."""
-        roofs, before = self.roofs.moved(tie.shift, tie.sigma_horizontal), len(self.kept.sites)
-        moved = replace(self, roofs=roofs, cover=self.cover.moved(tie.shift, tie.sigma_horizontal))
+        before = len(self.kept.sites)
+        moved = replace(self, roofs=self.roofs.moved(*tie), cover=self.cover.moved(*tie))
         if not before:
             return moved
-        moved = moved.with_reserve(self.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)
+        moved = moved.with_reserve(self.kept.tied(*tie, frame.frame_id), frame)
         left = len(moved.kept.sites)
         warning = (
             f"sites: the motion began anew (frame {frame.frame_id}); of {before} sites found before, {left} are "
-            f"moved into the new frame, where their place is known to {tie.sigma_horizontal:.2f} m, and "
+            f"moved into the new frame, where their place is known to {tie.sigma:.2f} m, and "
             f"{before - left} are dropped"
         )
         return replace(moved, warnings=(*moved.warnings, warning)[-MOST_LOST:])
@@ -171,16 +163,14 @@ class JudgingLane:
         _tidy(elevation)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(found, land_cover, elevation, s.sites, s.lander, observer(seen))
-            self._keep(chosen, found, frame)
+            apart = sites.separation(s.sites, s.lander)
+            self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
         """Land cover with the roofs (G13c) and the doubts (T8) of this map and of earlier ones."""
         self.memory = replace(self.memory, cover=self.memory.cover.with_seen(land_cover, t_ns))
-        land_cover = self.memory.cover.doubted(land_cover)
-        if land_cover.raised is None:
-            return land_cover
-        grid = land_cover.grid
+        land_cover, grid = self.memory.cover.doubted(land_cover), land_cover.grid
         roofs = self.memory.roofs.with_seen(shown_at(grid, land_cover.raised > 0.5), t_ns)
         self.memory = replace(self.memory, roofs=roofs)
         return land_cover.with_roofs(np.maximum(land_cover.raised, roofs.on(grid)))
@@ -194,10 +184,6 @@ class JudgingLane:
         if m.frame is not None and frame.frame_id != m.frame.frame_id:
             m = m.tied(m.frame.tie(frame), frame)
         self.memory = replace(m, kept=replace(m.kept, frame_id=frame.frame_id), frame=frame)
-
-    def _keep(self, chosen: Sites, found: HazardMap, frame: MapFrame) -> None:
-        apart = sites.separation(self._settings.sites, self._settings.lander)
-        self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """Notes of a run on a verdict: sites of earlier maps, and the reasons why others were given up."""
@@ -248,14 +234,14 @@ def find_land_cover(
     return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 
 
-def observer(seen: MapSnapshot) -> Observer | None:
+def observer(seen: MapSnapshot) -> sites.Observer | None:
     """The vehicle, and its cameras by the views of the newest instant that look down; None if none of them does."""
     t_ns = max((v.t_ns for v in seen.views), default=0)
     newest = [v for v in seen.views if v.t_ns == t_ns]
     if not newest:
         return None
-    vehicle, stereo = seen.vehicle, len({v.cam for v in newest}) > 1
-    return Observer(vehicle.position, vehicle.height_above_ground, newest[-1].camera.fu, stereo)
+    stereo = len({v.cam for v in newest}) > 1
+    return sites.Observer(seen.position, seen.height_above_ground, newest[-1].camera.fu, stereo)
 
 
 def without_water(elevation: ElevationMap, land_cover: TerrainMap | None) -> ElevationMap:

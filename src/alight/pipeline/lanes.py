@@ -1,21 +1,23 @@
-"""Options of a run, and the lanes that they and the settings call for."""
+"""The lanes of a run: the options that choose them, and their end, the landing decision."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 from alight import terrain
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
-from alight.pipeline.judging import Verdict
-from alight.pipeline.mapping import MappingLane
+from alight.landing.route import plan_route
+from alight.pipeline.judging import JudgingLane, Verdict, reserve_notes
+from alight.pipeline.mapping import MappingLane, MapSnapshot
 from alight.pipeline.navigation import NavigationLane, TimedPoses
 from alight.pipeline.policy import FlightPolicy
-from alight.pipeline.timing import Clock, Timings
-from alight.records import PriorHeights, Rig, SettingsError
-from alight.settings import ImuNoise, StageSettings
+from alight.pipeline.timing import Clock, StageProgress, Timings, unreported
+from alight.records import Decision, PriorHeights, Rig, Route, SettingsError, Sites
+from alight.settings import ImuNoise, RouteSettings, StageSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +64,51 @@ def mapping_lane(
 ) -> MappingLane:
     """Choose the way to map; `at_end`: all motions come at the end of the recording."""
     if not at_end and (settings.parallax.method == "recursive" or not options.history):  # no end, no batch
-        from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+        from alight.pipeline.mapping.recursive_map import RecursiveMapper
 
         anew = options.policy.mapping_anew if options.policy is not None else ()
         return RecursiveMapper(rig, settings, options.tile_store, timings, options.history, anew)
-    from alight.pipeline.mapping.batch_mapper import BatchMapper, PhotoMapper
+    from alight.pipeline.mapping.batch_map import BatchMapper
 
-    mapper = PhotoMapper if at_end else BatchMapper
-    return mapper(rig, settings, options.tile_store, timings, options.jobs or InTurn(), options.prior)
+    return BatchMapper(rig, settings, options.tile_store, timings, options.jobs or InTurn(), options.prior)
+
+
+def conclude(
+    navigation: NavigationLane, mapping: MappingLane, judging: JudgingLane, settings: StageSettings, timings: Timings,
+    progress: StageProgress = unreported,
+) -> Decision:  # fmt: skip
+    """Refine the motion, build the map, judge it and choose; all results are in the world."""
+    with timings.of("motion, all frames together"):
+        trajectory = navigation.finish(partial(progress, "motion"))
+    warnings = list(trajectory.warnings)
+    moved = Decision(
+        sites=Sites((), trajectory.reason), motions=trajectory.motions, notes=trajectory.notes, warnings=warnings,
+        outcomes=trajectory.photos,
+    )  # fmt: skip
+    if not trajectory.usable:
+        return moved
+    found = mapping.finish(trajectory, partial(progress, "heights"))
+    warnings += found.warnings
+    if found.snapshot is None:
+        warnings += judging.memory.warnings
+        notes = {**trajectory.notes, **reserve_notes(judging.memory.reserve.sites)}
+        return replace(moved, sites=Sites((), found.reason), notes=notes)
+    progress("judging", 0.2)
+    verdict = judging.judge(found.snapshot).in_world()
+    route = _route(verdict.sites, found.snapshot, settings.route)
+    progress("judging", 1.0)
+    return replace(
+        moved, sites=verdict.sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
+        route=route, height_above_ground=found.snapshot.height_above_ground,
+        notes={**trajectory.notes, **found.notes, **judging.notes(verdict)},
+        warnings=[*warnings, *judging.memory.warnings, *verdict.warnings],
+    )  # fmt: skip
+
+
+def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | None:
+    """The way to the best of the sites, planned in the world."""
+    if not sites.sites:
+        return None
+    vehicle, elevation = seen.frame.point(seen.position), seen.frame.elevation(seen.elevation)
+    way = plan_route(sites.sites[0], elevation, vehicle, settings)
+    return replace(way, frame_id=seen.frame.frame_id)

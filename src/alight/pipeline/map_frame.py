@@ -7,29 +7,22 @@ beside it. A filter that begins anew gives its poses another frame number.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.records import Datum, ElevationMap, HazardMap, Motion, PlaceSigma, Site, Sites, TerrainMap
-
-OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
+from alight.records import Datum, ElevationMap, Motion, PlaceSigma, Sites
 
 
-@dataclass(frozen=True, eq=False)
-class Tie:
+class Tie(NamedTuple):
     """Transform of positions from one map frame to another, by the place of both in the world."""
 
     shift: F64  # (3,) metres, to add
-    covariance: F64  # (3, 3) m^2 of it
-
-    @property
-    def sigma_horizontal(self) -> float:
-        """1-sigma on the ground, metres, in the direction in which it is largest."""
-        return PlaceSigma.of(self.covariance).horizontal
+    sigma: float  # metres, 1-sigma of it on the ground, in the direction in which it is largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +41,8 @@ class MapFrame:
 
     def tie(self, other: MapFrame) -> Tie:
         """The tie from this frame to another one; the covariances of their places add up."""
-        return Tie(self.offset_world - other.offset_world, self.covariance + other.covariance)
+        sigma = PlaceSigma.of(self.covariance + other.covariance).horizontal
+        return Tie(self.offset_world - other.offset_world, sigma)
 
     # -- from the map to the world
 
@@ -72,31 +66,31 @@ class MapFrame:
         return replace(grid, east=grid.east + east, north=grid.north + north)
 
     def elevation(self, elevation: ElevationMap) -> ElevationMap:
-        """A map of this frame in the world, with its frame number and the covariance of its place."""
-        datum, up = elevation.datum, np.float32(self.offset_world[2])
+        """A map of this frame in the world, with its frame number and the covariance of its place.
+
+        The offset is applied there, and is no common error of its heights any more.
+        """
+        datum, (east, north, up) = elevation.datum, self.offset_world
+        if datum is not None:
+            covariance = datum.covariance.copy()
+            covariance[0, 0] = max(covariance[0, 0] - up**2, 0.0)
+            datum = Datum(datum.east + east, datum.north + north, covariance)
         return replace(
             elevation,
             grid=self.grid(elevation.grid),
-            height=elevation.height + up if up else elevation.height,
-            datum=None if datum is None else self._datum(datum),
+            height=elevation.height + np.float32(up) if up else elevation.height,
+            datum=datum,
             frame_id=self.frame_id,
             position_covariance=self.covariance,
         )
 
-    def _datum(self, datum: Datum) -> Datum:
-        """Common error of all heights in the world: the offset is applied there, and is no error any more."""
-        covariance = datum.covariance.copy()
-        covariance[0, 0] = max(covariance[0, 0] - self.offset_world[2] ** 2, 0.0)
-        return Datum(datum.east + self.offset_world[0], datum.north + self.offset_world[1], covariance)
-
-    def on_grid(self, found: OnGrid) -> OnGrid:
-        """Land cover or hazards of this frame in the world."""
-        return replace(found, grid=self.grid(found.grid))
-
-    def site(self, site: Site) -> Site:
-        """A site of this frame in the world."""
-        return site.moved(self.offset_world)
-
     def sites(self, sites: Sites) -> Sites:
         """Sites and candidates of this frame in the world, with the frame number."""
         return replace(sites.moved(self.offset_world), frame_id=self.frame_id)
+
+
+def in_world(motions: Iterable[Motion]) -> list[Motion]:
+    """Motions in the world: each map frame is placed by the newest motion in it."""
+    motions = list(motions)
+    newest = {m.frame_id: MapFrame.of(m) for m in motions}
+    return [newest[m.frame_id].motion(m) for m in motions]

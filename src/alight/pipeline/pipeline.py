@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from alight.landing.reserve import Reserve
-from alight.pipeline.decision import Decision, conclude, unreported
 from alight.pipeline.judging import JudgingLane, Verdict
-from alight.pipeline.lanes import PipelineOptions, mapping_lane, navigation_lane
+from alight.pipeline.lanes import PipelineOptions, conclude, mapping_lane, navigation_lane
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.policy import FlightPolicy
-from alight.pipeline.timing import StageProgress, Timings
-from alight.records import Event, Motion, Rig
+from alight.pipeline.timing import StageProgress, Timings, unreported
+from alight.records import Decision, Event, Motion, Rig
 from alight.settings import Settings
 
 

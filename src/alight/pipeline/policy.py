@@ -84,17 +84,14 @@ class FlightPolicy:
             free: the judging lane is free; while it is not, no verdict is due.
         """
         self._since += keyframes
-        need = self.need
-        due = (self._every and self._since >= self._every) or self._is_overdue(navigation.frame.t_ns, need)
+        need, t_ns = self.need, navigation.frame.t_ns
+        due = bool(self._every) and self._since >= self._every
+        if need is not None:
+            due |= self._judged_ns is None or (t_ns - self._judged_ns) * 1e-9 >= need.seconds
         if not (due and free):
             return None
-        self._since, self._judged_ns = 0, navigation.frame.t_ns
+        self._since, self._judged_ns = 0, t_ns
         return DueVerdict(None if need is None else need.about)
-
-    def _is_overdue(self, t_ns: int, need: Need | None) -> bool:
-        if need is None or self._judged_ns is None:
-            return need is not None
-        return (t_ns - self._judged_ns) * 1e-9 >= need.seconds
 
 
 class ScheduledPolicy(FlightPolicy):

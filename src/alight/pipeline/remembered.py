@@ -1,4 +1,4 @@
-"""Places that are remembered beyond the map that showed them: roofs, traffic, people.
+"""What is remembered beyond the map that showed it: roofs, traffic, people, and the land cover of earlier maps.
 
 A road between two cars looks as level and empty as a yard. `Flag.MOVING` marks motion of the moment, and the
 next map has forgotten it. On plants or water these move themselves; on paved ground it is traffic. Bare ground
@@ -8,11 +8,11 @@ does not count: dry grass is often classified so, and it sways.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from alight.arrays import F64, I64, U16, Mask
+from alight.arrays import F32, F64, I64, U16, Mask
 from alight.geometry import Grid
 from alight.landing.reserve import SIGMAS_OF_TIE
 from alight.raster import cells_as_blocks, upsample, without_specks
@@ -20,6 +20,8 @@ from alight.records import Flag, Terrain, TerrainMap
 
 CELL = 0.5  # metres, of the remembered places
 SHARE = 0.5  # of such a cell that must be covered
+FADES = 60.0  # s after which an earlier look counts as twice as unlike known ground
+SURE = 0.3  # metres, most sigma of a tie between map frames with which earlier looks still count
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +78,8 @@ class Remembered:
 NOWHERE = Remembered()
 
 
-def shown(grid: Grid, where: Mask) -> tuple[Mask, I64]:
-    """True for cells of `CELL` that a mask (R, C) of a grid covers by `SHARE`.
+def share_covered(grid: Grid, where: Mask) -> tuple[F64, I64]:
+    """Share of the cells of `CELL` that a mask (R, C) of a grid covers.
 
     Returns:
         (E, N) by east and north, and the number (2,) of its first cell.
@@ -88,20 +90,17 @@ def shown(grid: Grid, where: Mask) -> tuple[Mask, I64]:
     shape = columns.max() - low[0] + 1, rows.max() - low[1] + 1
     at = ((columns - low[0])[None, :] * shape[1] + (rows - low[1])[:, None]).ravel()
     count, there = (np.bincount(at, weights=w, minlength=shape[0] * shape[1]) for w in (None, where.ravel()))
-    return (there >= SHARE * np.maximum(count, 1)).reshape(shape), low
+    return (there / np.maximum(count, 1)).reshape(shape), low
+
+
+def _cells(there: Mask, low: I64) -> I64:
+    return np.asarray(np.argwhere(there) + low, np.int64)
 
 
 def shown_at(grid: Grid, where: Mask) -> I64:
     """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid covers by `SHARE`."""
-    there, low = shown(grid, where)
-    return np.asarray(np.argwhere(there) + low, np.int64)
-
-
-def cells_at(grid: Grid, where: Mask) -> I64:
-    """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid reaches into."""
-    columns, rows = _numbers(grid)
-    row, column = np.nonzero(upsample(where, _across(grid)))
-    return np.unique(np.column_stack([columns[column], rows[row]]), axis=0)
+    share, low = share_covered(grid, where)
+    return _cells(share >= SHARE, low)
 
 
 def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
@@ -112,16 +111,17 @@ def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
     moves = (flags & np.uint16(Flag.MOVING)) != 0
     if not moves.any():
         return np.zeros((0, 2), np.int64)
-    there, low = shown(grid, moves)
-    there = without_specks(there, CELL, 2.0, neighbours=4)  # m^2; less is noise: a car with its rim covers 8 to 15
+    share, low = share_covered(grid, moves)
+    there = without_specks(share >= SHARE, CELL, 2.0, neighbours=4)  # m^2; less is noise: a car covers 8 to 15
     if anew is not None:
-        there &= shown(grid, anew)[0]
-    return np.asarray(np.argwhere(there) + low, np.int64)
+        there &= share_covered(grid, anew)[0] >= SHARE
+    return _cells(there, low)
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
     """Cells (N, 2) of `CELL` to remember, touched by patches, large enough, of a mask (R, C) of where somebody came."""
-    return cells_at(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
+    share, low = share_covered(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
+    return _cells(share > 0, low)
 
 
 def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Mask:
@@ -152,3 +152,39 @@ def _numbers(grid: Grid) -> tuple[I64, I64]:
 def _keys(cells: I64) -> I64:
     """One number a cell."""
     return np.asarray(cells[:, 0] * (1 << 32) + cells[:, 1], np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class CoverMemory:
+    """The most familiar look at every cell of the newest map, by value, in its frame (docs/method/p-safe.md, T8).
+
+    The land cover is fitted to pictures from several metres and more. A puddle that is plain from 10 m looks like wet
+    asphalt from 3 m, and its novelty (T6) is larger there. So the odds of the look with the least novelty stay.
+    """
+
+    grid: Grid | None = None  # None: nothing was seen yet
+    bears: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) as of `TerrainMap`
+    novelty: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) then, and more the older it is
+    t_ns: int = 0
+
+    def with_seen(self, land_cover: TerrainMap, t_ns: int) -> CoverMemory:
+        """The memory after a newer look at `t_ns`; only the cells of its grid are kept."""
+        bears, novelty = land_cover.bears, land_cover.novelty
+        if self.grid is not None:
+            age = max(t_ns - self.t_ns, 0) * 1e-9
+            before = self.grid.nearest_on(land_cover.grid, self.bears, np.nan)
+            unlike = self.grid.nearest_on(land_cover.grid, self.novelty, np.nan) * np.float32(2 ** (age / FADES))
+            keeps = ~np.isnan(before) & (np.isnan(bears) | ~(unlike >= novelty))
+            bears, novelty = np.where(keeps, before, bears), np.where(keeps, unlike, novelty)
+        return CoverMemory(land_cover.grid, bears, novelty, t_ns)
+
+    def doubted(self, land_cover: TerrainMap) -> TerrainMap:
+        """The land cover on the memory's grid, with the lower of both probabilities: a memory never permits."""
+        return replace(land_cover, bears=np.where(self.bears < land_cover.bears, self.bears, land_cover.bears))
+
+    def moved(self, shift: F64, sigma: float) -> CoverMemory:
+        """The memory in a frame where positions are larger by `shift`, metres; nothing where that is not known well."""
+        if self.grid is None or not sigma <= SURE:
+            return CoverMemory()
+        east, north = self.grid.east + float(shift[0]), self.grid.north + float(shift[1])
+        return replace(self, grid=replace(self.grid, east=east, north=north))

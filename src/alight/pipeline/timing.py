@@ -11,12 +11,12 @@ Progress = Callable[[float], None]  # share done
 StageProgress = Callable[[str, float], None]  # stage, share done
 
 
-class Timings:
-    """Seconds of every step, by stage.
+def unreported(stage: str, share: float) -> None:
+    """Report no progress. Another process can import this function, and call it."""
 
-    Args:
-        history: keep all of them; without it, those of the last steps.
-    """
+
+class Timings:
+    """Seconds of every step, by stage; without `history`, of the last steps alone."""
 
     def __init__(self, clock: Clock = lambda: 0.0, history: bool = True) -> None:
         self._clock, self._most = clock, None if history else 1000

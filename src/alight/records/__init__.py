@@ -4,7 +4,18 @@ World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is 
 """
 
 from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError
-from alight.records.events import Event, Frame, ImuSample, NavSample, Pixels, Prediction, Rig, RigCamera, Tracks
+from alight.records.events import (
+    Event,
+    Frame,
+    ImuSample,
+    NavSample,
+    Pixels,
+    Prediction,
+    Rig,
+    RigCamera,
+    Schedule,
+    Tracks,
+)
 from alight.records.landing import (
     Doubt,
     Hazard,
@@ -21,8 +32,7 @@ from alight.records.landing import (
 )
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
-from alight.records.result import RunResult
-from alight.records.schedule import Schedule
+from alight.records.result import Decision, RunResult
 from alight.records.surface import (
     LANDABLE,
     NOTHING_MISSING,

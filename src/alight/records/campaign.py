@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from alight.records.executive import LookRecord
 from alight.records.telemetry import FirmwareName
 
 Outcome = Literal[
@@ -22,7 +23,7 @@ GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons i
 
 
 class _Line(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, revalidate_instances="always")
 
 
 class FaultRecord(_Line):
@@ -67,17 +68,6 @@ class Conditions(_Line):
     def wind_speed(self) -> float:
         """Wind speed, m/s."""
         return math.hypot(*self.wind)
-
-
-class LookLine(_Line):
-    """One look at a place."""
-
-    t: float
-    place: tuple[float, float, float]
-    height: float  # above the place
-    verdict: str  # site, candidate, refused, not seen
-    p_safe: float
-    doubt: str = ""
 
 
 class TransitionLine(_Line):
@@ -128,7 +118,7 @@ class LandingRecord(_Line):
     state: str | None = None  # of the executive, at the end
     p_found: float | None = None  # P(safe) of the last place when it was found
     p_at_commit: float | None = None
-    looks: tuple[LookLine, ...] = ()
+    looks: tuple[LookRecord, ...] = ()
     transitions: tuple[TransitionLine, ...] = ()
     touchdown: TouchdownLine | None = None  # the worst contact from above
     strike: StrikeLine | None = None
@@ -195,17 +185,15 @@ class CampaignHead(_Line):
 
     def differing(self, other: CampaignHead) -> str | None:
         """The first difference from another campaign, in words; None: it is the same."""
-        if self.seed != other.seed:
-            return f"seed {self.seed}"
-        if self.scenes != other.scenes:
-            return f"the scenes {' '.join(self.scenes)}"
-        if (self.link_faults, self.firmware) != (other.link_faults, other.firmware):
-            return f"a {self.firmware} autopilot and a share of {self.link_faults:g} of link faults"
-        if self.alight != other.alight:
-            return f"version {self.alight} of Alight"
-        if self.settings != other.settings:
-            return "other settings"
-        if self.sources and other.sources and self.sources != other.sources:
-            return "another state of Alight's sources"
         changed = [name for name in self.files if other.files.get(name, self.files[name]) != self.files[name]]
-        return f"another content of {', '.join(changed)}" if changed else None
+        link = f"a {self.firmware} autopilot and a share of {self.link_faults:g} of link faults"
+        differences = {
+            f"seed {self.seed}": self.seed != other.seed,
+            f"the scenes {' '.join(self.scenes)}": self.scenes != other.scenes,
+            link: (self.link_faults, self.firmware) != (other.link_faults, other.firmware),
+            f"version {self.alight} of Alight": self.alight != other.alight,
+            "other settings": self.settings != other.settings,
+            "another state of Alight's sources": bool(self.sources and other.sources) and self.sources != other.sources,
+            f"another content of {', '.join(changed)}": bool(changed),
+        }
+        return next((words for words, differs in differences.items() if differs), None)

@@ -8,12 +8,12 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from alight.arrays import F64, U8
+from alight.arrays import U8
 from alight.documents import parse_json
 from alight.geometry import Camera, LocalFrame, Pose
 from alight.records.errors import InputError
@@ -91,7 +91,7 @@ def pack(event: Event) -> tuple[str, list[bytes | memoryview]]:
         ).encode()
         return CAMERAS, [_HEAD.pack(len(head)), head, *(a.data.cast("B") for a in arrays if a is not None)]
     topic = NAV if isinstance(event, NavSample) else IMU
-    return topic, [json.dumps({f.name: _plain(getattr(event, f.name)) for f in fields(event)}).encode()]
+    return topic, [json.dumps(vars(event), default=lambda array: array.tolist()).encode()]
 
 
 def unpack(topic: str, data: bytes) -> Event:
@@ -104,7 +104,9 @@ def unpack(topic: str, data: bytes) -> Event:
         if topic == CAMERAS:
             return _frame(data)
         tree = parse_json(data)
-        values: dict[str, Any] = {k: None if v is None else _array(v) for k, v in tree.items() if k != "t_ns"}
+        values: dict[str, Any] = {
+            k: None if v is None else np.array(v, np.float64) for k, v in tree.items() if k != "t_ns"
+        }
         kind: type[NavSample | ImuSample] = NavSample if topic == NAV else ImuSample
         return kind(int(tree["t_ns"]), **values)
     except _DAMAGED as e:
@@ -124,11 +126,3 @@ def _frame(data: bytes) -> Frame:
         images.append(np.frombuffer(data, np.uint8, count, at).reshape(shape).copy())  # as cameras give it: writable
         at += count
     return Frame(int(head["t_ns"]), tuple(images), str(head["name"]))
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _array(value: Any) -> F64:
-    return np.array(value, dtype=np.float64)

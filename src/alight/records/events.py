@@ -1,4 +1,4 @@
-"""Output of the sources: cameras, frames, GPS/INS and inertial samples; and feature tracks."""
+"""Output of the sources: cameras, frames, GPS/INS and inertial samples, the schedule; and feature tracks."""
 
 from __future__ import annotations
 
@@ -107,3 +107,22 @@ class Prediction:
         """True if all its numbers are finite."""
         known = [p.matrix for p in (*self.world_from_cams, *(self.earlier or ()))]
         return all(np.isfinite(a).all() for a in (*known, *(() if self.covariance is None else (self.covariance,))))
+
+
+Spot = tuple[float, float]  # east, north, metres in the map's frame
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Exposures of a flight that each lane used, by their stamps in ns; it left out the others because it was busy.
+
+    A lane that was lost begins anew with an exposure: its state is gone, in a replay too.
+    """
+
+    tracked: tuple[int, ...] = ()  # exposures that the navigation lane took
+    mapped: tuple[int, ...] = ()  # exposures that the mapping lane took
+    effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 full, higher numbers less
+    judged: tuple[int, ...] = ()  # exposures whose map was judged
+    about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none
+    navigation_anew: tuple[int, ...] = ()  # exposures before which the navigation lane began anew
+    mapping_anew: tuple[int, ...] = ()  # exposures before which the mapping lane began anew

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, U16, Mask
-from alight.geometry import Grid
-from alight.records.surface import Terrain
+from alight.records.surface import OnGrid, Terrain
 
 Kind = Literal["site", "candidate"]
 Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
@@ -55,10 +53,11 @@ def keeps_margin(clearance: F32, margin: float) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class HazardMap:
+class HazardMap(OnGrid):
     """Hazards of a touchdown centred on each cell. NaN where it cannot be judged."""
 
-    grid: Grid
+    unknown: ClassVar[int] = Hazard.UNKNOWN
+
     slope: F32  # (R, C) rad, of the footprint's plane
     roughness: F32  # (R, C) metres, largest deviation from that plane
     step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
@@ -71,21 +70,6 @@ class HazardMap:
     settles_at: F32  # (R, C) metres, pixel on the ground that would settle the doubt; NaN: never
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
-
-    def on(self, grid: Grid) -> HazardMap:
-        """The hazards on another grid, each cell with the value of the nearest one; unknown outside.
-
-        A map may be judged on coarser cells than its heights have; files and pictures share the grid of the heights.
-        """
-        if grid == self.grid:
-            return self
-
-        def moved(values: NDArray[Any]) -> NDArray[Any]:
-            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Hazard.UNKNOWN)
-            return self.grid.nearest_on(grid, values, unknown)
-
-        arrays = [f.name for f in fields(self) if f.name != "grid"]
-        return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
 
 
 @dataclass(frozen=True)

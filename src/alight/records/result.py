@@ -1,4 +1,4 @@
-"""All results of one run."""
+"""All results of one run: the decision on what was recorded, and the facts about the recording and the run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from alight.geometry import LocalFrame
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
-from alight.records.photos import PhotoRow
+from alight.records.photos import PhotoOutcome, PhotoRow
 from alight.records.surface import ElevationMap, TerrainMap
 from alight.records.telemetry import Home
 from alight.settings import Settings
@@ -18,8 +18,24 @@ if TYPE_CHECKING:
     from alight.records.executive import FlightDiary
 
 
-@dataclass(frozen=True, eq=False)
-class RunResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decision:
+    """All results of a recording, in the world; one that could not be made is None or empty."""
+
+    sites: Sites
+    elevation: ElevationMap | None = None
+    terrain: TerrainMap | None = None
+    hazards: HazardMap | None = None
+    route: Route | None = None
+    motions: Sequence[Motion] = ()
+    height_above_ground: float | None = None  # metres, median over the exposures
+    notes: Mapping[str, object] = field(default_factory=dict)  # words, numbers, lists: "focal": "held", "points": 19472
+    warnings: Sequence[str] = ()
+    outcomes: Sequence[PhotoOutcome] = ()  # of the tags of each photo
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunResult(Decision):
     """All results of one run: the content of the output folder and the report.
 
     A result that a run could not make is None or empty; `not_written` has the reason, by file name.
@@ -30,18 +46,9 @@ class RunResult:
     local: LocalFrame
     georeferenced: bool  # False: `local` is a stand-in and the world has no place on Earth
     settings: Settings
-    sites: Sites
-    elevation: ElevationMap | None = None
-    terrain: TerrainMap | None = None
-    hazards: HazardMap | None = None
-    route: Route | None = None
     home: Home | None = None  # of the vehicle that is to fly the route
     diary: FlightDiary | None = None  # of a landing that was flown
-    motions: Sequence[Motion] = ()
-    height_above_ground: float | None = None  # metres, median over the exposures
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1
-    notes: Mapping[str, object] = field(default_factory=dict)  # words, numbers, lists: "focal": "held", "points": 19472
-    warnings: Sequence[str] = ()
     photos: Sequence[PhotoRow] = ()  # of a set of photos, those that were not used included
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     not_written: Mapping[str, str] = field(default_factory=dict)  # file name: reason

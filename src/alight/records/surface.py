@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import cv2
 import numpy as np
@@ -71,20 +71,7 @@ class MissingVeto(IntFlag):
 
 
 NOTHING_MISSING = MissingVeto(0)
-
-
-# a height that carries one of these is not given out (NaN in dem.tif)
-REFUSED = (
-    Flag.UNSEEN
-    | Flag.TEXTURE
-    | Flag.AMBIGUOUS
-    | Flag.SATURATED
-    | Flag.MOVING
-    | Flag.INCONSISTENT
-    | Flag.RANGE
-    | Flag.UNSURE
-    | Flag.WATER
-)
+REFUSED = Flag(sum(Flag)) & ~(Flag.STEP | Flag.FEW)  # a height with one of these is not given out: NaN in dem.tif
 
 
 def is_flagged(flags: U16, bits: Flag) -> NDArray[np.bool_]:
@@ -183,22 +170,42 @@ class ElevationMap(Heights):
     @property
     def trusted(self) -> NDArray[np.bool_]:
         """(R, C): cells whose height may be given out."""
-        trusted: NDArray[np.bool_] = np.isfinite(self.height) & is_trusted(self.flags)
-        return trusted
+        return np.asarray(np.isfinite(self.height) & is_trusted(self.flags))
 
 
 @dataclass(frozen=True, eq=False)
-class TerrainMap:
-    """Land cover of every cell."""
+class OnGrid:
+    """Arrays (R, C) on the cells of a grid."""
+
+    unknown: ClassVar[int] = 0  # value of integers outside of it; floating-point numbers are NaN there
 
     grid: Grid
+
+    def on(self, grid: Grid) -> Self:
+        """The same on another grid, each cell with the value of the nearest one; unknown outside.
+
+        A map may be judged on coarser cells than its heights have; files and pictures share the grid of the heights.
+        """
+        if grid == self.grid:
+            return self
+
+        def moved(values: NDArray[Any]) -> NDArray[Any]:
+            return self.grid.nearest_on(grid, values, np.nan if values.dtype.kind == "f" else self.unknown)
+
+        return replace(self, grid=grid, **{k: moved(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainMap(OnGrid):
+    """Land cover of every cell."""
+
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
-    water: F32 | None = None  # (R, C) probability of water; NaN = nothing seen
-    enclosed: F32 | None = None  # (R, C) 0 to 1: degree to which it is part of a level surface below both its banks
-    raised: F32 | None = None  # (R, C) 0 to 1: degree to which it is part of a level surface above the ground about it
-    novelty: F32 | None = None  # (R, C) novelty (T6): above 1, the ground is unlike all known ground; NaN = unseen
-    bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
+    water: F32  # (R, C) probability of water; NaN = nothing seen
+    enclosed: F32  # (R, C) 0 to 1: degree to which it is part of a level surface below both its banks
+    raised: F32  # (R, C) 0 to 1: degree to which it is part of a level surface above the ground about it
+    novelty: F32  # (R, C) novelty (T6): above 1, the ground is unlike all known ground; NaN = unseen
+    bears: F32  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
     coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything
 
     def with_roofs(self, raised: F32) -> TerrainMap:
@@ -206,17 +213,6 @@ class TerrainMap:
         roof = (raised > 0.5) & ~np.isnan(self.landable)
         label = np.where(roof, np.uint8(Terrain.STRUCTURE), self.label)
         return replace(self, label=label, landable=np.minimum(self.landable, 1 - raised), raised=raised)
-
-    def on(self, grid: Grid) -> TerrainMap:
-        """The land cover on another grid, each cell with the value of the nearest one; unknown outside."""
-        if grid == self.grid:
-            return self
-
-        def moved(values: NDArray[Any] | None) -> Any:
-            return None if values is None else self.grid.nearest_on(grid, values)
-
-        arrays = [f.name for f in fields(self) if f.name not in ("grid", "coloured")]
-        return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,7 +182,6 @@ class NoticeKind(Enum):
     TAKEOVER = "takeover"  # somebody else flies now: we send nothing more until we are ordered to
     MODE = "mode"  # a change on our request, or one that follows from it
     COMMAND = "command"  # a command was accepted, refused or never answered
-    UPLOAD = "upload"  # a mission was accepted, refused or never answered
     TEXT = "text"  # a message of the autopilot
 
 
@@ -195,4 +194,4 @@ class Notice:
     text: str
     ok: bool = True
     mode: FlightMode | None = None
-    ticket: int | None = None  # of COMMAND and UPLOAD: the number that the request returned
+    ticket: int | None = None  # of COMMAND: the number that the request returned

@@ -54,7 +54,7 @@ class Canvas:
 
     def uri(self, rgba: U8) -> str:
         """A full-map RGBA picture as the data of this window's image, no larger than a page needs."""
-        return data_uri(shrink(self.cut(rgba)))
+        return embedded(webp(shrink(self.cut(rgba))))
 
 
 def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -> Canvas | None:
@@ -110,8 +110,3 @@ def webp(picture: U8) -> bytes:
 def embedded(file: bytes) -> str:
     """A picture's file as text to embed."""
     return "data:image/webp;base64," + base64.b64encode(file).decode()
-
-
-def data_uri(rgba: U8) -> str:
-    """A picture as text to embed."""
-    return embedded(webp(rgba))

@@ -95,14 +95,15 @@ NO_CLEARANCE = (
 
 
 def _place_sigma(result: RunResult) -> PlaceSigma | None:
-    """Accuracy of the whole map's place; None: unknown."""
-    covariance = None if result.elevation is None else result.elevation.position_covariance
-    return None if covariance is None else PlaceSigma.of(covariance)
+    """Accuracy of the whole map's place on Earth; None: unknown."""
+    if not result.georeferenced or result.elevation is None or result.elevation.position_covariance is None:
+        return None
+    return PlaceSigma.of(result.elevation.position_covariance)
 
 
 def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
     """Sentences to read before anyone flies to the place."""
-    place = _place_sigma(result) if result.georeferenced else None
+    place = _place_sigma(result)
     if place is None or 2.0 * place.horizontal <= site.clearance:
         return (NO_CLEARANCE,)
     beside = (
@@ -114,7 +115,8 @@ def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
     """The numbers of the first place with their limits, and both accuracies."""
-    lander = result.settings.lander
+    lander, sigma = result.settings.lander, _place_sigma(result)
+    place = words.UNKNOWN if sigma is None else "± {} across, ± {} up".format(*map(words.metres, sigma))
     look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []
     return [
         ("Chance of a safe touchdown", words.chance(site.p_safe)),
@@ -125,18 +127,8 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
         ("Ground", words.ground(site.terrain.name)),
         ("Touch down heading", words.bearing(site.heading)),
         ("Height within the map, 1-sigma", f"± {words.metres(site.height_sigma)}"),
-        *_place_chips(result),
+        ("Place on Earth, 1-sigma" if result.georeferenced else "Place on Earth", place),
     ]
-
-
-def _place_chips(result: RunResult) -> list[tuple[str, str]]:
-    """Accuracy of the place of the whole map on Earth."""
-    if not result.georeferenced:
-        return [("Place on Earth", words.UNKNOWN)]
-    if (sigma := _place_sigma(result)) is None:
-        return [("Place on Earth, 1-sigma", words.UNKNOWN)]
-    horizontal, vertical = map(words.metres, sigma)
-    return [("Place on Earth, 1-sigma", f"± {horizontal} across, ± {vertical} up")]
 
 
 def warnings(result: RunResult) -> list[str]:

@@ -53,8 +53,7 @@ def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Fi
         "Where a landing is refused, and why", "Map of the ground in one colour per reason of refusal",
         "The first reason against a touchdown centred there; shares are of the ground seen.",
     )  # fmt: skip
-    index = paint.first_reason(hazards.reasons, [int(h) for h in paint.HAZARD_COLOURS])
-    legend = [(words.HAZARDS[h], colour) for h, colour in paint.HAZARD_COLOURS.items()]
+    index, legend = paint.first_reason(hazards.reasons, list(paint.HAZARDS)), list(paint.HAZARDS.values())
     return _coded_figure(texts, index, legend, Key(paint.SAFE_COLOUR, "fit for a touchdown"), elevation, c)
 
 
@@ -119,8 +118,7 @@ def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
         "Where heights are missing, and why", "Map of the reasons why heights are missing or doubtful",
         "The first reason that holds; shares are of the ground seen.",
     )  # fmt: skip
-    index = paint.first_reason(elevation.flags, [int(f) for f in paint.FLAG_COLOURS])
-    legend = [(words.FLAGS[f], colour) for f, colour in paint.FLAG_COLOURS.items()]
+    index, legend = paint.first_reason(elevation.flags, list(paint.FLAGS)), list(paint.FLAGS.values())
     return _coded_figure(texts, index, legend, Key("ground", "height found"), elevation, c)
 
 
@@ -155,7 +153,7 @@ def _frame(number: int, p: LookPicture, result: RunResult) -> Figure:
     return Figure(
         title=f"Look {number}, from {p.look.height:.1f} m",
         alt=f"Look {number}: photo and P(safe) of {2 * p.reach:.0f} m about the place",
-        uri=canvas.data_uri(both),
+        uri=canvas.embedded(canvas.webp(both)),
         height=round(canvas.WIDTH * both.shape[0] / side, 1),
         caption=f"at {p.look.t:.0f} s: {p.look.verdict}, P(safe) {p_safe_text(p.look.p_safe)}{doubt}",
         classes=("film",),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, U8
-from alight.raster import gradient
+from alight.raster import gradient, grey_levels, weighted_gaussian
 from alight.records import ElevationMap, Flag, Hazard, Terrain
 
 Colour = tuple[int, int, int]
@@ -20,30 +20,38 @@ HEIGHT_RAMP: Ramp = ("#2c5c74", "#4f9a8c", "#a9c77b", "#efd98f", "#dc9a66", "#f7
 SIGMA_RAMP: Ramp = ("#fff3dc", "#fdc58a", "#ee7b4c", "#b6272c", "#5c0a24")
 SAFE_RAMP: Ramp = ("#7d3c05", "#c58a3d", "#f2e3bd", "#7cc4b4", "#02655c")
 
+
+class Reason(NamedTuple):
+    """A reason against a touchdown, or one why a height is missing, on a map."""
+
+    text: str
+    colour: str
+
+
 SAFE_COLOUR = "#12a37a"
-HAZARD_COLOURS: Mapping[Hazard, str] = {  # in order of precedence: the first that holds is shown
-    Hazard.TERRAIN: "#2878b5",
-    Hazard.STEP: "#d1495b",
-    Hazard.SLOPE: "#ed8b2f",
-    Hazard.ROUGHNESS: "#c77bb0",
-    Hazard.CLEARANCE: "#f0dc4e",
-    Hazard.TRAFFIC: "#6d4fa3",
-    Hazard.DOUBT: "#8fd0c0",
-    Hazard.UNKNOWN: "#9aa3ad",
-    Hazard.EDGE: "#545b63",
+HAZARDS: Mapping[Hazard, Reason] = {  # in order of precedence: the first that holds is shown
+    Hazard.TERRAIN: Reason("wrong kind of ground", "#2878b5"),
+    Hazard.STEP: Reason("a step", "#d1495b"),
+    Hazard.SLOPE: Reason("too steep", "#ed8b2f"),
+    Hazard.ROUGHNESS: Reason("too rough", "#c77bb0"),
+    Hazard.CLEARANCE: Reason("no room for rotor or belly", "#f0dc4e"),
+    Hazard.TRAFFIC: Reason("something moved there", "#6d4fa3"),
+    Hazard.DOUBT: Reason("fits, but not surely enough", "#8fd0c0"),
+    Hazard.UNKNOWN: Reason("not seen or not trusted", "#9aa3ad"),
+    Hazard.EDGE: Reason("edge of the map", "#545b63"),
 }
-FLAG_COLOURS: Mapping[Flag, str] = {
-    Flag.MOVING: "#2878b5",
-    Flag.INCONSISTENT: "#d1495b",
-    Flag.AMBIGUOUS: "#ed8b2f",
-    Flag.TEXTURE: "#c77bb0",
-    Flag.SATURATED: "#f0dc4e",
-    Flag.RANGE: "#7a5c3e",
-    Flag.UNSURE: "#6d4fa3",
-    Flag.FEW: "#c9ced6",
-    Flag.WATER: "#1b4f8a",
-    Flag.STEP: "#8fd0c0",
-    Flag.UNSEEN: "#9aa3ad",
+FLAGS: Mapping[Flag, Reason] = {
+    Flag.MOVING: Reason("moving: water, plants, traffic", "#2878b5"),
+    Flag.INCONSISTENT: Reason("views contradict each other", "#d1495b"),
+    Flag.AMBIGUOUS: Reason("a second height fits as well", "#ed8b2f"),
+    Flag.TEXTURE: Reason("too little texture", "#c77bb0"),
+    Flag.SATURATED: Reason("too bright or too dark", "#f0dc4e"),
+    Flag.RANGE: Reason("outside the searched heights", "#7a5c3e"),
+    Flag.UNSURE: Reason("probably a wrong match, or sigma too large, or isolated", "#6d4fa3"),
+    Flag.FEW: Reason("seen by two views only (a note)", "#c9ced6"),
+    Flag.WATER: Reason("water: the bed was seen, not the surface", "#1b4f8a"),
+    Flag.STEP: Reason("beside a step (kept, doubtful)", "#8fd0c0"),
+    Flag.UNSEEN: Reason("seen by fewer than two views", "#9aa3ad"),
 }
 TERRAIN_COLOURS: Mapping[Terrain, str] = {
     Terrain.BARE: "#c9ad86",
@@ -91,17 +99,10 @@ def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[fl
     return float(a), float(max(b, a + 1e-3))
 
 
-def _smooth(height: F32, known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """A little smoothing over the known cells only: noise of a few centimetres drowns the relief otherwise."""
-    blur = (0, 0), 1.2
-    weight = cv2.GaussianBlur(known.astype(np.float32), *blur)
-    total = cv2.GaussianBlur(np.where(known, height, 0).astype(np.float32), *blur)
-    return np.asarray(total / np.maximum(weight, 1e-3), dtype=np.float32)
-
-
 def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.float32]:
     """Light from the north-west at 45 degrees on the relief, (R, C), about 0.4 to 1.15; 1 on the flat."""
-    down, right = gradient(_smooth(height, known), cell)
+    smooth = weighted_gaussian(height, known.astype(np.float32), 1.2).mean  # else noise of centimetres drowns it
+    down, right = gradient(smooth, cell)
     nx, ny = -right, down  # east, north parts of the upward normal
     light = (-nx + ny + np.sqrt(2.0)) / np.sqrt(2.0 * (1 + nx**2 + ny**2))
     edge = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
@@ -124,7 +125,7 @@ def over_ground(
     colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
 ) -> U8:
     """Colours laid over the grey of the ground where `painted`, so that a person recognises the place."""
-    grey = cv2.cvtColor(elevation.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey = grey_levels(elevation.rgb).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
     ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)
     share = np.where(True if painted is None else painted, np.float32(strength), np.float32(0))

@@ -7,35 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from alight.records import Doubt, Flag, Hazard, NextView, RunResult, Site, p_safe_text
+from alight.records import Doubt, NextView, RunResult, Site, p_safe_text
 
 UNKNOWN = "unknown"
 
-HAZARDS: Mapping[Hazard, str] = {
-    Hazard.UNKNOWN: "not seen or not trusted",
-    Hazard.SLOPE: "too steep",
-    Hazard.ROUGHNESS: "too rough",
-    Hazard.STEP: "a step",
-    Hazard.CLEARANCE: "no room for rotor or belly",
-    Hazard.TERRAIN: "wrong kind of ground",
-    Hazard.EDGE: "edge of the map",
-    Hazard.TRAFFIC: "something moved there",
-    Hazard.DOUBT: "fits, but not surely enough",
-}
 DOUBTS: Mapping[Doubt, str] = {"relief": "relief", "obstacle": "unseen obstacles", "ground": "kind of ground"}
-FLAGS: Mapping[Flag, str] = {
-    Flag.UNSEEN: "seen by fewer than two views",
-    Flag.TEXTURE: "too little texture",
-    Flag.AMBIGUOUS: "a second height fits as well",
-    Flag.SATURATED: "too bright or too dark",
-    Flag.MOVING: "moving: water, plants, traffic",
-    Flag.STEP: "beside a step (kept, doubtful)",
-    Flag.INCONSISTENT: "views contradict each other",
-    Flag.RANGE: "outside the searched heights",
-    Flag.UNSURE: "probably a wrong match, or sigma too large, or isolated",
-    Flag.FEW: "seen by two views only (a note)",
-    Flag.WATER: "water: the bed was seen, not the surface",
-}
 
 
 def metres(value: float) -> str:

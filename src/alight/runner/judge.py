@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from pathlib import Path
-
-from rasterio.crs import CRS
+from functools import partial
 
 from alight.geometry import LocalFrame
 from alight.hazards import assess
@@ -14,6 +11,7 @@ from alight.hazards.sharpen import sharpen
 from alight.landing.sites import choose_sites
 from alight.outputs.verdict import write_judgement
 from alight.records import RunResult
+from alight.result import Result
 from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
 
@@ -42,27 +40,10 @@ def _too_wide(cell: float, stages: StageSettings) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
-    """The result of one height raster, with its coordinate system."""
-
-    result: RunResult
-    crs: CRS | None  # of the raster; None: metres east and north
-    sharpened: bool  # an image made the heights finer
-    inputs: tuple[Path, ...]  # files that were read
-
-    def save(self, out: Path, overwrite: bool = False) -> list[Path]:
-        """Write the folder of files; see `outputs.verdict.write_judgement`."""
-        return write_judgement(self.result, self.crs, self.sharpened, out, overwrite, self.inputs)
-
-
-def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
+def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
     """Judge a height raster: P(safe) and reasons of each cell, and the landing sites of this lander.
 
-    Args:
-        ground: heights, their sigma, and an image of the same ground where there is one.
-        settings: lander, hazards and sites; see `for_surveyed_heights`.
-        name: of the input, for the report.
+    `name` is that of the input, for the report; for the settings see `for_surveyed_heights`.
     """
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
@@ -86,4 +67,5 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgeme
         warnings=warnings,
         timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
     )
-    return Judgement(result, ground.crs, elevation is not ground.elevation, ground.files)
+    sharpened = elevation is not ground.elevation
+    return Result(result, partial(write_judgement, crs=ground.crs, sharpened=sharpened, inputs=ground.files))

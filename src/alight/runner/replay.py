@@ -12,9 +12,8 @@ from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, is_finished, prepare_folder
 from alight.pipeline import Pipeline, PipelineOptions, ScheduledPolicy, TimedPoses
-from alight.pipeline.decision import unreported
 from alight.pipeline.navigation import NavigationLane
-from alight.pipeline.timing import StageProgress
+from alight.pipeline.timing import StageProgress, unreported
 from alight.records import Frame, Home, InputError, PhotoRow, PriorHeights, RunResult
 from alight.runner.opening import open_source
 from alight.runs import appearance_of, result_of, with_home
@@ -25,11 +24,7 @@ log = logging.getLogger(__name__)
 
 
 def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
-    """Return the poses that replace the estimated ones.
-
-    Args:
-        source: the recording.
-        poses: None: none; `truth`: the recording's own; else the name of a TUM file of body poses in ENU.
+    """The poses that replace the estimated ones: none, the recording's own (`truth`), or those of a TUM file (ENU).
 
     Raises:
         InputError: the recording has no truth, or the file cannot be used.
@@ -57,8 +52,7 @@ def replay(
     """Run the pipeline over a source.
 
     Args:
-        source: the recording.
-        settings: all settings.
+        source, settings: the recording, and all settings.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
         progress: called with the stage and the share of it that is done.
         tile_store: tile store for the part of the map that the flight has left behind; None: memory.
@@ -87,7 +81,7 @@ def replay(
     decision = pipeline.finish(progress)
     for stage, seconds in pipeline.timings.items():
         log.info("%s: %.2f s in %d step(s)", stage, sum(seconds), len(seconds))
-    outcomes = {o.t_ns: o for o in decision.photos}
+    outcomes = {o.t_ns: o for o in decision.outcomes}
     photos = [PhotoRow(p, None if p.t_ns is None else outcomes.get(p.t_ns)) for p in source.photos]
     for row in photos:
         log.info("%s", row.line)
@@ -104,12 +98,7 @@ def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> Naviga
 
 
 def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
-    """Read a DEM from another source for the map of a recording.
-
-    Args:
-        source: the recording that the map is made from.
-        settings: of the run; the map is made at its end.
-        dem: file of the raster; None: there is none.
+    """Read the file of a DEM from another source for the map of a recording; None: there is none.
 
     Raises:
         InputError: the source or the settings do not allow one, or the file cannot be used.
@@ -126,11 +115,9 @@ def prior_heights(source: Source, settings: Settings, dem: Path | None) -> Prior
 
 
 def settings_for(source: Source, given: Settings) -> Settings:
-    """Return the settings of a run: those given, or those of the flight where its recording is run and none are given.
+    """The settings of a run: those given, or those of the flight where its recording is run and none are given.
 
-    Args:
-        source: the recording.
-        given: settings; a key that is set to its default counts as given.
+    A key that is set to its default counts as given.
     """
     return given if source.flown_with is None or given.model_fields_set else source.flown_with
 

@@ -19,10 +19,3 @@ from alight.settings.whole import (
     TerrainSettings,
     TracksSettings,
 )
-
-__all__ = [
-    "BundleSettings", "ElevationSettings", "ExecutiveSettings", "FilterSettings", "HazardsSettings", "ImuNoise",
-    "Lander", "MotionSettings",
-    "ParallaxSettings", "RouteSettings", "Settings", "SitesSettings", "StageSettings", "TerrainSettings",
-    "TracksSettings", "Tuning", "load_settings", "settings_of_keys", "settings_of_run",
-]  # fmt: skip

@@ -1,14 +1,17 @@
-"""Reading settings: YAML text, `key=value` assignments, and the settings in the run.json of an earlier run."""
+"""Reading settings: their keys, YAML text, `key=value` assignments, and the run.json of an earlier run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from difflib import SequenceMatcher, get_close_matches
+from functools import cache
+from types import MappingProxyType
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from alight.documents import DocumentError, parse_yaml
-from alight.settings.keys import all_keys, nearest
 from alight.settings.whole import Settings
 
 Tree = dict[str, Any]
@@ -37,10 +40,7 @@ def settings_of_keys(given: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: a key is unknown, or a value is out of range; the message names the key.
     """
-    tree = dict[str, Any]()
-    for key, value in given.items():
-        _put(tree, key.strip(), value)
-    return _to_fly(tree)
+    return _to_fly(_tree((key.strip(), value) for key, value in given.items()))
 
 
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
@@ -49,11 +49,7 @@ def settings_of_run(stored: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
     """
-    known, tree = all_keys(), dict[str, Any]()
-    for key, value in _leaves(stored):
-        if key in known:
-            _put(tree, key, value)
-    return _validated(tree)
+    return _validated(_tree(item for item in _leaves(stored) if item[0] in all_keys()))
 
 
 def _to_fly(tree: Tree) -> Settings:
@@ -78,6 +74,13 @@ def _assign(tree: Tree, assignment: str) -> None:
         _put(tree, key.strip(), parse_yaml(value))
     except DocumentError as e:
         raise ValueError(f"{key.strip()}: {e}") from e
+
+
+def _tree(pairs: Iterable[tuple[str, Any]]) -> Tree:
+    tree: Tree = {}
+    for key, value in pairs:
+        _put(tree, key, value)
+    return tree
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
@@ -116,3 +119,32 @@ def _explain(error: ValidationError) -> str:
             like = nearest(key)
             lines.append(f"{key}: unknown key" + (f", did you mean {like}?" if like else ""))
     return "; ".join(lines) + "; 'alight settings' lists every key"
+
+
+def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key with its field: `lander.radius`, ..., `tuning.filter.gate`."""
+    for name, info in model.model_fields.items():
+        inner = info.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from walk(inner, f"{before}{name}.")
+        else:
+            yield before + name, info
+
+
+@cache
+def all_keys() -> Mapping[str, FieldInfo]:
+    """All keys in order, those of a user first."""
+    return MappingProxyType(dict(walk()))
+
+
+def user_keys() -> dict[str, FieldInfo]:
+    """The keys of a user."""
+    return {k: v for k, v in all_keys().items() if not k.startswith("tuning.")}
+
+
+def nearest(key: str) -> str | None:
+    """The known key or group that is most like an unknown one; None where none is alike."""
+    names = dict.fromkeys(name for k in all_keys() for name in (k, k.rpartition(".")[0]))
+    found = get_close_matches(key, names, n=3, cutoff=0.75)
+    last = key.rpartition(".")[2]
+    return max(found, key=lambda name: SequenceMatcher(None, name.rpartition(".")[2], last).ratio(), default=None)

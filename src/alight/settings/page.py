@@ -7,8 +7,7 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
-from alight.settings.base import FrozenModel
-from alight.settings.keys import all_keys, user_keys
+from alight.settings.loading import all_keys, user_keys
 from alight.settings.whole import Settings
 
 _HEAD = """# Settings
@@ -45,12 +44,9 @@ def _tables(keys: dict[str, FieldInfo], heading: str) -> str:
 
 def _about(group: str) -> str:
     """The first line of the docstring of a group's model."""
-    model: type[Any] = Settings
+    model: Any = Settings
     for name in group.split("."):
-        inner = model.model_fields[name].annotation
-        assert isinstance(inner, type)
-        assert issubclass(inner, FrozenModel)
-        model = inner
+        model = model.model_fields[name].annotation
     return (model.__doc__ or "").partition("\n")[0]
 
 

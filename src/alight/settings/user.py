@@ -136,13 +136,6 @@ class TerrainKeys(FrozenModel):
     )
 
 
-def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
-    """True if any three of the points span a triangle."""
-    return any(
-        abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) > 1e-6 for a, b, c in combinations(feet, 3)
-    )
-
-
 class Lander(FrozenModel):
     """The vehicle that lands: its size, its gear and its limits."""
 
@@ -213,7 +206,11 @@ class Lander(FrozenModel):
             raise ValueError("give feet or skids, not both")
         if self.skids is not None and min(self.skids) <= 0:
             raise ValueError("skids: length and distance must be above 0")
-        if self.feet is not None and not _spread(self.feet):
+        spans = (  # twice the area of a triangle
+            abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) > 1e-6
+            for a, b, c in combinations(self.feet or (), 3)
+        )
+        if self.feet is not None and not any(spans):
             raise ValueError("feet: needs three or more that are not in one line")
         return self
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, TypeVar, cast
+from typing import Any, get_type_hints
 
 import yaml
 from pydantic import Field
@@ -11,8 +11,6 @@ from pydantic import Field
 from alight.settings import tuning as tuned
 from alight.settings import user
 from alight.settings.base import FrozenModel, Positive
-
-Stage = TypeVar("Stage", bound=FrozenModel)
 
 
 @dataclass(frozen=True)
@@ -135,46 +133,23 @@ class Settings(FrozenModel):
         )
 
     def stages(self, imu: ImuNoise | None = None) -> StageSettings:
-        """Return the settings of every stage.
+        """The settings of every stage: its keys of a user and its tuned constants, which are valid already, as one.
 
-        Args:
-            imu: noise that the recording states for its IMU; constants that are set here win over it.
+        `imu`: noise that the recording states for its IMU; constants that are set here win over it.
         """
-        t, keys = self.tuning, self.motion
-        set_here = {k: v for k, v in t.filter if v is not None}
+        t, motion, stages = self.tuning, self.motion, get_type_hints(StageSettings)
         noise = (imu or ImuNoise()).in_flight(t.filter.imu_margin)
-        motion = dict(keys) | {
-            "filter": FilterSettings.model_construct(**(dict(keys.filter) | noise | set_here)),
-            "bundle": _joined(BundleSettings, keys.bundle, t.bundle),
-        }
-        return StageSettings(
-            tracks=_joined(TracksSettings, t.tracks),
-            motion=MotionSettings.model_construct(**motion),
-            parallax=_joined(ParallaxSettings, self.parallax, t.parallax),
-            mapping=t.mapping,
-            elevation=_joined(ElevationSettings, self.elevation, t.elevation),
-            terrain=_joined(TerrainSettings, self.terrain, t.terrain),
-            lander=self.lander,
-            hazards=_joined(HazardsSettings, self.hazards, t.hazards),
-            sites=_joined(SitesSettings, self.sites, t.sites),
-            route=_joined(RouteSettings, self.route, t.route),
-            executive=_joined(ExecutiveSettings, self.executive, t.executive),
-        )
+        set_here = {k: v for k, v in t.filter if v is not None}
+        parts = {name: dict(getattr(self, name, ())) | dict(getattr(t, name, ())) for name in stages}
+        parts["motion"]["filter"] = FilterSettings.model_construct(**(dict(motion.filter) | noise | set_here))
+        parts["motion"]["bundle"] = BundleSettings.model_construct(**(dict(motion.bundle) | dict(t.bundle)))
+        return StageSettings(**{name: kind.model_construct(**parts[name]) for name, kind in stages.items()})
 
     def to_yaml(self, tuning: bool = False) -> str:
-        """YAML text that `load_settings` takes back: all keys of a user, and the tuned constants that were changed.
-
-        Args:
-            tuning: with all tuned constants.
-        """
+        """YAML text that `load_settings` takes back: the keys of a user, and changed (or all) constants of `tuning`."""
         tree: dict[str, Any] = self.model_dump(mode="json")
         if not tuning:
             tree.pop("tuning")
             changed = self.model_dump(mode="json", include={"tuning"}, exclude_defaults=True)
             tree |= changed if changed.get("tuning") else {}
         return yaml.safe_dump(tree, sort_keys=False)
-
-
-def _joined(kind: type[Stage], *parts: FrozenModel) -> Stage:
-    """Join parts that are valid already into one record."""
-    return cast(Stage, kind.model_construct(**{key: value for part in parts for key, value in part}))

@@ -16,8 +16,7 @@ from alight.arrays import U8
 from alight.documents import read_bytes
 from alight.learned import arrays_of, table_path
 from alight.records import InputError, Terrain
-from alight.terrain.features import LEVELS, names
-from alight.terrain.model import Head, Model
+from alight.terrain.model import LEVELS, Head, Model, names
 
 DEFAULT_MODEL = table_path("appearance")
 

@@ -9,7 +9,7 @@ import numpy as np
 from alight.arrays import F32, U8, Mask
 from alight.raster import block_mean, masked_gaussian, upsample
 from alight.records import ElevationMap, Flag, is_flagged
-from alight.terrain.features import PIXEL
+from alight.terrain.model import PIXEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +46,9 @@ def lit(picture: U8) -> Mask:
 
 
 def appearance(elevation: ElevationMap, scale: float = PIXEL) -> Appearance:
-    """Measure colour and texture.
+    """Measure colour and texture of the finest picture.
 
-    Args:
-        elevation: its `finest` picture and `views` are used.
-        scale: metres, the finest detail that is used, so that maps of any cell size compare.
+    `scale`: metres, the finest detail that is used, so that maps of any cell size compare.
     """
     rgb, n = elevation.picture(scale)
     known = lit(rgb) & upsample(elevation.views > 0, n)

@@ -17,8 +17,7 @@ from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, black_ground, seen
 from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
-from alight.terrain.features import PIXEL, level_of
-from alight.terrain.model import Model, appearance_evidence, log_softmax
+from alight.terrain.model import PIXEL, Model, appearance_evidence, level_of, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
@@ -157,10 +156,11 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     landable = surely([p.open for p in each])
     label = _labels(odds, landable, colours, shape, settings)
     novelty = _novelty(tables.known, some, landable.shape)
-    bears, water_share = surely([p.bears for p in each]), each[0].water
+    surfaces = LevelSurfaces.of(elevation, settings)
     return TerrainMap(
-        elevation.grid, label, landable, water_share, novelty=novelty, bears=bears, coloured=colours.coloured
-    )
+        elevation.grid, label, landable, each[0].water, surfaces.enclosed(), surfaces.raised(), novelty,
+        surely([p.bears for p in each]), colours.coloured,
+    )  # fmt: skip
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:
@@ -201,7 +201,7 @@ def classify(
 
     Args:
         elevation: heights, flags and colours.
-        settings: scales and weights; `enabled` False gives UNKNOWN everywhere, which refuses nothing.
+        settings: scales and weights.
         model: of appearance; None: the map's own evidence alone.
         tables: fitted to the map's own evidence; None: the package's (`learned/land_cover.md`, `known_ground.md`).
 
@@ -210,24 +210,19 @@ def classify(
         never one to permit. Ground with heights and without a picture is UNKNOWN too. It may be anything: its `bears`
         is `ANYTHING`, its novelty `UNLIKE`. Black ground, as in a pit, also has a `landable` of `ANYTHING`.
     """
-    shape, nothing = elevation.grid.shape, np.float32(np.nan)
-    if not settings.enabled:
-        return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
     found = _classified(elevation, settings, model, tables or Tables(read_net(), read_known()))
     known = seen(elevation)
     unpictured = (elevation.views > 0) & ~known
-    surfaces = LevelSurfaces.of(elevation, settings)
 
-    def of_ground(values: F32 | None, otherwise: float, where: Mask) -> F32:
-        return np.where(known, np.asarray(values), np.where(where, np.float32(otherwise), nothing))
+    def of_ground(values: F32, otherwise: float, where: Mask) -> F32:
+        return np.where(known, values, np.where(where, np.float32(otherwise), np.float32(np.nan)))
 
     cover = replace(
         found,
         label=np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
         landable=of_ground(found.landable, ANYTHING, black_ground(elevation) & unpictured),
         water=of_ground(found.water, np.nan, unpictured),
-        enclosed=surfaces.enclosed(),
         novelty=of_ground(found.novelty, UNLIKE, unpictured),
         bears=of_ground(found.bears, ANYTHING, unpictured),
     )
-    return cover.with_roofs(surfaces.raised())
+    return cover.with_roofs(found.raised)

@@ -37,12 +37,7 @@ class LevelSurfaces:
 
     @classmethod
     def of(cls, elevation: ElevationMap, settings: TerrainSettings) -> LevelSurfaces:
-        """Find the level surfaces of a map.
-
-        Args:
-            elevation: its trusted heights are surfaces, all its heights are rims; its datum gives their common tilt.
-            settings: scales.
-        """
+        """Find the level surfaces of a map: trusted heights are surfaces, all are rims; they share the datum's tilt."""
         size = max(1, round(settings.block / elevation.grid.cell))
         block = size * elevation.grid.cell
         bed = block_quantile(np.where(elevation.trusted, elevation.height, np.float32(np.nan)), size, 0.5)
@@ -69,12 +64,9 @@ class LevelSurfaces:
         return self._marked(roofs, ABOUT, lambda part: _height_over_rim(part, about, settings))
 
     def _marked(self, numbers: Iterable[int], pad: int, measure: Callable[[Mask], float]) -> F32:
-        """Write a measure of some parts to every cell of them and of their feet, (R, C); 0 elsewhere.
+        """Write the measure of some parts' masks to every cell of them and of their feet, (R, C); 0 elsewhere.
 
-        Args:
-            numbers: of the parts.
-            pad: blocks that are added about the map for `measure`.
-            measure: function of the mask of one part.
+        `pad`: blocks that are added about the map for `measure`.
         """
         out = np.zeros(self.bed.shape, np.float32)
         for number in numbers:

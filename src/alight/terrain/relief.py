@@ -32,8 +32,7 @@ def ground_under(low: F32, window_cells: float) -> F32:
     disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
     opened = cv2.dilate(np.where(eroded < 1e5, eroded, np.float32(-1e6)), disc, borderValue=-1e6)
-    out: F32 = np.where(np.isfinite(low), np.minimum(opened, low), np.float32(np.nan))
-    return out
+    return np.where(np.isfinite(low), np.minimum(opened, low), np.float32(np.nan))
 
 
 def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
@@ -74,12 +73,9 @@ def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
 
 
 def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Relief:
-    """Measure the shape of the ground; on blocks of about half a metre where it is wide.
+    """Measure the shape of the trusted heights; on blocks of about half a metre where it is wide.
 
-    Args:
-        elevation: its trusted heights are used.
-        wet: (R, C) 0 to 1, likeness of the cell to water.
-        settings: scales.
+    `wet`: (R, C) 0 to 1, likeness of the cell to water.
     """
     cell = elevation.grid.cell
     shape = elevation.grid.shape

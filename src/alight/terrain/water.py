@@ -16,11 +16,6 @@ from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
 
-def _moving(elevation: ElevationMap) -> F32:
-    """Share of nearby cells flagged as moving or inconsistent: water and swaying plants."""
-    return _near(is_flagged(elevation.flags, Flag.MOVING | Flag.INCONSISTENT).astype(np.float32), elevation)
-
-
 def water_likeness(colours: Appearance) -> F32:
     """Likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green. A car park has it too."""
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
@@ -117,7 +112,9 @@ def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
 
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
     """(R, C): water by its basin, colour, texture and motion, and the connected ground below its level."""
-    cell, weight, moving = elevation.grid.cell, seen(elevation).astype(np.float32), _moving(elevation)
+    cell, weight = elevation.grid.cell, seen(elevation).astype(np.float32)
+    restless = is_flagged(elevation.flags, Flag.MOVING | Flag.INCONSISTENT)  # water and swaying plants
+    moving = _near(restless.astype(np.float32), elevation)
     odds, walled = (
         masked_gaussian(water_odds(colours, depth, moving, settings), weight, 0.2 / cell)
         for depth in (shape.depth, shape.walled)
@@ -133,7 +130,7 @@ def open_water(land_cover: TerrainMap) -> Mask:
     bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
     """
     wet = np.asarray(land_cover.label == Terrain.WATER)
-    if land_cover.water is None or not wet.any():
+    if not wet.any():
         return wet
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
     middle = median(land_cover.water[wet], patches[wet], np.arange(1, count))

@@ -14,6 +14,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Camera, Pose
+from alight.raster import grey_levels
 from alight.records import Frame, Prediction, Rig, Tracks
 from alight.settings import TracksSettings
 from alight.tracks.corners import BORDER, corner_response, detect_corners, oldest_per_cell
@@ -29,11 +30,6 @@ from alight.tracks.view_transfer import (
 )
 
 Poses = tuple[Pose, ...]
-
-
-def grey(image: U8) -> U8:
-    """Return the (H, W) grey image of a grey or RGB one."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +88,7 @@ class Tracker:
         """
         if frame.images[0] is None:
             return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._lenses), 2)), np.empty(0))
-        image = grey(np.asarray(frame.images[0]))
+        image = grey_levels(frame.images[0])
         soft = smooth_image(image)
         found, poses = self._track_in_time(image, soft, prediction), prediction.world_from_cams if prediction else None
         pose = poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None
@@ -287,7 +283,7 @@ class Tracker:
         for i in range(1, len(self._lenses)):
             other = frame.images[i]
             if other is not None and len(left.pixels):
-                observed[:, i], z = self._match_stereo(i, left, grey(np.asarray(other)))
+                observed[:, i], z = self._match_stereo(i, left, grey_levels(other))
                 left = replace(left, depth=np.where(np.isfinite(z), z, left.depth))
         return observed, left
 

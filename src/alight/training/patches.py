@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, I64, U8
-from alight.terrain.features import PIXEL, STRETCH, against, appearance_features, frame_of, names
+from alight.terrain.model import PIXEL, STRETCH, against, appearance_features, frame_of, names
 
 Report = Callable[[float], None]
 

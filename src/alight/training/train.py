@@ -12,9 +12,11 @@ from scipy.optimize import minimize, minimize_scalar
 
 from alight.arrays import F32, F64, I64, U8
 from alight.records import InputError, Terrain
-from alight.terrain.features import LEVELS, PIXEL, STRETCH
 from alight.terrain.model import (
     CLIP,
+    LEVELS,
+    PIXEL,
+    STRETCH,
     Head,
     Model,
     appearance_evidence,

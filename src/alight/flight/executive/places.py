@@ -10,7 +10,7 @@ from itertools import compress
 
 import numpy as np
 
-from alight.landing.reasons import REASON_WORDS
+from alight.landing.sites import REASON_WORDS
 from alight.records import Hazard, Site, Terrain, keeps_margin
 from alight.records.executive import MapVerdict
 from alight.settings import StageSettings

@@ -8,7 +8,7 @@ from pathlib import Path
 from alight import compiled, terrain
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory
-from alight.pipeline.mapping.recursive_mapper import RecursiveMapper
+from alight.pipeline.mapping.recursive_map import RecursiveMapper
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch
 from alight.pipeline.timing import Timings

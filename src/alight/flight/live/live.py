@@ -27,8 +27,8 @@ from alight.flight.live.mailbox import Closed, Mailbox
 from alight.flight.live.stream_clocks import StreamClocks
 from alight.outputs.recorder import Recorder
 from alight.pipeline import Decision, FlightPolicy, Verdict
-from alight.pipeline.decision import conclude
 from alight.pipeline.judging import JudgingMemory
+from alight.pipeline.lanes import conclude
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher, FrameBatch

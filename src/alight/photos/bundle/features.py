@@ -19,6 +19,7 @@ from alight.arrays import F32, F64, U8
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
 from alight.photos.bundle.sift_kernels import features
+from alight.raster import grey_levels
 from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
@@ -83,11 +84,6 @@ def shrunk(image: Pixels, longest: float) -> U8:
         size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
     return np.ascontiguousarray(picture, dtype=np.uint8)
-
-
-def grey_levels(picture: U8) -> U8:
-    """Grey levels (H, W) of a picture that is grey or RGB."""
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)) if picture.ndim == 3 else picture
 
 
 def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:

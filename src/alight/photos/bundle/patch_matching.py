@@ -15,9 +15,10 @@ import numpy as np
 from alight.arrays import F16, F32, F64, I64, Mask
 from alight.jobs import InTurn, Task
 from alight.photos.bundle import patch_matching_kernels as kernels
-from alight.photos.bundle.features import grey_levels, shrunk, taken_by
+from alight.photos.bundle.features import shrunk, taken_by
 from alight.photos.bundle.matching import BundleObservations
 from alight.photos.bundle.solver import BundleState, Priors, project_points
+from alight.raster import grey_levels
 from alight.records import Frame, Pixels
 
 log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ There are two ways behind one interface: recursive (flight), and in one batch at
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping.keyframes import looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.pipeline.timing import Progress
@@ -22,20 +23,13 @@ NO_HEIGHT = "no height could be measured: no place was seen by two views"
 
 
 @dataclass(frozen=True, eq=False)
-class VehiclePosition:
-    """Position of the vehicle."""
-
-    position: F64  # (3,) metres
-    height_above_ground: float  # metres
-
-
-@dataclass(frozen=True, eq=False)
 class MapSnapshot:
     """The map at one moment, by value, with its views; all in the map's frame."""
 
     elevation: ElevationMap
     views: tuple[View, ...]  # that look down on it
-    vehicle: VehiclePosition
+    position: F64  # (3,) metres, of the vehicle
+    height_above_ground: float  # metres, of the vehicle
     frame: MapFrame
     attitude: bool = True  # one was measured, or the poses are given
     passed: Remembered = NOWHERE  # places that something moved across before
@@ -78,8 +72,11 @@ class MappingLane(Protocol):
         """The map of the whole recording."""
 
 
-def vehicle_at_end(trajectory: Trajectory, ground: float | None, frame: MapFrame) -> VehiclePosition:
-    """Position at the end of a recording, in the map's frame, with the median height above ground."""
+def map_at_end(
+    elevation: ElevationMap, views: Sequence[View], trajectory: Trajectory, ground: float | None, frame: MapFrame
+) -> MapSnapshot:
+    """The map at the end of a recording, with the vehicle's last place and its median height above ground."""
     ups = [m.world_from_body.translation[2] for m in trajectory.usable.values()]
     above = float(np.median(ups) - frame.offset_world[2] - (ground or 0))
-    return VehiclePosition(trajectory.motions[-1].world_from_body.translation - frame.offset_world, above)
+    last = trajectory.motions[-1].world_from_body.translation - frame.offset_world
+    return MapSnapshot(elevation, tuple(looking_down(views)), last, above, frame, trajectory.attitude)

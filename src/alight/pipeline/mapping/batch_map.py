@@ -1,7 +1,8 @@
-"""The map of a recording: every tile that at least two views see is matched with all of them."""
+"""The map of a recording or of photos, made at the end: every tile is matched with all views that see it."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,19 +12,33 @@ from typing import ClassVar
 import numpy as np
 
 from alight.arrays import F64
+from alight.elevation import TileStore
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
 from alight.parallax.batch import Images, MatchedBlock, match_tile
 from alight.parallax.datum import Matched, with_datum
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
-from alight.pipeline.mapping.cell_size import BYTES_A_CELL, cell_size, level_for, refuse_too_large
-from alight.pipeline.mapping.ground_map import GroundMap
-from alight.pipeline.mapping.view_geometry import ENOUGH, bounds, ground_in, looking_down
-from alight.pipeline.timing import Progress
-from alight.records import ElevationMap, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
-from alight.settings import ParallaxSettings
+from alight.pipeline.map_frame import in_world
+from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
+from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
+from alight.pipeline.mapping.keyframes import ENOUGH, FrameStore, bounds, ground_in, is_keyframe, looking_down, views_of
+from alight.pipeline.navigation import Navigation, Trajectory
+from alight.pipeline.timing import Progress, Timings
+from alight.records import (
+    ElevationMap,
+    KeyframePosterior,
+    MotionState,
+    Pixels,
+    PriorComparison,
+    PriorHeights,
+    Rig,
+    View,
+)
+from alight.settings import ParallaxSettings, StageSettings
 from alight.spread import nmad
+
+log = logging.getLogger(__name__)
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 BLOCK = 2  # tiles across that are matched together: with more, the share of the margin is smaller
@@ -84,10 +99,10 @@ class BatchMap(GroundMap):
         if self.elevation is None or self.ground is None or not views:
             return 0
         levels = list(self.levels(views))
-        done = 0
-        for n, (level, asking, beside) in enumerate(levels):
-            done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
-        return done
+        return sum(
+            self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
+            for n, (level, asking, beside) in enumerate(levels)
+        )
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """As for any map; the ground in each view is then that of the new points."""
@@ -105,11 +120,9 @@ class BatchMap(GroundMap):
 
     def levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
         """Levels from coarse to fine: a level, its views, and these with those of the levels beside it."""
-        assert self.elevation is not None
         level, of = 0, []
         for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
-            size = cell_size(v, ground, self.settings, self.by_quality)
-            level = level_for(size, self.elevation.cell, level, self.settings.mapping.level_slack)
+            level = self.level_of(v, ground, level)
             of.append(level)
         for k in sorted(set(of), reverse=True):
             asking = [v for v, its in zip(views, of, strict=True) if its == k]
@@ -120,9 +133,9 @@ class BatchMap(GroundMap):
     ) -> int:
         assert self.elevation is not None
         assert self.ground is not None
-        (west, south), (east, north) = bounds(asking, self.ground_under(asking))
-        refuse_too_large((west, south), (east, north), self.elevation.cell_at(level), BYTES_A_CELL)
-        grids = [g for g in self._grids(asking, (west, east), (south, north), level) if only(g)]
+        low, high = bounds(asking, self.ground_under(asking))
+        refuse_too_large(low, high, self.elevation.cell_at(level), BYTES_A_CELL)
+        grids = [g for g in self._grids(asking, low, high, level) if only(g)]
         self._step += 1
         images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
         seen = [self.block_of(grid, asking, views) for grid in grids]
@@ -161,9 +174,7 @@ class BatchMap(GroundMap):
     def _enough_points(self, grid: Grid) -> bool:
         """True if the points near a grid suffice to find its ground height."""
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
-        away = np.hypot(
-            self.points[:, 0] - grid.east - 0.5 * wide, self.points[:, 1] - grid.north + 0.5 * tall
-        )  # fmt: skip
+        away = np.hypot(self.points[:, 0] - grid.east - 0.5 * wide, self.points[:, 1] - grid.north + 0.5 * tall)
         return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
 
     def _above_prior(self) -> tuple[float, float]:
@@ -210,14 +221,11 @@ class BatchMap(GroundMap):
         arguments = images, views, pixels, block.grounds, block.grid, block.searched, self.settings.parallax
         return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
-    def _grids(
-        self, asking: list[View], east: tuple[float, float], north: tuple[float, float], level: int
-    ) -> list[Grid]:
+    def _grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
         """Grids to match, each with its margin: a block of tiles where pictures are large enough, else a tile."""
         assert self.elevation is not None
-        assert self.ground is not None
         layer = self.elevation.layer(level)
-        keys = list(layer.cover(east, north))
+        keys = list(layer.cover((low[0], high[0]), (low[1], high[1])))
         tile = layer.tile_grid(keys[0])
         pixels = map(ground_sampling, asking, self.ground_under(asking).tolist())
         side = np.median([min(v.camera.width, v.camera.height) * p for v, p in zip(asking, pixels, strict=True)])
@@ -233,3 +241,84 @@ class BatchMap(GroundMap):
         """The whole map so far, with its datum by the joint posterior of the poses; None: the poses are exact."""
         found = super().snapshot()
         return found if found is None or joint is None else with_datum(found, self._matched, joint)
+
+
+class BatchMapper:
+    """Mapping lane that keeps keyframes and maps at the end; a full store is mapped in part before."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        settings: StageSettings,
+        tile_store: TileStore | None,
+        timings: Timings,
+        jobs: Jobs,
+        prior: PriorHeights | None = None,
+    ) -> None:
+        self._rig, self._settings, self._timings = rig, settings, timings
+        self._map = BatchMap(settings, tile_store, jobs=jobs, prior=prior)
+        self.store = FrameStore()
+
+    def feed(self, navigation: Navigation, effort: int = 0) -> int:
+        """Keep the exposure if it is a keyframe, as every photo is; the map comes at the end, with all effort."""
+        motion = navigation.motion
+        if motion is None:  # of photos, whose motions come at the end
+            self.store.keep(navigation.frame)
+            return 0
+        if motion.state is MotionState.LOST:
+            return 0
+        ground, tuning = self._map.ground, self._settings.mapping
+        if is_keyframe(motion, self.store.last, ground, tuning.first_step, self._settings):
+            self.store.keep(navigation.frame, motion)
+            if ground is None and self.store.taken % tuning.find_every == 0:
+                self._map.find_ground(views_of(self.store.keyframes, self._rig))
+            if self.store.bytes > self._settings.parallax.store_mb * 1_000_000:
+                self._make_room()
+        return 0
+
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
+        """None: there is a map at the end only."""
+        return None
+
+    def _make_room(self) -> None:
+        """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
+
+        Tiles that the newer half sees as well are matched again later, and the better height of each cell stays.
+        Before the ground is found, every second keyframe is forgotten instead.
+        """
+        keyframes, half = self.store.keyframes, len(self.store.keyframes) // 2
+        motions = {m.t_ns: m for m in in_world(k.motion for k in keyframes if k.motion is not None)}  # as at the end
+        views, older = (views_of(some, self._rig, motions) for some in (keyframes, keyframes[:half]))
+        older = looking_down(older)
+        if not self._map.find_ground(views) and self._map.ground is None:
+            self.store.thin()
+            log.warning("frame store full: %s; every second keyframe is forgotten", self._map.reason)
+            return
+        if older:
+            low, high = bounds(older, self._map.ground_under(older))
+
+            def leaving(grid: Grid) -> bool:
+                e, n = grid.xy()
+                return bool(e[-1] >= low[0] and e[0] <= high[0] and n[0] >= low[1] and n[-1] <= high[1])
+
+            self._map.match_tiles(views, lambda _: None, leaving)
+        del self.store.keyframes[:half]
+        log.info("frame store full: the older half was mapped and forgotten")
+
+    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
+        """Match all tiles with the poses of the whole recording."""
+        motions = trajectory.usable
+        views = views_of((k for k in self.store.keyframes if k.frame.t_ns in motions), trajectory.rig, motions)
+        with self._timings.of("ground"):
+            found = self._map.find_ground(views, points=trajectory.points)
+        if not found and self._map.elevation is None:
+            return FinishedMap(reason=self._map.reason)
+        with self._timings.of("heights"):
+            self._map.match_tiles(views, progress)
+        with self._timings.of("map"):
+            elevation = self._map.snapshot(trajectory.joint)
+        if elevation is None:
+            return FinishedMap(reason=NO_HEIGHT)
+        seen = map_at_end(elevation, views, trajectory, self._map.ground, trajectory.place)
+        compared = self._map.against_prior()
+        return FinishedMap(seen, notes={"prior_dem": compared.line} if compared else {})

@@ -1,7 +1,8 @@
-"""Common part of both ways of mapping: search of the ground, and refusal of heights."""
+"""Common part of both ways of mapping: search of the ground, size of the cells, and refusal of heights."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -11,37 +12,83 @@ import numpy as np
 
 from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
-from alight.geometry import Grid
+from alight.geometry import Box, Grid
 from alight.parallax.sparse_points import NO_POINTS, find_points, height_range, supported
-from alight.pipeline.mapping.cell_size import first_cell
-from alight.pipeline.mapping.view_geometry import looking_down
-from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
+from alight.parallax.views import ground_sampling
+from alight.pipeline.mapping.keyframes import looking_down
+from alight.records import Datum, ElevationMap, Flag, Heights, SettingsError, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
+BYTES_A_CELL = 22.0  # of a map: height, sigma, flags, views, colour, residual, sampling
+# of each `parallax.quality`: cells over those of 1.8 pixels, and their least size over the cell that the lander is
+# judged on
+QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 
 
-def lone(given: Mask, tuning: MappingTuning) -> Mask:
-    """True for heights given out, (R, C), with too few others about them."""
-    window = (tuning.given_cells, tuning.given_cells)
-    return np.asarray(given & (cv2.blur(given.astype(np.float32), window) < tuning.least_given))
+def cell_size(view: View, ground: float, settings: StageSettings, by_quality: bool) -> float:
+    """Size of a cell that suits a view of ground at a height (metres): 1.8 pixels, unless settings want larger ones.
+
+    A fixed `parallax.cell` wins. `by_quality`: of a whole recording, for which `parallax.quality` counts.
+    """
+    if settings.parallax.cell is not None:
+        return settings.parallax.cell
+    pixels, least = QUALITY[settings.parallax.quality if by_quality else "fine"]
+    size = settings.mapping.cell_over_pixel * (pixels * ground_sampling(view, ground))
+    return max(size, least * settings.lander.judging_cell)
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """A rectangle of a window, with the mask of heights given out in the window."""
+def nice_cell(size: float) -> float:
+    """The round cell size nearest to a size, metres."""
+    decade = 10.0 ** np.floor(np.log10(size))
+    sizes: F64 = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0]) * decade
+    return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / size)))], 6))
 
-    given: Mask  # (R, C) of the window
-    where: tuple[slice, slice]
 
-    def lone(self, given: Mask, tuning: MappingTuning) -> Mask:
-        """True for lone heights of the rectangle; the window's mask adopts `given`."""
-        self.given[self.where] = given
-        reach = tuning.given_cells // 2
-        r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in self.where)
-        rows, cols = (slice(s.start - w.start, s.stop - w.start) for s, w in zip(self.where, (r, c), strict=True))
-        return lone(self.given[r, c], tuning)[rows, cols]
+def level_for(size: float, first: float, now: int, slack: float) -> int:
+    """Level whose cells suit a size (eq. 16a).
+
+    Args:
+        size: of a cell, metres.
+        first: metres, of the cells of level 0; they double from level to level.
+        now: the level in use, which stays while it suits.
+        slack: octaves beyond half of one within which it suits.
+    """
+    exact = math.log2(size / first)
+    return now if abs(exact - now) <= 0.5 + slack else round(exact)
+
+
+def refuse_too_large(low: F64, high: F64, cell: float, each: float) -> None:
+    """Refuse a map that would need more than 25 GB.
+
+    Args:
+        low, high: (2,) metres, its corners, east and north.
+        cell: metres.
+        each: bytes a cell.
+
+    Raises:
+        SettingsError: with the number, and the cell that would need 1 GB.
+    """
+    width, length = (float(v) for v in high - low)
+    needed = each * (width / cell) * (length / cell)
+    if needed <= 25e9:
+        return
+    better = float(f"{math.sqrt(each * width * length / 1e9):.1g}")
+    raise SettingsError(
+        f"cells of {cell:g} m: a map of {width:,.0f} x {length:,.0f} m needs about {needed / 1e9:,.0f} GB; "
+        f"parallax.cell={better:g} would need {each * (width / better) * (length / better) / 1e9:.1f} GB"
+    )
+
+
+def lone(given: Mask, where: Box, tuning: MappingTuning) -> Mask:
+    """True for heights given out in a rectangle of a mask (R, C) that have too few others about them."""
+    reach, window = tuning.given_cells // 2, (tuning.given_cells, tuning.given_cells)
+    r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in where)
+    about = given[r, c]
+    alone = about & (cv2.blur(about.astype(np.float32), window) < tuning.least_given)
+    rows, cols = (slice(s.start - w.start, s.stop - w.start) for s, w in zip(where, (r, c), strict=True))
+    return np.asarray(alone[rows, cols])
 
 
 @dataclass(eq=False)
@@ -91,11 +138,19 @@ class GroundMap:
         self.points = below[:: -(-len(below) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self.points[:, 2]))
         if self.elevation is None:
-            cell = first_cell(down, self.ground, self.settings, self.by_quality)
-            self.elevation = TiledElevation(
-                cell, self.settings.elevation.tile, self.tile_store, self.settings.elevation
-            )
+            size = float(np.median([cell_size(v, self.ground, self.settings, self.by_quality) for v in down]))
+            self.elevation = self._empty(self.settings.parallax.cell or nice_cell(size))
         return True
+
+    def _empty(self, cell: float) -> TiledElevation:
+        tuning = self.settings.elevation
+        return TiledElevation(cell, tuning.tile, self.tile_store, tuning)
+
+    def level_of(self, view: View, ground: float, now: int) -> int:
+        """Level whose cells suit a view of ground at a height (metres); `now`: the level in use."""
+        assert self.elevation is not None
+        size = cell_size(view, ground, self.settings, self.by_quality)
+        return level_for(size, self.elevation.cell, now, self.settings.mapping.level_slack)
 
     def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
@@ -112,24 +167,29 @@ class GroundMap:
         heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
         if len(heights) < self.settings.mapping.least_known:
             return low, high
+        middle = float(np.median(heights))
+        # a map of fields has no trees, and the crowns of new ground have no heights yet
+        treetops = middle + min(self.settings.mapping.trees, 0.5 * (camera - middle))
         below, above = height_range(np.column_stack([heights, heights, heights]), camera)
-        above = max(above, self._treetops(camera, float(np.median(heights))))
+        above = max(above, treetops)
         return (min(low, below), max(high, above)) if part else (below, above)
 
-    def _treetops(self, camera: float, ground: float) -> float:
-        """Height up to which trees are sought on new ground: a map of fields has none, and crowns have no heights yet.
+    def _without_doubtful(
+        self, heights: Heights, above: float, given: Mask | None = None, where: Box | None = None
+    ) -> Heights:
+        """Refuse lone heights, and those with too large a sigma for the camera's height `above` ground, metres.
 
-        At most half the camera's height above ground is searched.
+        Args:
+            heights: of all cells, or of the rectangle `where` of a window.
+            given: (R, C) of the window, the heights given out; it adopts those of the rectangle.
         """
-        return ground + min(self.settings.mapping.trees, 0.5 * (camera - ground))
-
-    def _without_doubtful(self, heights: Heights, above: float, around: Surroundings | None = None) -> Heights:
-        """Refuse lone heights, and those with too large a sigma for the camera's height `above` ground, metres."""
         limit = self.settings.elevation.max_sigma or self.settings.mapping.max_sigma * max(above, 1.0)
         vague = heights.sigma > limit
-        given = is_trusted(heights.flags) & ~vague
-        alone = lone(given, self.settings.mapping) if around is None else around.lone(given, self.settings.mapping)
-        unsure = (vague | alone).astype(np.uint16) * np.uint16(Flag.UNSURE)
+        own = is_trusted(heights.flags) & ~vague
+        if given is None or where is None:
+            given, where = own, (slice(0, heights.grid.rows), slice(0, heights.grid.cols))
+        given[where] = own
+        unsure = (vague | lone(given, where, self.settings.mapping)).astype(np.uint16) * np.uint16(Flag.UNSURE)
         return replace(heights, flags=heights.flags | unsure)
 
     def snapshot(self) -> ElevationMap | None:

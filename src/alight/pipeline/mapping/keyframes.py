@@ -1,18 +1,21 @@
-"""Keyframes: which exposures the map is made of, and their pixels as long as the mapping lane may need them.
-
-Of photos every one is kept (`PhotoMapper`).
-"""
+"""Keyframes: which exposures the map is made of, their pixels as long as needed, and the ground that they show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from alight.pipeline.map_frame import MapFrame
+from alight.arrays import F64
+from alight.geometry import Camera
+from alight.parallax.views import inside_picture, radius2_limit
 from alight.records import Frame, Motion, Rig, View
 from alight.settings import StageSettings
+
+STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
+ENOUGH = 40  # points or cells, least to estimate a height from
 
 
 def is_keyframe(
@@ -37,17 +40,11 @@ def is_keyframe(
     return bool(moved or np.arccos(axis) >= settings.mapping.turn)
 
 
-@dataclass(frozen=True, eq=False)
-class Keyframe:
+class Keyframe(NamedTuple):
     """An exposure that is kept, and its motion as it was in flight."""
 
     frame: Frame
     motion: Motion | None  # None: it comes at the end of the recording
-
-    @property
-    def bytes(self) -> int:
-        """Bytes of its pixels."""
-        return sum(i.nbytes for i in self.frame.images if i is not None)
 
 
 class FrameStore:
@@ -55,36 +52,23 @@ class FrameStore:
 
     def __init__(self) -> None:
         self.keyframes: list[Keyframe] = []
-        self.bytes = 0
         self.taken = 0  # frames that were ever kept
         self.last: Motion | None = None  # of the newest frame kept; None: there is none
 
-    def __len__(self) -> int:
-        return len(self.keyframes)
+    @property
+    def bytes(self) -> int:
+        """Bytes of all pixels."""
+        return sum(i.nbytes for k in self.keyframes for i in k.frame.images if i is not None)
 
     def keep(self, frame: Frame, motion: Motion | None = None) -> None:
         """Keep a frame."""
         self.keyframes.append(Keyframe(frame, motion))
-        self.bytes += self.keyframes[-1].bytes
         self.taken += 1
         self.last = motion or self.last
 
-    def drop_oldest(self, count: int) -> None:
-        """Forget the first `count` frames."""
-        self._set(self.keyframes[count:])
-
-    def clear(self) -> None:
-        """Forget all frames."""
-        self._set([])
-        self.last = None
-
     def thin(self) -> None:
         """Forget every second frame, the newest not."""
-        self._set(self.keyframes[::-2][::-1])
-
-    def _set(self, keyframes: list[Keyframe]) -> None:
-        self.keyframes = keyframes
-        self.bytes = sum(k.bytes for k in keyframes)
+        self.keyframes = self.keyframes[::-2][::-1]
 
 
 def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:
@@ -99,12 +83,39 @@ def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion
     return out
 
 
-def with_motions(keyframes: Iterable[Keyframe], motions: Mapping[int, Motion]) -> list[Keyframe]:
-    """Keyframes at the times of these motions, with the motion."""
-    return [Keyframe(k.frame, motions[k.frame.t_ns]) for k in keyframes if k.frame.t_ns in motions]
+def looking_down(views: Sequence[View]) -> list[View]:
+    """The views whose optical axis is at most 75 degrees from straight down."""
+    return [v for v in views if -v.world_from_cam.rotation[2, 2] > STEEPEST]
 
 
-def in_world(keyframes: Sequence[Keyframe]) -> list[Keyframe]:
-    """Keyframes with their motion in the world: each map frame is placed by the newest of its keyframes."""
-    frames = {k.motion.frame_id: MapFrame.of(k.motion) for k in keyframes if k.motion is not None}
-    return [Keyframe(k.frame, k.motion and frames[k.motion.frame_id].motion(k.motion)) for k in keyframes]
+@lru_cache(maxsize=1024)
+def _border(camera: Camera) -> F64:
+    """Rays through corners and middles of the sides of its picture, (8, 3), in the optical frame."""
+    w, h = camera.width - 1.0, camera.height - 1.0
+    return camera.rays(np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]]))
+
+
+def footprint(view: View, height: float) -> F64:
+    """Footprint of the image's border on level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
+    rays = _border(view.camera) @ view.world_from_cam.rotation.T
+    down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
+    return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
+
+
+def bounds(views: Sequence[View], height: float | F64) -> tuple[F64, F64]:
+    """The rectangle about all footprints of the views on level ground: south-west and north-east corner, (2,) metres.
+
+    `height`: metres, of the ground; one for all views, or (N,) of each.
+    """
+    corners = np.concatenate([footprint(v, h) for v, h in zip(views, np.broadcast_to(height, len(views)), strict=True)])
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def ground_in(view: View, points: F64, otherwise: float) -> float:
+    """Median height of the points (N, 3) in the picture of a view, metres; `otherwise` where there are too few."""
+    place = view.world_from_cam.inverse.apply(points)
+    ahead = place[:, 2] > 0
+    points, place = points[ahead], place[ahead]
+    inside = inside_picture(view.camera, place)
+    inside &= ((place[:, :2] / place[:, 2:]) ** 2).sum(axis=1) < radius2_limit(view.camera)
+    return float(np.median(points[inside, 2])) if inside.sum() >= ENOUGH else otherwise

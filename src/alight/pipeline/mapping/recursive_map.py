@@ -1,23 +1,31 @@
-"""The map of a flight: improved with every keyframe."""
+"""The map of a flight: improved with every keyframe, and judged at any time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from alight.arrays import F64, U16, Mask
-from alight.elevation import TiledElevation, doublings_up_to
-from alight.geometry import Grid
+from alight.elevation import TiledElevation, TileStore, doublings_up_to
+from alight.geometry import Box, Grid
 from alight.parallax.recursive import RecursiveParallax
-from alight.pipeline.mapping.cell_size import BYTES_A_CELL, BYTES_A_STEP, cell_size, level_for, refuse_too_large
-from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
-from alight.pipeline.mapping.view_geometry import bounds, looking_down
+from alight.pipeline.map_frame import MapFrame, Tie
+from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
+from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
+from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_keyframe, looking_down, views_of
+from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered, what_moves, who_came
-from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
+from alight.pipeline.timing import Progress, Timings
+from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, Motion, MotionState, Rig, View, is_trusted
+from alight.settings import StageSettings
 
+log = logging.getLogger(__name__)
+
+BYTES_A_STEP = 150.0  # of a cell while a step works on it
 COARSE = 4  # cells: every n-th of them is used for the ground height
 
 
@@ -61,9 +69,7 @@ class RecursiveMap(GroundMap):
         mapped = self.ground_here is not None
         for name in list(self.tile_store or ()):
             del self.tile_store[name]  # type: ignore[union-attr]
-        self.elevation = TiledElevation(
-            self.elevation.cell, self.settings.elevation.tile, self.tile_store, self.settings.elevation
-        )
+        self.elevation = self._empty(self.elevation.cell)
         self.ground, self.points = self.ground + float(shift[2]), self.points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
         self.estimator, self.datum, self.out_of_range = None, None, False
@@ -82,8 +88,7 @@ class RecursiveMap(GroundMap):
         newest = down[0]
         here = self.ground if self.ground_here is None else self.ground_here
         self.ground_here = min(here, float(newest.centre[2]) - self.settings.mapping.least_height)
-        size = cell_size(newest, self.ground_here, self.settings, self.by_quality)
-        self.level = level_for(size, self.elevation.cell, self.level, self.settings.mapping.level_slack)
+        self.level = self.level_of(newest, self.ground_here, self.level)
         cell = self.elevation.cell_at(self.level)
         if self.estimator is None:
             self.estimator = RecursiveParallax(self.settings.parallax, cell, self.ground_here)
@@ -107,7 +112,7 @@ class RecursiveMap(GroundMap):
         given, anew = is_trusted(known.flags), np.zeros(grid.shape, np.bool_)
         for part in parts:
             where = box_in(grid, part.grid)
-            found = self._without_doubtful(part, up - ground, Surroundings(given, where))
+            found = self._without_doubtful(part, up - ground, given, where)
             rows, cols = (slice(-s.start % COARSE, None, COARSE) for s in where)
             at = tuple(slice(-(-s.start // COARSE), -(-s.stop // COARSE)) for s in where)
             height[at] = found.height[rows, cols]
@@ -161,19 +166,152 @@ class RecursiveMap(GroundMap):
 
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
     """The cells between two corners (2,), `each` of which takes so many bytes; refused where no memory holds them."""
-    refuse_too_large((low[0], low[1]), (high[0], high[1]), elevation.cell_at(level), each)
+    refuse_too_large(low, high, elevation.cell_at(level), each)
     return elevation.layer(level).window((low[0], high[0]), (low[1], high[1]))
 
 
-def box_in(grid: Grid, part: Grid) -> tuple[slice, slice]:
+def box_in(grid: Grid, part: Grid) -> Box:
     """Rows and columns of a grid that `part`, another grid on its cells, covers."""
     row, col = (round(float(v)) for v in grid.index(np.array(part.east), np.array(part.north)))
     return slice(row, row + part.rows), slice(col, col + part.cols)
 
 
-def changed(found: Heights, known: ElevationMap, where: tuple[slice, slice]) -> Heights:
+def changed(found: Heights, known: ElevationMap, where: Box) -> Heights:
     """Changes of a step in a part of the map; unchanged cells are UNSEEN, not to count at this cell size."""
     height, sigma, flags, rgb = (getattr(known, k)[where] for k in ("height", "sigma", "flags", "rgb"))
     same = (found.height == height) & (found.sigma == sigma) & (found.flags == flags)
     same &= (found.rgb == rgb).all(axis=2)
     return replace(found, flags=np.where(same, np.uint16(Flag.UNSEEN), found.flags).astype(np.uint16))
+
+
+class RecursiveMapper:
+    """Mapping lane that finds the ground first; then every keyframe is a step of the map.
+
+    Args:
+        history: keep the data for the end of a recording.
+        anew: stamps of the exposures before which it begins anew, as where it was lost in flight.
+    """
+
+    def __init__(
+        self, rig: Rig, settings: StageSettings, tile_store: TileStore | None, timings: Timings, history: bool,
+        anew: Collection[int] = (),
+    ) -> None:  # fmt: skip
+        self._rig, self._settings, self._tuning, self._timings = rig, settings, settings.mapping, timings
+        self._tile_store, self._anew = tile_store, frozenset(anew)
+        self._most = settings.mapping.kept_to_look if history else settings.mapping.kept_by_ring
+        self._begin()
+
+    def _begin(self) -> None:
+        self._map = RecursiveMap(self._settings, self._tile_store)
+        self.store, self._first_step = FrameStore(), self._tuning.first_step
+        self._newest: Navigation | None = None  # keyframe
+        self._frame: MapFrame | None = None  # of the map, by the newest exposure
+        self._newest_ns = -(1 << 62)  # exposure
+        self._warnings: list[str] = []
+
+    def feed(self, navigation: Navigation, effort: int = 0) -> int:
+        """Keep the exposure if it is a keyframe, and improve the map with it."""
+        if navigation.frame.t_ns in self._anew:
+            self._begin()
+        motion = navigation.motion
+        if motion is None or motion.state is MotionState.LOST:
+            return 0
+        if not self._follows(MapFrame.of(motion), motion.t_ns):
+            return 0
+        if not is_keyframe(motion, self.store.last, self._map.ground_height, self._first_step, self._settings):
+            return 0
+        self.store.keep(navigation.frame, motion)
+        self._newest = navigation
+        steps = self._grow(navigation, effort)
+        del self.store.keyframes[: -self._most]
+        while self.store.bytes > self._settings.parallax.store_mb * 1_000_000:
+            del self.store.keyframes[0]
+        return steps
+
+    def _follows(self, frame: MapFrame, t_ns: int) -> bool:
+        """Adopt the frame of the newest exposure, and drop the map if that is another frame.
+
+        False for an exposure that is out of sequence and belongs to another frame: it has no place in the map.
+        """
+        if self._frame is not None and frame.frame_id != self._frame.frame_id:
+            if t_ns < self._newest_ns:
+                return False
+            self._drop_map(frame.frame_id, self._frame.tie(frame))
+        self._frame, self._newest_ns = frame, max(t_ns, self._newest_ns)
+        return True
+
+    def _drop_map(self, frame_id: int, tie: Tie) -> None:
+        self.store.keyframes, self.store.last, self._newest = [], None, None
+        if self._map.begin_anew(*tie):
+            warning = (
+                f"map: the motion began anew (frame {frame_id}), and the map of before is dropped: its place in the "
+                f"new frame is known to {tie.sigma:.2f} m only"
+            )
+            log.warning(warning)
+            self._warnings.append(warning)
+
+    def _grow(self, navigation: Navigation, effort: int) -> int:
+        """Find the ground, or take the newest keyframe into the map; return the number of steps."""
+        due = self.store.taken % self._tuning.find_every == 0
+        if self._map.ground is not None:
+            steps = self._advance(self.store.keyframes[-1:], navigation, effort)
+            if self._map.out_of_range and due:
+                self._map.find_ground_again(self._views_now(), self._tuning.find_baseline)
+            return steps
+        if due and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
+            return self._advance(self.store.keyframes, navigation, effort)
+        if len(self.store.keyframes) >= self._tuning.kept_by_ring:  # height and needed baseline are not known
+            self.store.thin()
+            self._first_step *= 2
+        return 0
+
+    def _advance(self, keyframes: Sequence[Keyframe], navigation: Navigation, effort: int) -> int:
+        steps = 0
+        for k in keyframes:
+            assert k.motion is not None
+            with self._timings.of("heights"):
+                poses = _posterior_with(k.motion, navigation.posterior)
+                steps += self._map.step(views_of([k], self._rig), poses, effort)
+        return steps
+
+    def _views_now(self, most: int | None = None) -> list[View]:
+        """The newest keyframes as views, with the newest estimates of their poses."""
+        known = self._newest.posterior if self._newest is not None else None
+        newer = {m.t_ns: m for m in known.motions} if known is not None else None
+        return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)
+
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
+        """The map under the newest keyframe, and about a place, as it is now; None without one there."""
+        views = looking_down(self._views_now())
+        elevation = self._map.under(views[-len(self._rig.cameras) :], about)
+        if elevation is None or self._frame is None:
+            return None
+        centre, attitude = views[-1].centre, self._newest is None or self._newest.attitude
+        return MapSnapshot(
+            elevation, tuple(views), centre, float(centre[2] - (self._map.ground_height or 0.0)), self._frame, attitude,
+            self._map.passed, self._map.came,
+        )  # fmt: skip
+
+    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
+        """The map as the last keyframe left it; that of all keyframes where they end before the ground is found."""
+        views = self._views_now(self._most)
+        if self._map.elevation is None:
+            with self._timings.of("ground"):
+                found = self._map.find_ground(views)
+            if not found or self._newest is None:
+                return FinishedMap(None, self._map.reason, tuple(self._warnings))
+            self._advance(self.store.keyframes, self._newest, 0)
+        with self._timings.of("map"):
+            elevation = self._map.snapshot()
+        if elevation is None or self._frame is None:
+            return FinishedMap(None, NO_HEIGHT, tuple(self._warnings))
+        seen = map_at_end(elevation, views, trajectory, self._map.ground, self._frame)
+        seen = replace(seen, passed=self._map.passed, came=self._map.came)
+        return FinishedMap(seen, warnings=tuple(self._warnings))
+
+
+def _posterior_with(motion: Motion, posterior: KeyframePosterior | None) -> KeyframePosterior | None:
+    """The posterior, or the motion by itself where it was a keyframe before the ground was found."""
+    if posterior is None or motion.t_ns in {m.t_ns for m in posterior.motions}:
+        return posterior
+    return KeyframePosterior((motion,), np.asarray(motion.covariance))

@@ -11,7 +11,7 @@ from alight.motion.ekf.filter import LEAST_EXPOSURES
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
-from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.map_frame import in_world
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
@@ -145,18 +145,13 @@ class FilterLane:
         self._take_rows(self._batcher.rest())
         refined = self._filter.refined()
         smoothed = bool(refined.motions)
-        motions = refined.motions or tuple(self._online())
+        motions = refined.motions or tuple(sorted(in_world(self._motions), key=lambda m: m.t_ns))
         joint = refined.joint or rigid_posterior(sparse(motions))
         repeated = self._batcher.repeated
         warnings = [_left_out(repeated, "have the stamp of an earlier one")] if repeated else []
         warnings += self.warnings(motions, smoothed)
         note = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint, attitude=self._attitude)
-
-    def _online(self) -> list[Motion]:
-        """The motions as they were given out, in order of time; each frame in the world by its newest offset."""
-        newest = {m.frame_id: MapFrame.of(m) for m in self._motions}
-        return sorted((newest[m.frame_id].motion(m) for m in self._motions), key=lambda m: m.t_ns)
 
     def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
         """Warnings on the motion, in sentences."""

@@ -61,10 +61,8 @@ class GivenLane:
     def finish(self, progress: Progress) -> Trajectory:
         """The motions given out before; their errors are independent."""
         warnings = (f"poses: none for {self._missed} exposures, which are not used",) if self._missed else ()
-        motions, notes = tuple(self._motions), {"motion": "given poses, not estimated"}
-        return Trajectory(motions, self._rig, warnings, notes, None if self._exact else _independent(sparse(motions)))
-
-
-def _independent(motions: tuple[Motion, ...]) -> KeyframePosterior | None:
-    """Joint posterior of poses with independent errors; None of none."""
-    return KeyframePosterior(motions, block_diag(*(m.covariance for m in motions))) if motions else None
+        motions, notes, joint = tuple(self._motions), {"motion": "given poses, not estimated"}, None
+        if motions and not self._exact:
+            some = sparse(motions)
+            joint = KeyframePosterior(some, block_diag(*(m.covariance for m in some)))
+        return Trajectory(motions, self._rig, warnings, notes, joint)

@@ -6,22 +6,14 @@ They are hidden from users, stored in `run.json`, and can be set as `tuning.<sta
 from __future__ import annotations
 
 from alight.settings.base import FrozenModel
-from alight.settings.tuning.bundle import BundleTuning
-from alight.settings.tuning.elevation import ElevationTuning
 from alight.settings.tuning.executive import ExecutiveTuning
-from alight.settings.tuning.filter import FilterTuning
+from alight.settings.tuning.filter import BundleTuning, FilterTuning
 from alight.settings.tuning.hazards import HazardsTuning
-from alight.settings.tuning.mapping import MappingTuning
+from alight.settings.tuning.mapping import ElevationTuning, MappingTuning
 from alight.settings.tuning.parallax import ParallaxTuning
-from alight.settings.tuning.route import RouteTuning
-from alight.settings.tuning.sites import SitesTuning
+from alight.settings.tuning.sites import RouteTuning, SitesTuning
 from alight.settings.tuning.terrain import TerrainTuning
 from alight.settings.tuning.tracks import TracksTuning
-
-__all__ = [
-    "BundleTuning", "ElevationTuning", "ExecutiveTuning", "FilterTuning", "HazardsTuning", "MappingTuning",
-    "ParallaxTuning", "RouteTuning", "SitesTuning", "TerrainTuning", "TracksTuning", "Tuning",
-]  # fmt: skip
 
 
 class Tuning(FrozenModel):

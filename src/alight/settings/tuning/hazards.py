@@ -74,7 +74,7 @@ class HazardsTuning(FrozenModel):
         0.01, description="The same where one camera sees the ground: no second one shows what moves"
     )
     no_attitude_hazard: NonNegative = Field(
-        0.02, description="The same where no attitude was measured: nothing tells whether the map is level"
+        0.02, description="The same where no attitude was measured: nothing shows whether the map is level"
     )
     clearly_sigmas: NonNegative = Field(
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"

@@ -1,4 +1,4 @@
-"""Tuning of the mapping lane (docs/lab/tuning-constants.md)."""
+"""Tuning of the mapping lane and of its map (docs/lab/tuning-constants.md)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class MappingTuning(FrozenModel):
     least_known: int = Field(400, ge=1, description="Known heights from which the map gives the range that is searched")
     trees: NonNegative = Field(15.0, description="Height of the trees that may stand on ground not mapped yet, m")
     beyond: Fraction = Field(
-        0.3, description="Share of cells at an end of the searched range that asks for another range"
+        0.3, description="Share of cells at an end of the searched range from which another range is sought"
     )
     cell_over_pixel: Positive = Field(1.8, description="Size of a cell over the ground sampling distance")
     level_slack: NonNegative = Field(0.15, description="Hysteresis before the size of the cells is changed, octaves")
@@ -35,3 +35,15 @@ class MappingTuning(FrozenModel):
     given_cells: int = Field(41, ge=1, description="Window of these neighbours, cells")
     judged_about: Positive = Field(8.0, description="Ground about a place in question that is judged with it, m")
     least_height: Positive = Field(1.0, description="Least height of the camera above the mapped ground, m")
+
+
+class ElevationTuning(FrozenModel):
+    """The elevation map."""
+
+    tile: int = Field(128, ge=64, description="Side of a tile, cells; each tile chooses its own views")
+    less_sure: Positive = Field(
+        1.5, description="Sigma of a cell that was only seen with coarser cells over the sigma of these"
+    )
+    least_share: Fraction = Field(
+        0.05, description="Least share of the map seen with cells as fine as those of the written rasters"
+    )

@@ -1,4 +1,4 @@
-"""Tuning of the choice of sites (docs/lab/tuning-constants.md)."""
+"""Tuning of the choice of sites and of the route (docs/lab/tuning-constants.md)."""
 
 from __future__ import annotations
 
@@ -18,3 +18,15 @@ class SitesTuning(FrozenModel):
         0.12, description="Distance of a next view by one camera from the place, over its height"
     )
     lowest_look: Positive = Field(8.0, description="Least height of a next view above the ground, m")
+
+
+class RouteTuning(FrozenModel):
+    """Way-points to the best site."""
+
+    look_share: Fraction = Field(
+        0.5, description="Height of a look over that of the last; of the last inspection over the approach height"
+    )
+    air_speed: Positive = Field(
+        12.0, description="Most speed through the air, m/s; against the wind it flies slower over the ground"
+    )
+    calm: Positive = Field(2.0, description="Wind up to which its direction does not count, m/s")

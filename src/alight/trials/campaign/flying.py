@@ -20,7 +20,6 @@ from alight.records.campaign import (
     Conditions,
     LandingRecord,
     LightRecord,
-    LookLine,
     Outcome,
     TransitionLine,
 )
@@ -137,7 +136,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         conditions=conditions.model_copy(update={"faults": happenings.faults}),
         **judged._asdict(), state=landing.state.value, p_at_commit=landing.p_at_commit,
         p_found=found[-1].p_safe if found else None, found_after=found[0].t if found else None,
-        looks=tuple(LookLine.model_validate(x, from_attributes=True) for x in landing.diary.looks),
+        looks=tuple(landing.diary.looks),
         transitions=tuple(TransitionLine.model_validate(x, from_attributes=True) for x in landing.diary.transitions),
         seconds=landing.seconds, distance=happenings.distance, nearest=happenings.nearest, verdicts=landing.verdicts,
         cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},

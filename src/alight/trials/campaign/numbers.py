@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import betaincinv
 
-from alight.records.campaign import OUTCOMES, LandingRecord, LookLine
+from alight.records.campaign import OUTCOMES, LandingRecord
+from alight.records.executive import LookRecord
 
 CPU_LIMIT = 60.0  # s of CPU that a landing may take
 Counts = dict[str, dict[str, int]]  # row -> outcome -> landings
@@ -167,10 +168,10 @@ def _changes(records: Sequence[LandingRecord]) -> Iterator[LookChange]:
         yield LookChange(first, last, len(ps), float(one), float(two))
 
 
-def looks_by_place(record: LandingRecord) -> list[list[LookLine]]:
+def looks_by_place(record: LandingRecord) -> list[list[LookRecord]]:
     """The looks of a landing, those at one place together."""
     begun = [x.t for x in record.transitions if x.after == "approach"]
-    parts: dict[int, list[LookLine]] = {}
+    parts: dict[int, list[LookRecord]] = {}
     for look in record.looks:
         parts.setdefault(int(np.searchsorted(begun, look.t, "right")), []).append(look)
     return list(parts.values())
