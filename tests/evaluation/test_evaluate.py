@@ -239,7 +239,7 @@ def test_damaged_truth_is_refused(truth: Path, tmp_path: Path) -> None:
         evaluate(tmp_path / "out", flight_)
     for name in ("dem", "class"):
         (flight_ / "truth" / f"{name}.tif").write_bytes((truth / "truth" / f"{name}.tif").read_bytes()[:90])
-    with pytest.raises(InputError, match="not a readable raster"):
+    with pytest.raises(InputError, match="not a raster that can be read"):
         evaluate(tmp_path / "out", flight_)
     write_raster(flight_ / "truth" / "dem.tif", np.zeros(GRID.shape, np.float32))
     write_raster(flight_ / "truth" / "class.tif", np.ones((9, 9), np.uint8), Grid(0.0, 0.0, 1.0, 9, 9))

@@ -14,13 +14,12 @@ from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
 
 from alight.arrays import F32
-from alight.geometry import Grid, LocalFrame, ellipsoid_fall
+from alight.geometry import LOCAL_WKT, Grid, LocalFrame, ellipsoid_fall
 from alight.records import REFUSED, Datum, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
 from alight.report.words import FLAGS, HAZARDS
 
 SAFE_BANDS = ("p_safe", "p_relief", "p_obstacle", "p_ground", "resolved")
-LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
 
 @dataclass(frozen=True, eq=False)

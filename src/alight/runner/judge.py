@@ -6,8 +6,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from rasterio.crs import CRS
-
 from alight.geometry import LocalFrame
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
@@ -16,6 +14,7 @@ from alight.outputs.verdict import write_judgement
 from alight.records import RunResult
 from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
+from alight.sources.raster_plane import RasterPlane
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
@@ -44,16 +43,16 @@ def _too_wide(cell: float, stages: StageSettings) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """The result of one height raster, with its coordinate system."""
+    """The result of one height raster, with its plane."""
 
     result: RunResult
-    crs: CRS | None  # of the raster; None: metres east and north
+    plane: RasterPlane | None  # None: metres without a place on Earth
     sharpened: bool  # an image made the heights finer
     inputs: tuple[Path, ...]  # files that were read
 
     def save(self, out: Path, overwrite: bool = False) -> list[Path]:
         """Write the folder of files; see `outputs.verdict.write_judgement`."""
-        return write_judgement(self.result, self.crs, self.sharpened, out, overwrite, self.inputs)
+        return write_judgement(self.result, self.plane, self.sharpened, out, overwrite, self.inputs)
 
 
 def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
@@ -83,7 +82,8 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgeme
         sites=choose_sites(hazards, None, elevation, stages.sites, stages.lander),
         elevation=elevation,
         hazards=hazards,
+        notes={"read": ground.settled} if ground.settled else {},
         warnings=warnings,
         timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
     )
-    return Judgement(result, ground.crs, elevation is not ground.elevation, ground.files)
+    return Judgement(result, ground.plane, elevation is not ground.elevation, ground.files)
