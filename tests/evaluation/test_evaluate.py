@@ -247,6 +247,23 @@ def test_damaged_truth_is_refused(truth: Path, tmp_path: Path) -> None:
         evaluate(tmp_path / "out", flight_)
 
 
+@pytest.mark.parametrize("case", ["feet", "elsewhere"])
+def test_a_truth_is_read_in_metres_of_the_world(truth: Path, tmp_path: Path, case: str) -> None:
+    other = Path(shutil.copytree(truth, tmp_path / "truth"))
+    with rasterio.open(other / "truth" / "dem.tif", "r+") as d:
+        metres = d.read(1)
+        if case == "feet":
+            d.write(metres / np.float32(0.3048), 1)
+            d.units = ("ft",)
+        else:
+            d.crs = "EPSG:32633"
+    if case == "feet":
+        np.testing.assert_allclose(flight.read_flight_truth(other, LOCAL).dem, metres, atol=1e-3)
+        return
+    with pytest.raises(InputError, match=r"not in the flight's own coordinates.*gdalwarp"):
+        flight.read_flight_truth(other, LOCAL)
+
+
 def test_dilation() -> None:
     mask = np.zeros((9, 9), bool)
     mask[4, 4] = True

@@ -77,12 +77,12 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgeme
         source_name=name,
         source_kind="heights",
         local=LocalFrame(0.0, 0.0, 0.0),
-        georeferenced=False,  # the page shows the raster's own coordinates
+        georeferenced=False,  # the page shows the coordinates of the raster's plane
         settings=settings,
         sites=choose_sites(hazards, None, elevation, stages.sites, stages.lander),
         elevation=elevation,
         hazards=hazards,
-        notes={"read": ground.settled} if ground.settled else {},
+        notes={"heights": ground.settled} if ground.settled else {},
         warnings=warnings,
         timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
     )

@@ -21,7 +21,6 @@ from alight.sources.raster_plane import DRIFT
 
 SIGMA = "sigma"  # name of a band
 MOST_PIXELS = 16  # of an image, along a cell
-BRIGHT = 0.999  # quantile of an image's pixels that becomes white, where they are not 8 bits
 
 
 class Beside(NamedTuple):
@@ -161,7 +160,7 @@ def image_beside(path: Path, heights: Heights) -> Beside:
                 colours[number] = colour[:3]
             pixels = np.moveaxis(colours[np.where(known, pixels[0], 0).astype(np.uint8)], 2, 0)
         elif dataset.dtypes[bands[0] - 1] != "uint8":
-            bright = float(np.quantile(pixels[:, known], BRIGHT))
+            bright = float(np.quantile(pixels[:, known], 0.999))  # but for a few glints
             if not bright > 0:
                 raise InputError(
                     f"{path}: no pixel is brighter than 0; give 8 bits, or scale it: gdal_translate -ot Byte -scale"

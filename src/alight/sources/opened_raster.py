@@ -98,8 +98,8 @@ def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
         option: of the command line that names it, for messages.
 
     Raises:
-        InputError: it is no raster, holds several (netCDF, HDF), its coordinate system cannot be used, or its cells
-            cannot be read.
+        InputError: it is no raster, holds several (netCDF, HDF), is placed by control points only, its coordinate system
+            cannot be used, or its cells cannot be read.
     """
     label = f"{option} {path}".strip()
     if not path.exists():
@@ -118,6 +118,10 @@ def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
         if not dataset.count:
             within = shlex.quote(next(iter(dataset.subdatasets), "<one of them>"))
             raise InputError(f"{label}: holds several rasters; take one out with: gdal_translate {within} OUT.tif")
+        if dataset.transform.is_identity and (dataset.gcps[0] or dataset.rpcs):
+            raise InputError(
+                f"{label}: is placed by control points only; mend it with: gdalwarp {shlex.quote(str(path))} OUT.tif"
+            )
         try:
             yield OpenedRaster(label, path, dataset, _reference(label, dataset.crs))
         except unreadable() as e:

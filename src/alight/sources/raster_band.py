@@ -12,9 +12,7 @@ from alight.arrays import F64
 from alight.records import InputError
 from alight.sources.opened_raster import OpenedRaster
 
-FEET = {"survey": 1200 / 3937, "international": 0.3048}  # metres
 PREFIXES = {"": 1.0, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3}  # of the metre
-SAME_UNIT = 1e-5  # relative; both kinds of feet differ by less, 0.2 mm in 100 m
 HEIGHTS = re.compile(
     r"(?!.*(sigma|std|error|uncert|accura|rms|count))(.*(height|elevation|altitude)|.*\b(dem|dsm|dtm|z)\b)", re.I
 )
@@ -76,6 +74,7 @@ def band_in_metres(raster: OpenedRaster, number: int, assume_metres: bool) -> Ba
             f"gdal_edit.py -scale 1 -offset 0 {raster.file}"
         )
     word = (dataset.units[at] or "").strip()
+    word = "" if word.lower() in ("unspecified", "unknown") else word  # as drivers write none
     unit = _unit(raster, number, word, assume_metres)
     words = word or ("m" if unit == 1.0 else f"units of {unit:g} m")
     words += "" if word or axis is not None else " (assumed)"
@@ -95,7 +94,7 @@ def _unit(raster: OpenedRaster, number: int, word: str, assume_metres: bool) -> 
             f"{raster.label}: {why}; mend it with: gdal_edit.py -units <m, ft, US survey foot, km, dm, cm or mm> "
             f"{raster.file}"
         )
-    if axis is not None and abs(unit / abs(axis) - 1.0) > SAME_UNIT:
+    if axis is not None and abs(unit / abs(axis) - 1.0) > 1e-5:  # the kinds of feet differ by less
         raise InputError(
             f"{raster.label}: band {number} is in {word}, but heights of its coordinate system ({datum}) are "
             f"in units of {abs(axis):g} m; mend what is wrong: gdal_edit.py -units <unit> {raster.file}, or "
@@ -113,8 +112,8 @@ def metres_of(unit: str) -> float | None:
     if found := re.fullmatch("(kilo|deci|centi|milli|[kdcm]?)(m|met(?:re|er)s?)", letters):
         return PREFIXES[found[1][:1]]
     if re.fullmatch("(i|int|international)?(ft|foot|feet)(int|international)?", letters):
-        return FEET["international"]
-    return FEET["survey"] if re.fullmatch("(us|survey|s)*(ft|foot|feet)(us|survey)*", letters) else None
+        return 0.3048
+    return 1200 / 3937 if re.fullmatch("(us|survey|s)*(ft|foot|feet)(us|survey)*", letters) else None
 
 
 def bands_of_picture(raster: OpenedRaster) -> list[int]:

@@ -31,8 +31,6 @@ def upright(raster: OpenedRaster) -> Grid:
     dataset, label, file = raster.dataset, raster.label, raster.file
     t, rows, cols = dataset.transform, dataset.height, dataset.width
     if not raster.has_place:
-        if dataset.gcps[0] or dataset.rpcs:
-            raise InputError(f"{label}: is placed by control points only; mend it with: gdalwarp {file} OUT.tif")
         raise InputError(
             f"{label}: has no place and no size of cells; mend it with: gdal_edit.py -a_ullr <west> <north> <east> "
             f"<south> {file}"
@@ -136,6 +134,7 @@ def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> Rast
     settled += f" are {own.cell * metres:.6g} m on the ground"
     settled += f" (point scale {scale:.4f})" if corrected else ""
     x, y = own.east + own.cell * (own.cols - 1) / 2, own.north - own.cell * (own.rows - 1) / 2
+    settled += f", places in metres from its middle at {x:.12g} {y:.12g}"
     grid = Grid((own.east - x) * metres, (own.north - y) * metres, own.cell * metres, own.rows, own.cols)
     return RasterPlane(grid, reference, settled + north, x, y, metres)
 
