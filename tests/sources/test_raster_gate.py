@@ -154,7 +154,7 @@ def test_a_drawn_raster_is_read_right_or_refused_with_a_command(tmp_path: Path, 
     [("m", 1), ("Meters", 1), ("METRE", 1), ("metres", 1), ("feet", 0.3048), ("Foot", 0.3048), ("ift", 0.3048),
      ("International Feet", 0.3048), ("us-ft", SURVEY_FOOT), ("Foot_US", SURVEY_FOOT), ("US Survey Feet", SURVEY_FOOT),
      ("foot (US survey)", SURVEY_FOOT), ("sFT", SURVEY_FOOT), ("Kilometers", 1e3), ("decimetre", 0.1), ("mm", 1e-3),
-     ("fathom", None), ("m/s", None), ("percent", None), ("'", None)],
+     ("fathom", None), ("m/s", None), ("m2", None), ("percent", None), ("'", None)],
 )  # fmt: skip
 def test_units_as_they_are_spelled(word: str, metres: float | None) -> None:
     assert metres_of(word) == (None if metres is None else pytest.approx(metres, rel=1e-12))

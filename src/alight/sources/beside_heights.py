@@ -14,7 +14,7 @@ from rasterio.vrt import WarpedVRT
 
 from alight.arrays import F64
 from alight.records import InputError
-from alight.sources.heights import Heights
+from alight.sources.heights import RasterHeights
 from alight.sources.opened_raster import OpenedRaster, open_raster, read_on
 from alight.sources.raster_band import band_in_metres, bands_of_picture
 from alight.sources.raster_plane import DRIFT
@@ -38,7 +38,7 @@ class _Placement(NamedTuple):
     warnings: list[str]
 
 
-def _placement(raster: OpenedRaster, heights: Heights) -> _Placement:
+def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
     """Where a raster lies: its own place, or the extent of the heights where it has none and their shape."""
     own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
     if not raster.has_place:
@@ -71,7 +71,7 @@ def _placement(raster: OpenedRaster, heights: Heights) -> _Placement:
 
 
 def _on_cells(
-    raster: OpenedRaster, heights: Heights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
+    raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
 ) -> F64:
     """Bands on `factor` x `factor` pixels in each cell, (B, f R, f C); NaN beyond the raster."""
     plane = heights.plane
@@ -82,7 +82,7 @@ def _on_cells(
     )
 
 
-def _shares_cells(raster: OpenedRaster, heights: Heights, at: _Placement, factor: int = 1) -> bool:
+def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, factor: int = 1) -> bool:
     """Whether its cells are those of the heights, or `factor` x `factor` in each, in whatever order they are stored."""
     if at.crs != heights.plane.crs:
         return False
@@ -106,7 +106,7 @@ def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list
     return [] if known.all() else [f"{raster.path.name} covers {share:.3g} % of the heights: {lost}"]
 
 
-def own_sigma(raster: OpenedRaster, heights: Heights) -> Beside | None:
+def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
     """Read the band named `sigma` of the raster of heights itself, (R, C) metres; None: there is none."""
     if SIGMA not in raster.dataset.descriptions:
         return None
@@ -116,7 +116,7 @@ def own_sigma(raster: OpenedRaster, heights: Heights) -> Beside | None:
     return Beside(band.lengths(stored), f"sigma in {band.settled}", [])
 
 
-def sigma_beside(path: Path, heights: Heights) -> Beside:
+def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
     """Read 1-sigma of the heights, (R, C) metres: of all cells that a cell of the heights touches, the largest.
 
     Raises:
@@ -137,7 +137,7 @@ def sigma_beside(path: Path, heights: Heights) -> Beside:
     return Beside(sigma, words, at.warnings + beyond)
 
 
-def image_beside(path: Path, heights: Heights) -> Beside:
+def image_beside(path: Path, heights: RasterHeights) -> Beside:
     """Read an image of the ground as 8 bits, (f R, f C) or (f R, f C, 3), with f = 1, 2, 4, ... pixels a cell.
 
     Colours of a palette are expanded; other than 8 bits are scaled, black to 0; where it has no pixel it is grey.

@@ -12,13 +12,13 @@ from alight.arrays import F64, I64
 from alight.records import InputError
 from alight.sources.opened_raster import OpenedRaster, read_on
 from alight.sources.raster_band import Band, band_of_heights
-from alight.sources.raster_plane import RasterPlane, plane_of
+from alight.sources.raster_plane import RasterPlane, metric_plane
 
 HIGHEST = 12_000.0  # metres: no ground of the Earth lies as far from its ellipsoid
 
 
 @dataclass(frozen=True, eq=False)
-class Heights:
+class RasterHeights:
     """Heights of a raster, turned to north up."""
 
     plane: RasterPlane
@@ -31,19 +31,19 @@ class Heights:
     shape: tuple[int, int]  # the same
 
 
-def read_heights(raster: OpenedRaster) -> Heights:
+def read_heights(raster: OpenedRaster) -> RasterHeights:
     """Read the heights of a raster in metres, in a metric plane, north up.
 
     Raises:
-        InputError: its plane or unit cannot be settled (see `plane_of`, `band_in_metres`), or they are no heights (see
+        InputError: its plane or unit cannot be settled (see `metric_plane`, `band_in_metres`), it holds no heights (see
             `doubt_of_heights`), or none is known.
     """
-    plane, band, dataset = plane_of(raster), band_of_heights(raster), raster.dataset
+    plane, band, dataset = metric_plane(raster), band_of_heights(raster), raster.dataset
     stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
     metres, whole = band.heights(stored), np.dtype(dataset.dtypes[band.number - 1]).kind in "iu"
     if not np.isfinite(metres).any():
         raise InputError(f"{raster.label}: no height is known; check its nodata value")
-    return Heights(
+    return RasterHeights(
         plane,
         band,
         metres,

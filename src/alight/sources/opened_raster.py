@@ -98,7 +98,7 @@ def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
         option: of the command line that names it, for messages.
 
     Raises:
-        InputError: it is no raster, holds several (netCDF, HDF), is placed by control points only, its coordinate system
+        InputError: it is no raster, holds several (netCDF, HDF), is placed by control points only, its coordinates
             cannot be used, or its cells cannot be read.
     """
     label = f"{option} {path}".strip()

@@ -11,7 +11,7 @@ from alight.arrays import F32, U8, Mask
 from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, InputError
 from alight.sources.beside_heights import Beside, image_beside, own_sigma, sigma_beside
-from alight.sources.heights import Heights, read_heights
+from alight.sources.heights import RasterHeights, read_heights
 from alight.sources.opened_raster import open_raster
 from alight.sources.raster_plane import RasterPlane
 
@@ -69,7 +69,7 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     return GroundRaster(elevation, heights.plane, pixels, tuple(doubts), files, "; ".join(filter(None, words)))
 
 
-def _sigma(given: str, heights: Heights) -> Beside:
+def _sigma(given: str, heights: RasterHeights) -> Beside:
     """1-sigma of every cell as the user gives it: metres, or a raster."""
     try:
         value = float(given)

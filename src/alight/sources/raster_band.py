@@ -108,7 +108,7 @@ def metres_of(unit: str) -> float | None:
 
     The table of PROJ is not used: its decimetre has 0.01 m in many versions.
     """
-    letters = re.sub("[^a-z]", "", unit.lower())
+    letters = re.sub(r"[\s_().-]", "", unit.lower())
     if found := re.fullmatch("(kilo|deci|centi|milli|[kdcm]?)(m|met(?:re|er)s?)", letters):
         return PREFIXES[found[1][:1]]
     if re.fullmatch("(i|int|international)?(ft|foot|feet)(int|international)?", letters):

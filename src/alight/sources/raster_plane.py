@@ -22,7 +22,7 @@ SCALE_OF_SURVEYS = 1e-3  # from one: grids made for surveying (UTM, state planes
 SCALE_CHANGE = 0.01  # from place to place or from direction to direction: more is refused
 
 
-def upright(raster: OpenedRaster) -> Grid:
+def upright_grid(raster: OpenedRaster) -> Grid:
     """Return the grid of a raster once it is turned and mirrored to north up, in units of its coordinate system.
 
     Raises:
@@ -86,7 +86,7 @@ class RasterPlane:
         return replace(grid, east=east, north=north, cell=grid.cell / self.metres)
 
 
-def plane_of(raster: OpenedRaster) -> RasterPlane:
+def metric_plane(raster: OpenedRaster) -> RasterPlane:
     """Settle the metric plane of a raster of heights.
 
     A projection maps one metre on the ground to its point scale. Where that differs from one by more than surveyors
@@ -102,7 +102,7 @@ def plane_of(raster: OpenedRaster) -> RasterPlane:
         west, south, east, north = raster.bounds
         lon, lat = (math.degrees(0.5 * (a + b) * reference.unit) for a, b in ((west, east), (south, north)))
         raise InputError(f"{raster.label}: its cells are degrees; mend it with: {_to_utm(raster, lon, lat)}")
-    own = upright(raster)
+    own = upright_grid(raster)
     if own.rows * own.cols > 100_000_000:
         raise InputError(f"{raster.label}: {own.cols} x {own.rows} cells are too many; cut it: gdal_translate -srcwin")
     if not 1e-3 <= own.cell * reference.unit <= 1e3:
