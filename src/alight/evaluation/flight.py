@@ -18,6 +18,7 @@ from alight.raster import clearance_of, gradient
 from alight.records import Flag, Hazard, InputError, Terrain, is_flagged, is_site
 from alight.runner.opening import open_source
 from alight.settings import Lander, Settings
+from alight.sources.heights import words_of
 from alight.sources.opened_raster import open_raster, read_on
 from alight.sources.raster_band import band_of_heights
 from alight.sources.raster_plane import metric_plane
@@ -41,6 +42,7 @@ class FlightTruth:
     dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
     label: NDArray[np.uint8]  # (R, C) Terrain codes
     grid: Grid
+    settled: str = ""  # unit and vertical datum of the heights as they are stored
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
         """Return the cells on which a touchdown is truly safe, by brute force."""
@@ -65,11 +67,12 @@ def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTr
                 f"{raster.label}: lies in {plane.settled}, not in the flight's own coordinates; mend it with: gdalwarp "
                 f"-r bilinear -t_srs '{local.crs}' {raster.file} OUT.tif"
             )
+        settled = words_of(raster, band)
         dem = band.heights(read_on(raster, [band.number], plane.crs, plane.grid)[0])
     bands, grid = read_bands(paths[1], 1, "u", "copy it again")
     if grid != plane.grid:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
-    return FlightTruth(dem.astype(np.float32), bands[0], grid)
+    return FlightTruth(dem.astype(np.float32), bands[0], grid, settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,6 +274,7 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
             f"{folder / 'truth' / 'dem.tif'}: has no height on the run's map; name the flight that was run"
         )
     safe = truth.safe(lander_of(run))
+    out.put("heights of the truth", truth.settled)
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
     compared = _Comparison(run, truth, safe, out, np.zeros(3))
     compared.heights()

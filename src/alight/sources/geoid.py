@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from alight.records import InputError
 from alight.records.telemetry import FARTHEST_FROM_SEA
 from alight.sources.opened_raster import open_raster
 from alight.sources.raster_band import band_in_metres
+
+log = logging.getLogger(__name__)
 
 
 def separation_at(grid: Path, latitude: float, longitude: float) -> float:
@@ -31,6 +34,7 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
         if "VERTICAL_TO_VERTICAL" in geoid.tags().get("TYPE", ""):  # as PROJ's grids declare it
             raise InputError(f"--geoid {grid}: is between two levels of the sea; give a grid of geoid heights")
         band = band_in_metres(raster, 1, assume_metres=True)
+        log.info("%s: geoid's heights in %s", grid.name, band.settled)
         row, col = _cell(grid, geoid, latitude, longitude)
         top, left = (int(min(place, size - 2)) for place, size in ((row, geoid.height), (col, geoid.width)))
         read = geoid.read(1, window=Window(left, top, 2, 2), masked=True)
