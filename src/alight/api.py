@@ -142,9 +142,9 @@ def judge(
     """Judge heights from another source: P(safe) and reasons of each cell, and the landing sites of this lander.
 
     Args:
-        dem: a height raster: metres, square cells, north up.
+        dem: a height raster on square cells, in metres or feet.
         sigma: 1-sigma of the heights, metres or a raster; None: the raster's second band, or `hazards.usual_sigma`.
-        image: the same ground seen from above, 1, 2, 4, ... pixels a cell, 8 bit; sharpens the heights.
+        image: the same ground seen from above; two or more pixels a cell sharpen the heights.
         lander, settings: as for `run`.
 
     Raises:

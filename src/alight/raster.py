@@ -23,9 +23,10 @@ _LOG_LEVELS = np.log(np.arange(256, dtype=np.float32) + np.float32(2.0))  # 2 ad
 
 def unreadable() -> tuple[type[Exception], ...]:
     """What a raster file may raise when it is opened or read."""
-    from rasterio.errors import RasterioError
+    from rasterio._err import CPLE_BaseError  # no public name; coordinates that cannot be converted raise it
+    from rasterio.errors import CRSError, RasterioError
 
-    return RasterioError, UnicodeDecodeError  # the latter: the name of its coordinate system is no text
+    return RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError  # the last: a name that is no text
 
 
 # -- square blocks of cells: a coarser raster, and back

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from numpy.testing import assert_allclose
+from rasterio.crs import CRS
+from rasterio.warp import transform
 from written_raster import write
 
 import alight
@@ -47,6 +51,40 @@ def test_a_raster_is_judged_on_its_own_grid(tmp_path: Path, capsys: pytest.Captu
     again = ["hazards", str(dem), "--lander", str(lander), "--out", str(tmp_path / "out")]
     assert call(again) == 0  # results in its own folder are replaced
     assert "no sigma given" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["mercator", "feet", "site grid"])
+def test_places_and_files_lie_where_the_raster_lies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    """Only a disc, whose centre is known, is level; the plane of the raster is not one of metres on Earth."""
+    site_grid = 'LOCAL_CS["site grid",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
+    crs = {"mercator": "EPSG:3857", "feet": "EPSG:2227", "site grid": site_grid}[kind]
+    cell, x, y = {"mercator": (0.2, 1113194.9, 8399737.9), "feet": (0.1 / 0.3048, 6.1e6, 2.1e6)}.get(kind, (0.1, 9, 9))
+    rows, cols = np.mgrid[:81, :81]
+    z = np.where(np.hypot(rows - 30, cols - 50) < 14, 100.0, 100.0 + 0.3 * ((rows + cols) % 4)).astype(np.float32)
+    place = rasterio.Affine(cell, 0, x, 0, -cell, y)
+    dem, out = write(tmp_path / "dem.tif", z, crs=CRS.from_user_input(crs), transform=place), tmp_path / "out"
+    with rasterio.open(dem, "r+") as d:
+        d.units = ("m",)
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--set", "lander.radius=0.6", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert re.search("^HEIGHTS  dem.tif: heights in m, vertical datum undeclared, ", printed, re.M)
+    middle = (x + 50.5 * cell, y - 30.5 * cell)
+    east, north = re.findall(r"(?:east|north) ([\d.]+)", printed.splitlines()[0])
+    assert_allclose([float(east), float(north)], middle, atol=3 * cell)
+    with rasterio.open(out / "safe.tif") as safe:
+        assert_allclose(safe.transform[:6], place[:6], rtol=1e-9)
+        assert safe.crs == rasterio.open(dem).crs
+    info = json.loads((out / "run.json").read_text())
+    assert info["notes"]["heights"] in printed
+    if kind == "site grid":
+        assert "place on Earth" in info["not_written"]["sites.geojson"]
+        return
+    first = json.loads((out / "sites.geojson").read_text())["features"][0]
+    lon, lat = transform(crs, "EPSG:4326", *([v] for v in middle))
+    assert_allclose(first["geometry"]["coordinates"][:2], [lon[0], lat[0]], atol=5e-6)
+    assert first["properties"]["slope_deg"] < 0.5
 
 
 def test_no_place_is_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -116,9 +154,9 @@ def test_a_raster_that_cannot_be_judged_is_refused(
 @pytest.mark.parametrize(
     ("option", "value", "says"),
     [
-        ("--sigma", "other.tif", "the heights have 81 x 81"),
+        ("--sigma", "bare.tif", "do not fit 81 x 81 heights"),
         ("--sigma", "-1", "metres from 0 to 1000"),
-        ("--image", "other8.tif", "give 1, 2, 4, ... pixels a cell"),
+        ("--image", "bare.tif", "do not fit 81 x 81 heights"),
         ("--image", "moved.tif", "lies elsewhere"),
         ("--image", "other.tif", "give 8 bit"),
         ("--lander", "bad.yaml", "lander.legs: unknown key"),
@@ -129,11 +167,12 @@ def test_what_does_not_fit_the_heights_is_refused(
     option: str, value: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(tmp_path / "other.tif", np.zeros((80, 81), np.float32))
-    write(tmp_path / "other8.tif", np.zeros((80, 81), np.uint8))
+    with warnings.catch_warnings(action="ignore"):
+        write(tmp_path / "bare.tif", np.zeros((80, 81), np.uint8), crs=None, transform=rasterio.Affine.identity())
     write(
         tmp_path / "moved.tif",
         np.zeros((81, 81), np.uint8),
-        transform=rasterio.Affine(0.1, 0, 550001, 0, -0.1, 4180000),
+        transform=rasterio.Affine(0.1, 0, 550010, 0, -0.1, 4180000),
     )
     (tmp_path / "bad.yaml").write_text("radius: 1\nlegs: 4\n")
     (tmp_path / "empty.yaml").write_text("")

@@ -239,12 +239,29 @@ def test_damaged_truth_is_refused(truth: Path, tmp_path: Path) -> None:
         evaluate(tmp_path / "out", flight_)
     for name in ("dem", "class"):
         (flight_ / "truth" / f"{name}.tif").write_bytes((truth / "truth" / f"{name}.tif").read_bytes()[:90])
-    with pytest.raises(InputError, match="not a readable raster"):
+    with pytest.raises(InputError, match="not a raster that can be read"):
         evaluate(tmp_path / "out", flight_)
     write_raster(flight_ / "truth" / "dem.tif", np.zeros(GRID.shape, np.float32))
     write_raster(flight_ / "truth" / "class.tif", np.ones((9, 9), np.uint8), Grid(0.0, 0.0, 1.0, 9, 9))
     with pytest.raises(InputError, match="not on one grid"):
         evaluate(tmp_path / "out", flight_)
+
+
+@pytest.mark.parametrize("case", ["feet", "elsewhere"])
+def test_a_truth_is_read_in_metres_of_the_world(truth: Path, tmp_path: Path, case: str) -> None:
+    other = Path(shutil.copytree(truth, tmp_path / "truth"))
+    with rasterio.open(other / "truth" / "dem.tif", "r+") as d:
+        metres = d.read(1)
+        if case == "feet":
+            d.write(metres / np.float32(0.3048), 1)
+            d.units = ("ft",)
+        else:
+            d.crs = "EPSG:32633"
+    if case == "feet":
+        np.testing.assert_allclose(flight.read_flight_truth(other, LOCAL).dem, metres, atol=1e-3)
+        return
+    with pytest.raises(InputError, match=r"not in the flight's own coordinates.*gdalwarp"):
+        flight.read_flight_truth(other, LOCAL)
 
 
 def test_dilation() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -126,13 +126,15 @@ def evaluate(
 class HazardsOptions(options.ResultOptions):
     """Options of `alight hazards`."""
 
-    dem: Annotated[Path, typer.Argument(metavar="DEM.tif", help="Heights in metres, square cells, north up.")]
+    dem: Annotated[Path, typer.Argument(metavar="DEM.tif", help="Heights on square cells, in metres or feet.")]
     sigma: Annotated[
         str | None, typer.Option(metavar="S.tif|METRES", help="1-sigma of the heights; default: their second band.")
     ] = None
     image: Annotated[
         Path | None,
-        typer.Option(metavar="I.tif", help="The same ground seen from above, 1, 2, 4, ... pixels a cell, 8 bit."),
+        typer.Option(
+            metavar="I.tif", help="The same ground seen from above; two or more pixels a cell make the heights finer."
+        ),
     ] = None
     lander: Annotated[
         Path | None, typer.Option(metavar="lander.yaml", help="Keys of the lander, as under 'lander' in the settings.")
@@ -154,12 +156,19 @@ def judge_raster(o: HazardsOptions) -> None:
         report("judging", 0.0)
         judged = judge.judge_ground(ground, chosen, o.dem.name)
         report("judging", 1.0)
-    result = judged.record
+    result, plane = judged.record, ground.plane
     assert result.hazards is not None
+    assert plane is not None
+
+    def place(position: Sequence[float]) -> str:
+        x, y = plane.in_crs(position[0], position[1])
+        return f"east {x:.2f} north {y:.2f}"
+
     share = 100 * float((result.hazards.reasons == 0).mean())
     for w in result.warnings:
         print_stderr(f"warning: {w}")
-    print_answer(result.sites, lambda at: f"east {at[0]:.2f} north {at[1]:.2f}", f", {share:.1f} % is safe")
+    print_answer(result.sites, place, f", {share:.1f} % is safe")
+    print_line(f"HEIGHTS  {ground.settled}")
     judged.save(o.out, o.force)
     print_line(f"report: {o.out / 'report.html'}")
 

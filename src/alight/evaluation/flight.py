@@ -12,12 +12,16 @@ from scipy.ndimage import distance_transform_edt
 
 from alight.arrays import F64
 from alight.evaluation.report import Evaluation, rms
-from alight.geometry import Grid, so3_log
+from alight.geometry import Grid, LocalFrame, so3_log
 from alight.outputs.reading import Run, read_bands
 from alight.raster import clearance_of, gradient
 from alight.records import Flag, Hazard, InputError, Terrain, is_flagged, is_site
 from alight.runner.opening import open_source
 from alight.settings import Lander, Settings
+from alight.sources.heights import words_of
+from alight.sources.opened_raster import open_raster, read_on
+from alight.sources.raster_band import band_of_heights
+from alight.sources.raster_plane import metric_plane
 from alight.sources.source import Trajectory
 from alight.sources.tum import read_tum
 from alight.spread import nmad
@@ -38,6 +42,7 @@ class FlightTruth:
     dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
     label: NDArray[np.uint8]  # (R, C) Terrain codes
     grid: Grid
+    settled: str = ""  # unit and vertical datum of the heights as they are stored
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
         """Return the cells on which a touchdown is truly safe, by brute force."""
@@ -45,19 +50,29 @@ class FlightTruth:
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
 
-def read_flight_truth(folder: Path) -> FlightTruth:
-    """Read the rasters in `truth/`.
+def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTruth:
+    """Read the rasters in `truth/`, which must lie in the flight's world `local`, where that is given.
 
     Raises:
-        InputError: one is missing, unreadable, or the two are not on one grid.
+        InputError: one is missing or unreadable, lies in other coordinates, or the two are not on one grid.
     """
-    mend = "copy it again: --truth takes a flight with truth/dem.tif and truth/class.tif"
-    (dem, grid), (label, same) = (
-        read_bands(folder / "truth" / f"{name}.tif", 1, kinds, mend) for name, kinds in (("dem", "fiu"), ("class", "u"))
-    )
-    if grid != same:
+    paths = [folder / "truth" / f"{name}.tif" for name in ("dem", "class")]
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path}: missing; --truth takes a flight with truth/dem.tif and truth/class.tif")
+    with open_raster(paths[0]) as raster:
+        plane, band = metric_plane(raster), band_of_heights(raster)
+        if local is not None and (plane.metres != 1.0 or not plane.lies_in(local)):
+            raise InputError(
+                f"{raster.label}: lies in {plane.settled}, not in the flight's own coordinates; mend it with: gdalwarp "
+                f"-r bilinear -t_srs '{local.crs}' {raster.file} OUT.tif"
+            )
+        settled = words_of(raster, band)
+        dem = band.heights(read_on(raster, [band.number], plane.crs, plane.grid)[0])
+    bands, grid = read_bands(paths[1], 1, "u", "copy it again")
+    if grid != plane.grid:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
-    return FlightTruth(dem[0].astype(np.float32), label[0], grid)
+    return FlightTruth(dem.astype(np.float32), bands[0], grid, settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,12 +256,13 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the truth")
     if np.abs(run.local.to_enu(flight.local.latitude, flight.local.longitude, flight.local.height)).max() > 1e-3:
         raise InputError(f"{folder}: another origin than that of the run; name the flight that was run")
-    truth = read_flight_truth(folder)
+    truth = read_flight_truth(folder, flight.local)
     if run.grid is not None and not np.isfinite(truth.grid.nearest_on(run.grid, truth.dem)).any():
         raise InputError(
             f"{folder / 'truth' / 'dem.tif'}: has no height on the run's map; name the flight that was run"
         )
     safe = truth.safe(run.settings.lander)
+    out.put("heights of the truth", truth.settled)
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
     compared = _Comparison(run, truth, safe, out, np.zeros(3))
     compared.heights()

@@ -1,7 +1,7 @@
 """Rotations, rigid poses, cameras, the world grid, geodetic <-> local. Ground floor: imports nothing of ours."""
 
 from alight.geometry.cameras import Camera
-from alight.geometry.geodesy import LocalFrame, ellipsoid_fall, world_up
+from alight.geometry.geodesy import LOCAL_WKT, LocalFrame, ellipsoid_fall, world_up
 from alight.geometry.grid import Box, Grid, box_of, ground_projection, plane_on
 from alight.geometry.poses import Pose
 from alight.geometry.rotations import (
@@ -15,6 +15,7 @@ from alight.geometry.rotations import (
 )
 
 __all__ = [
+    "LOCAL_WKT",
     "Box",
     "Camera",
     "Grid",

@@ -16,6 +16,8 @@ _A = 6378137.0  # semi-major axis, metres
 _F = 1 / 298.257223563  # flattening
 _E2 = _F * (2 - _F)
 _MEAN_RADIUS = 6371008.8  # metres
+# CRS of rasters that have no place on Earth
+LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
 
 def _ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> F64:

@@ -14,12 +14,11 @@ from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
 
 from alight.arrays import F32
-from alight.geometry import Grid, LocalFrame, ellipsoid_fall
+from alight.geometry import LOCAL_WKT, Grid, LocalFrame, ellipsoid_fall
 from alight.records import REFUSED, Datum, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.report.paint import FLAGS, HAZARDS, TERRAIN_COLOURS, Reason, rgb
 
 SAFE_BANDS = ("p_safe", "p_relief", "p_obstacle", "p_ground", "resolved")
-LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,10 +107,12 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
             t = d.transform
             square = t.b == t.d == 0 and 1e-4 <= t.a <= 1e4 and abs(t.a + t.e) <= 1e-6 * t.a
             kind = np.dtype(d.dtypes[0]).kind
-            if d.count < least or d.count * d.height * d.width > 500_000_000 or not square or kind not in kinds:
+            plain = {*d.scales} == {1.0} and {*d.offsets} == {0.0} and {*d.units} <= {None, "", "m", "rad"}
+            large = d.count * d.height * d.width > 500_000_000
+            if d.count < least or large or kind not in kinds or not (square and plain):
                 raise InputError(
                     f"{path}: {d.count} band(s) of {d.width} x {d.height} cells of {t.a:g} x {-t.e:g} m as "
-                    f"{d.dtypes[0]}; it needs {least} of square cells with north up, of its own type; {mend}"
+                    f"{d.dtypes[0]}; it needs {least} of square cells with north up, in metres, of its own type; {mend}"
                 )
             return d.read(), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
     except unreadable() as e:

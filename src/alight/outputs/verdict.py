@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rasterio.crs import CRS
-from rasterio.errors import RasterioError
 from rasterio.warp import transform
 
 from alight import __version__
+from alight.geometry import LOCAL_WKT
 from alight.outputs import rasters, vectors
 from alight.outputs.folder import NO_PLACE, Contents, report_file, write_folder
+from alight.raster import unreadable
 from alight.records import ElevationMap, Hazard, RunResult, Sites
+from alight.sources.raster_plane import RasterPlane
 
 log = logging.getLogger(__name__)
 
@@ -26,28 +29,29 @@ def _heights(e: ElevationMap) -> rasters.RasterFile:
     return rasters.RasterFile(e.grid, bands, ("height", "sigma"), ("m", "m"), np.nan)
 
 
-def _places(sites: Sites, crs: CRS | None) -> list[list[float]] | None:
+def _places(sites: Sites, plane: RasterPlane | None) -> list[list[float]] | None:
     """Longitude, latitude (degrees) and height (m) of every place; None where the raster has no place on Earth."""
-    if crs is None:
+    if plane is None or not plane.reference.on_earth:
         return None
+    x, y = [[plane.in_crs(s.east, s.north)[axis] for s in sites.listed] for axis in (0, 1)]
     try:
-        lon, lat = transform(crs, "EPSG:4326", [s.east for s in sites.listed], [s.north for s in sites.listed])
-    except RasterioError as e:
+        lon, lat = transform(plane.crs, "EPSG:4326", x, y)
+    except unreadable() as e:
         log.info("no place on Earth: %s", e)
         return None
     return [[round(x, 9), round(y, 9), round(s.up, 3)] for x, y, s in zip(lon, lat, sites.listed, strict=True)]
 
 
-def verdict_geojson(sites: Sites, crs: CRS | None) -> dict[str, Any] | None:
+def verdict_geojson(sites: Sites, plane: RasterPlane | None) -> dict[str, Any] | None:
     """Sites and candidates in order of rank, as GeoJSON; None where their place on Earth is unknown."""
-    places = _places(sites, crs)
+    places = _places(sites, plane)
     if places is None and sites.listed:
         return None
     at = zip(places or [], sites.listed, strict=True)
     return vectors.collection([vectors.feature("Point", xyz, vectors.site_properties(s)) for xyz, s in at], sites)
 
 
-def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> dict[str, Any]:
+def _summary(result: RunResult, plane: RasterPlane | None, missing: Mapping[str, str]) -> dict[str, Any]:
     hazards = result.hazards_as_mapped
     assert hazards is not None
     judged = np.isfinite(hazards.p_safe)
@@ -55,7 +59,8 @@ def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> 
     return {
         "alight": __version__,
         "input": {"name": result.source_name, "kind": result.source_kind},
-        "crs": crs.to_string() if crs else None,
+        "crs": plane.reference.crs.to_string() if plane and plane.reference.crs else None,
+        "plane": {"x": plane.x, "y": plane.y, "metres": plane.metres} if plane else None,
         "answer": vectors.answer_json(result.sites),
         "share_safe": round(float((hazards.reasons == 0).mean()), 6),
         "share_judged": round(float(judged.mean()), 6),
@@ -67,15 +72,16 @@ def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> 
     }
 
 
-def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
+def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> Contents:
     """Every file but run.json, in the order of writing, or the reason why it is not written."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
-    place, sites = crs or CRS.from_wkt(rasters.LOCAL_WKT), verdict_geojson(result.sites, crs)
+    sites = verdict_geojson(result.sites, plane)
 
     def tif(raster: rasters.RasterFile) -> Callable[[], bytes]:
-        return lambda: rasters.encode(raster, place)
+        own = raster if plane is None else replace(raster, grid=plane.grid_in_crs(raster.grid))
+        return lambda: rasters.encode(own, plane.crs if plane else CRS.from_wkt(LOCAL_WKT))
 
     names, units = ("slope", "roughness", "step", "clearance", "quality"), ("rad", "m", "m", "m", "")
     return {
@@ -89,11 +95,16 @@ def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
 
 
 def write_judgement(
-    result: RunResult, out: Path, overwrite: bool, crs: CRS | None, sharpened: bool, inputs: Sequence[Path] = ()
+    result: RunResult,
+    out: Path,
+    overwrite: bool,
+    plane: RasterPlane | None,
+    sharpened: bool,
+    inputs: Sequence[Path] = (),
 ) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json, each whole or not at all.
 
     `heights.tif` is added where an image made the heights finer. See `folder.write_folder`.
     """
-    contents = _contents(result, crs, sharpened)
-    return write_folder(contents, lambda missing: _summary(result, crs, missing), out, overwrite, inputs)
+    contents = _contents(result, plane, sharpened)
+    return write_folder(contents, lambda missing: _summary(result, plane, missing), out, overwrite, inputs)

@@ -219,7 +219,7 @@ class TerrainMap(OnGrid):
 class PriorHeights:
     """A DEM in the world. Its vertical datum need not be known: the pictures give its offset."""
 
-    name: str
+    name: str  # of its file, with the unit and vertical datum of its heights
     grid: Grid
     height: F32  # (R, C) metres above the origin, as if counted from the ellipsoid; NaN = unknown
 

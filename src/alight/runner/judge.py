@@ -59,13 +59,14 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
         source_name=name,
         source_kind="heights",
         local=LocalFrame(0.0, 0.0, 0.0),
-        georeferenced=False,  # the page shows the raster's own coordinates
+        georeferenced=False,  # the page shows the coordinates of the raster's plane
         settings=settings,
         sites=choose_sites(hazards, None, elevation, stages.sites, stages.lander),
         elevation=elevation,
         hazards=hazards,
+        notes={"heights": ground.settled} if ground.settled else {},
         warnings=warnings,
         timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
     )
     sharpened = elevation is not ground.elevation
-    return Result(result, partial(write_judgement, crs=ground.crs, sharpened=sharpened, inputs=ground.files))
+    return Result(result, partial(write_judgement, plane=ground.plane, sharpened=sharpened, inputs=ground.files))

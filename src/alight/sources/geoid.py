@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ from rasterio.windows import Window
 
 from alight.records import InputError
 from alight.records.telemetry import FARTHEST_FROM_SEA
-from alight.sources.raster import open_raster, to_its_end
+from alight.sources.opened_raster import open_raster
+from alight.sources.raster_band import band_in_metres
+
+log = logging.getLogger(__name__)
 
 
 def separation_at(grid: Path, latitude: float, longitude: float) -> float:
@@ -23,14 +27,18 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
     Raises:
         InputError: it is no such raster, or does not cover the place.
     """
-    with open_raster(grid) as geoid:
-        if geoid.crs is not None and not geoid.crs.is_geographic:
+    with open_raster(grid, "--geoid") as raster:
+        geoid = raster.dataset
+        if raster.reference.crs is not None and not raster.reference.in_degrees:
             raise InputError(f"--geoid {grid}: its cells are not degrees; give a grid of geoid heights such as EGM2008")
+        if "VERTICAL_TO_VERTICAL" in geoid.tags().get("TYPE", ""):  # as PROJ's grids declare it
+            raise InputError(f"--geoid {grid}: is between two levels of the sea; give a grid of geoid heights")
+        band = band_in_metres(raster, 1, assume_metres=True)
+        log.info("%s: geoid's heights in %s", grid.name, band.settled)
         row, col = _cell(grid, geoid, latitude, longitude)
         top, left = (int(min(place, size - 2)) for place, size in ((row, geoid.height), (col, geoid.width)))
-        with to_its_end(f"--geoid {grid}"):
-            read = geoid.read(1, window=Window(left, top, 2, 2), masked=True)
-        corners = read.astype(np.float64).filled(np.nan) * geoid.scales[0] + geoid.offsets[0]
+        read = geoid.read(1, window=Window(left, top, 2, 2), masked=True)
+        corners = band.lengths(read.astype(np.float64).filled(np.nan))
     v, u = row - top, col - left
     weights = np.outer([1.0 - v, v], [1.0 - u, u])
     counts = weights > 0.0  # an unknown cell of weight 0 does no harm

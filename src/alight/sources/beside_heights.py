@@ -1,0 +1,172 @@
+"""Rasters that belong to heights, their sigma and an image: matched by position and resampled to the same cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp, Resampling
+from rasterio.transform import Affine
+from rasterio.vrt import WarpedVRT
+
+from alight.arrays import F64
+from alight.records import InputError
+from alight.sources.heights import RasterHeights
+from alight.sources.opened_raster import OpenedRaster, open_raster, read_on
+from alight.sources.raster_band import band_in_metres, bands_of_picture
+from alight.sources.raster_plane import DRIFT
+
+SIGMA = "sigma"  # name of a band
+MOST_PIXELS = 16  # of an image, along a cell
+
+
+class Beside(NamedTuple):
+    """A raster on the cells of the heights, or on a whole number of pixels in each."""
+
+    values: NDArray[Any]
+    settled: str  # in words
+    warnings: list[str]
+
+
+class _Placement(NamedTuple):
+    crs: CRS
+    transform: Affine  # of the raster as it is stored
+    pixels: float  # of the raster, along a cell of the heights
+    warnings: list[str]
+
+
+def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
+    """Where a raster lies: its own place, or the extent of the heights where it has none and their shape."""
+    own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
+    if not raster.has_place:
+        (rows, cols), (height, width) = heights.shape, dataset.shape
+        if height % rows or width * rows != height * cols:
+            raise InputError(
+                f"{raster.label}: has no place, and its {width} x {height} cells do not fit {cols} x {rows} heights; "
+                f"mend it with: gdal_edit.py -a_ullr <west> <north> <east> <south> {raster.file}"
+            )
+        warning = f"{raster.path.name} has no place: it is taken to cover the heights"
+        t, part = heights.transform, rows / height
+        extent = Affine(t.a * part, t.b * part, t.c, t.d * part, t.e * part, t.f)
+        return _Placement(heights.plane.crs, extent, height // rows, [warning])
+    if own.crs is None or other.crs is None:
+        crs = heights.plane.crs
+    elif own.on_earth and other.on_earth:
+        crs = other.crs
+    elif own.on_earth == other.on_earth and own.unit == other.unit:
+        crs = heights.plane.crs  # two site grids: one place, whatever they are called
+    else:
+        raise InputError(
+            f"{raster.label}: {other.plane and other.plane.name} cannot be converted to {own.plane and own.plane.name} "
+            f"of the heights; mend it with: gdal_edit.py -a_srs {raster.file}"
+        )
+    with WarpedVRT(dataset, src_crs=crs, crs=heights.plane.crs) as natural:
+        pixel = natural.transform.a
+    cell = heights.plane.grid_in_crs(heights.plane.grid).cell
+    assumed = [f"{raster.path.name} has no coordinate system: that of the heights is assumed"]
+    return _Placement(crs, dataset.transform, cell / pixel, assumed if own.crs and not other.crs else [])
+
+
+def _on_cells(
+    raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
+) -> F64:
+    """Bands on `factor` x `factor` pixels in each cell, (B, f R, f C); NaN beyond the raster."""
+    plane = heights.plane
+    grid = plane.grid_in_crs(plane.grid.finer(factor))
+    together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all its colours are
+    return read_on(
+        raster, bands, plane.crs, grid, how, src_crs=at.crs, src_transform=at.transform, UNIFIED_SRC_NODATA=together
+    )
+
+
+def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, factor: int = 1) -> bool:
+    """Whether its cells are those of the heights, or `factor` x `factor` in each, in whatever order they are stored."""
+    if at.crs != heights.plane.crs:
+        return False
+    own = heights.plane.grid_in_crs(heights.plane.grid.finer(factor))
+    move = np.linalg.inv(np.reshape(Affine(*own.transform), (3, 3))) @ np.reshape(at.transform, (3, 3))
+    turn, shift = move[:2, :2].ravel(), move[:2, 2]
+    drift = np.abs(turn - np.rint(turn)).max() * max(raster.dataset.shape)
+    is_turn = sorted(np.abs(np.rint(turn))) == [0.0, 0.0, 1.0, 1.0]
+    return bool(is_turn and drift < DRIFT and np.abs(shift - np.rint(shift)).max() < DRIFT)
+
+
+def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list[str]:
+    """A warning where a raster covers only a part of the heights.
+
+    Raises:
+        InputError: it covers none.
+    """
+    if not known.any():
+        raise InputError(f"{raster.label}: lies elsewhere than the heights, or is empty; give one of the same place")
+    share = 100.0 * float(known.mean())
+    return [] if known.all() else [f"{raster.path.name} covers {share:.3g} % of the heights: {lost}"]
+
+
+def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
+    """Read the band named `sigma` of the raster of heights itself, (R, C) metres; None: there is none."""
+    if SIGMA not in raster.dataset.descriptions:
+        return None
+    band = band_in_metres(raster, raster.dataset.descriptions.index(SIGMA) + 1, heights.band.unit == 1.0)
+    plane = heights.plane
+    stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
+    return Beside(band.lengths(stored), f"sigma in {band.settled}", [])
+
+
+def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
+    """Read 1-sigma of the heights, (R, C) metres: of all cells that a cell of the heights touches, the largest.
+
+    Raises:
+        InputError: it is no raster, its unit cannot be settled, it lies elsewhere, or has values below 0.
+    """
+    with open_raster(path) as raster:
+        names, at = raster.dataset.descriptions, _placement(raster, heights)
+        number = names.index(SIGMA) + 1 if SIGMA in names else 1
+        band = band_in_metres(raster, number, heights.band.unit == 1.0 and raster.reference.is_metric)
+        resampled = not _shares_cells(raster, heights, at)
+        sigma = band.lengths(_on_cells(raster, heights, at, [number], Resampling.nearest)[0])
+        if resampled:
+            sigma = np.maximum(sigma, band.lengths(_on_cells(raster, heights, at, [number], Resampling.max)[0]))
+        if (sigma < 0).any():
+            raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
+        beyond = _coverage(raster, np.isfinite(sigma)[np.isfinite(heights.metres)], "no sigma beyond")
+    words = f"{path.name}: sigma in {band.settled}{', resampled' if resampled else ''}"
+    return Beside(sigma, words, at.warnings + beyond)
+
+
+def image_beside(path: Path, heights: RasterHeights) -> Beside:
+    """Read an image of the ground as 8 bits, (f R, f C) or (f R, f C, 3), with f = 1, 2, 4, ... pixels a cell.
+
+    Colours of a palette are expanded; other than 8 bits are scaled, black to 0; where it has no pixel it is grey.
+
+    Raises:
+        InputError: it is no raster, holds no picture, or lies elsewhere.
+    """
+    with open_raster(path) as raster:
+        at, bands, dataset = _placement(raster, heights), bands_of_picture(raster), raster.dataset
+        factor = min(max(2 * int((at.pixels + DRIFT) / 2), 1), MOST_PIXELS)
+        palette = dataset.colorinterp[bands[0] - 1] == ColorInterp.palette
+        as_stored = palette or _shares_cells(raster, heights, at, factor)
+        how = Resampling.nearest if as_stored else Resampling.average
+        pixels = _on_cells(raster, heights, at, bands, how, factor)
+        known = np.asarray(np.isfinite(pixels).all(axis=0))
+        beyond = _coverage(raster, known, "grey beyond")
+        if palette:
+            colours = np.zeros((256, 3))
+            for number, colour in dataset.colormap(bands[0]).items():
+                colours[number] = colour[:3]
+            pixels = np.moveaxis(colours[np.where(known, pixels[0], 0).astype(np.uint8)], 2, 0)
+        elif dataset.dtypes[bands[0] - 1] != "uint8":
+            bright = float(np.quantile(pixels[:, known], 0.999))  # but for a few glints
+            if not bright > 0:
+                raise InputError(
+                    f"{path}: no pixel is brighter than 0; give 8 bits, or scale it: gdal_translate -ot Byte -scale"
+                )
+            pixels = pixels * (255.0 / bright)
+        pixels = np.rint(np.where(known, pixels, np.median(pixels[:, known], axis=1)[:, None, None]))
+    out = np.moveaxis(np.clip(pixels, 0, 255).astype(np.uint8), 0, 2)
+    words = f"{path.name}: {len(out[0, 0])} band(s), {factor} pixel(s) a cell"
+    return Beside(out if out.shape[2] == 3 else out[..., 0], words, at.warnings + beyond)

@@ -1,0 +1,124 @@
+"""Heights of a raster in metres, and doubts whether they are heights at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from rasterio.enums import ColorInterp
+from rasterio.transform import Affine
+
+from alight.arrays import F64, I64
+from alight.records import InputError
+from alight.sources.opened_raster import OpenedRaster, read_on
+from alight.sources.raster_band import Band, band_of_heights
+from alight.sources.raster_plane import RasterPlane, metric_plane
+
+HIGHEST = 12_000.0  # metres: no ground of the Earth lies as far from its ellipsoid
+
+
+@dataclass(frozen=True, eq=False)
+class RasterHeights:
+    """Heights of a raster, turned to north up."""
+
+    plane: RasterPlane
+    band: Band
+    metres: F64  # (R, C) above the vertical datum, NaN = unknown
+    step: float  # metres to which they are rounded; 0: floating-point numbers
+    doubt: str | None  # whether they are heights, in words
+    settled: str  # unit, datum, coordinate system: one line
+    transform: Affine  # of the raster as it is stored
+    shape: tuple[int, int]  # the same
+
+
+def read_heights(raster: OpenedRaster) -> RasterHeights:
+    """Read the heights of a raster in metres, in a metric plane, north up.
+
+    Raises:
+        InputError: its plane or unit cannot be settled (see `metric_plane`, `band_in_metres`), it holds no heights (see
+            `doubt_of_heights`), or none is known.
+    """
+    plane, band, dataset = metric_plane(raster), band_of_heights(raster), raster.dataset
+    stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
+    metres, whole = band.heights(stored), np.dtype(dataset.dtypes[band.number - 1]).kind in "iu"
+    if not np.isfinite(metres).any():
+        raise InputError(f"{raster.label}: no height is known; check its nodata value")
+    return RasterHeights(
+        plane,
+        band,
+        metres,
+        step=abs(band.scale * band.unit) if whole else 0.0,
+        doubt=doubt_of_heights(raster, band, stored),
+        settled=f"{raster.path.name}: heights in {words_of(raster, band)}, {plane.settled}",
+        transform=dataset.transform,
+        shape=dataset.shape,
+    )
+
+
+def words_of(raster: OpenedRaster, band: Band) -> str:
+    """Unit and vertical datum of heights."""
+    return f"{band.settled}, vertical datum {raster.reference.datum or 'undeclared'}"
+
+
+def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | None:
+    """Test whether a band may be taken for heights: undeclared no-data, classes and pictures are not flat ground.
+
+    Args:
+        raster: opened.
+        band: that was read.
+        stored: its numbers, NaN where no-data is declared.
+
+    Returns:
+        A doubt in words; None: there is none.
+
+    Raises:
+        InputError: they are no heights, or a value stands for no-data that is not declared.
+    """
+    dataset, at = raster.dataset, band.number - 1
+    if dataset.colorinterp[at] == ColorInterp.palette or dataset.dtypes[at] in ("uint8", "int8"):
+        raise InputError(
+            f"{raster.label}: 8 bit values are classes or a picture, not heights; give heights in metres as float32"
+        )
+    known = stored[np.isfinite(stored)]
+    if not known.size:
+        return None
+    values, counts = np.unique(known, return_counts=True)
+    if (wrong := _no_height(values, band.heights(values), dataset.nodata)) is not None:
+        times = int(counts[values == wrong][0])
+        raise InputError(
+            f"{raster.label}: {wrong:g} stands in {times} of {known.size} cells and is no height; declare it as "
+            f"no-data: gdal_edit.py -a_nodata {wrong:g} {raster.file}"
+        )
+    whole = dataset.scales[at] == 1.0 and (values == np.rint(values)).all()
+    if whole and 1 < values.size <= 32:  # no map of land cover has more classes
+        raise InputError(
+            f"{raster.label}: holds only {values.size} different values, all whole numbers: classes, or heights "
+            "rounded to the metre, which show no obstacle; give heights in metres as float32"
+        )
+    return None if dataset.nodata is not None else _filled(raster, band, values, counts)
+
+
+def _no_height(values: F64, metres: F64, declared: float | None) -> float | None:
+    """A stored value that cannot be a height, or that lies apart from all others at an end; None: there is none."""
+    for v, height in ((values[0], metres[0]), (values[-1], metres[-1])):
+        if not -HIGHEST <= height <= HIGHEST or v in (-9999.0, -999.0, 9999.0):  # as programs write unknown heights
+            return float(v)
+    if declared is not None or values.size < 3:
+        return None
+    for at, rest in ((0, metres[1:]), (-1, metres[:-1])):
+        gap = np.abs(metres[at] - rest).min()
+        if gap > max(50.0, 2 * abs(rest[-1] - rest[0])):
+            return float(values[at])
+    return None
+
+
+def _filled(raster: OpenedRaster, band: Band, values: F64, counts: I64) -> str | None:
+    """A doubt where one value stands in 2 % of the cells although one in five others does not repeat."""
+    total, most = int(counts.sum()), int(counts.max())
+    if values.size < 3 or most < 0.02 * total or (values.size - 1) < 0.2 * (total - most):
+        return None
+    value = values[counts.argmax()]
+    return (
+        f"{raster.path.name}: the height {band.heights(value):g} m stands in {100 * most / total:.0f} % of the cells "
+        f"exactly; if that means 'not known', declare it: gdal_edit.py -a_nodata {value:g} {raster.file}"
+    )

@@ -1,0 +1,126 @@
+"""The bands of a raster: which one holds heights, and what their numbers are in metres."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from rasterio.enums import ColorInterp
+
+from alight.arrays import F64
+from alight.records import InputError
+from alight.sources.opened_raster import OpenedRaster
+
+PREFIXES = {"": 1.0, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3}  # of the metre
+HEIGHTS = re.compile(
+    r"(?!.*(sigma|std|error|uncert|accura|rms|count))(.*(height|elevation|altitude)|.*\b(dem|dsm|dtm|z)\b)", re.I
+)
+
+
+@dataclass(frozen=True)
+class Band:
+    """One band whose numbers are lengths: stored * scale + offset, times the unit."""
+
+    number: int
+    unit: float  # metres
+    scale: float
+    offset: float
+    is_depth: bool  # they count downwards
+    settled: str  # in words
+
+    def lengths(self, stored: F64) -> F64:
+        """Convert numbers as stored to metres; what is not finite becomes NaN."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            out = (stored * self.scale + self.offset) * self.unit
+        return np.where(np.isfinite(out), out, np.nan)
+
+    def heights(self, stored: F64) -> F64:
+        """Convert numbers as stored to metres upwards."""
+        return -self.lengths(stored) if self.is_depth else self.lengths(stored)
+
+
+def band_of_heights(raster: OpenedRaster) -> Band:
+    """Find the band of heights, by its name or else the first, and settle its unit.
+
+    Where no unit is declared, metres are assumed, but not in a plane that is in feet: its heights may be in either.
+
+    Raises:
+        InputError: see `band_in_metres`.
+    """
+    named = [n for n, name in enumerate(raster.dataset.descriptions, 1) if name and HEIGHTS.match(name)]
+    return band_in_metres(raster, named[0] if named else 1, raster.reference.is_metric)
+
+
+def band_in_metres(raster: OpenedRaster, number: int, assume_metres: bool) -> Band:
+    """Settle unit, scale and offset of a band: its own unit, else that of the vertical axis, else metres.
+
+    Args:
+        raster: opened; depths become heights.
+        number: of the band.
+        assume_metres: where no unit is declared; else that is refused.
+
+    Raises:
+        InputError: complex numbers; a scale or an offset that gives no heights; a unit that is not known, missing, or
+            contradicts the vertical axis. The message has the command that mends it.
+    """
+    dataset, at, axis = raster.dataset, number - 1, raster.reference.up
+    if "complex" in dataset.dtypes[at]:
+        raise InputError(f"{raster.label}: holds complex numbers; give heights in metres as float32")
+    scale, offset = dataset.scales[at], dataset.offsets[at]
+    if not (np.isfinite([scale, offset]).all() and scale):
+        raise InputError(
+            f"{raster.label}: scale {scale:g} and offset {offset:g} of band {number} give no heights; mend it with: "
+            f"gdal_edit.py -scale 1 -offset 0 {raster.file}"
+        )
+    word = (dataset.units[at] or "").strip()
+    word = "" if word.lower() in ("unspecified", "unknown") else word  # as drivers write none
+    unit = _unit(raster, number, word, assume_metres)
+    words = word or ("m" if unit == 1.0 else f"units of {unit:g} m")
+    words += "" if word or axis is not None else " (assumed)"
+    words += f", x {scale:g} {offset:+g}" if (scale, offset) != (1.0, 0.0) else ""
+    words += f", band {number} of {dataset.count}" if dataset.count > 1 else ""
+    is_depth = axis is not None and axis < 0
+    return Band(number, unit, scale, offset, is_depth, words + (", depths" if is_depth else ""))
+
+
+def _unit(raster: OpenedRaster, number: int, word: str, assume_metres: bool) -> float:
+    axis, datum = raster.reference.up, raster.reference.datum
+    unit = metres_of(word) if word else abs(axis) if axis is not None else 1.0 if assume_metres else None
+    if unit is None:
+        why = f"the unit {word!r} of band {number} is not known" if word else f"band {number} declares no unit"
+        why += "" if word else ", and another unit is not the metre"
+        raise InputError(
+            f"{raster.label}: {why}; mend it with: gdal_edit.py -units <m, ft, US survey foot, km, dm, cm or mm> "
+            f"{raster.file}"
+        )
+    if axis is not None and abs(unit / abs(axis) - 1.0) > 1e-5:  # the kinds of feet differ by less
+        raise InputError(
+            f"{raster.label}: band {number} is in {word}, but heights of its coordinate system ({datum}) are "
+            f"in units of {abs(axis):g} m; mend what is wrong: gdal_edit.py -units <unit> {raster.file}, or "
+            f"gdal_edit.py -a_srs EPSG:<plane>+<heights> {raster.file}"
+        )
+    return unit
+
+
+def metres_of(unit: str) -> float | None:
+    """Metres of one unit of length, as drivers and programs spell it (m, ft, ftUS, US survey foot); None: unknown.
+
+    The table of PROJ is not used: its decimetre has 0.01 m in many versions.
+    """
+    letters = re.sub(r"[\s_().-]", "", unit.lower())
+    if found := re.fullmatch("(kilo|deci|centi|milli|[kdcm]?)(m|met(?:re|er)s?)", letters):
+        return PREFIXES[found[1][:1]]
+    if re.fullmatch("(i|int|international)?(ft|foot|feet)(int|international)?", letters):
+        return 0.3048
+    return 1200 / 3937 if re.fullmatch("(us|survey|s)*(ft|foot|feet)(us|survey)*", letters) else None
+
+
+def bands_of_picture(raster: OpenedRaster) -> list[int]:
+    """Numbers of the bands of a picture: red, green and blue, else the first three, or the first; no transparency."""
+    kinds = raster.dataset.colorinterp
+    colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    if all(c in kinds for c in colours):
+        return [kinds.index(c) + 1 for c in colours]
+    seen = [n for n, kind in enumerate(kinds, 1) if kind != ColorInterp.alpha]
+    return seen[:3] if len(seen) >= 3 else seen[:1]
