@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,7 @@ def _dms(degrees: float) -> tuple[float, float, float]:
 
 def write_photo(
     path: Path,
-    seed: int = 0,
+    seed: int | None = None,
     *,
     second: str | None = "10",
     subsecond: str = "",
@@ -183,7 +184,7 @@ def write_photo(
 ) -> Path:
     """Write one JPEG with EXIF (extra `main`, `photo` and `gps` tags by number) and XMP; of noise, or an `image`.
 
-    A `gps` tag of None is left out.
+    A `gps` tag of None is left out. Without a seed, each file name has its own picture.
     """
     exif = Image.Exif()
     for tag, value in ({271: "DJI", 272: model, 274: 1} | (main or {})).items():
@@ -199,7 +200,7 @@ def write_photo(
         exif.get_ifd(0x8825).update({k: v for k, v in where.items() if v is not None})
     path.parent.mkdir(parents=True, exist_ok=True)
     quality = {} if image is None else {"quality": 95}
-    (image or picture(seed, size)).save(
+    (image or picture(zlib.crc32(path.name.encode()) if seed is None else seed, size)).save(
         path, "JPEG", **quality, exif=exif, xmp=xmp_packet(dji_tags()) if xmp is None else xmp
     )
     return path

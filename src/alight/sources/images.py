@@ -6,13 +6,17 @@ import re
 import warnings
 from io import BytesIO
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
-from PIL.TiffImagePlugin import IMAGELENGTH, IMAGEWIDTH, TiffImageFile
+from PIL.TiffImagePlugin import BITSPERSAMPLE, IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
 from alight.arrays import U8
+from alight.sources.image_formats import Levels, bits_of, is_raw, raw_pixels, raw_size
 
+Base = ExifTags.Base
+HEIF = (".heic", ".heif", ".hif")
 UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
 
 
@@ -26,9 +30,62 @@ def open_image(path: Path) -> Image.Image:
     """
     if not path.is_file():
         raise OSError("it is no plain file, or a link to nothing")
+    if path.suffix.lower() in HEIF:
+        from pillow_heif import register_heif_opener
+
+        register_heif_opener()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return Image.open(path)
+
+
+class Header(NamedTuple):
+    """Facts on an image file, read without its pixels."""
+
+    size: tuple[int, int]  # width, height as stored
+    bits: int  # of the deepest value
+    exif: dict[int, Any]  # main and photo directory, by tag number
+    gps: dict[int, Any]
+    xmp: bytes | str  # packet; empty: none
+    segments: tuple[bytes, ...]  # application segments of a JPEG
+
+
+def read_header(path: Path) -> Header:
+    """Size, depth and tags of an image, of its first picture where it holds several.
+
+    Raises:
+        One of `UNREADABLE`.
+    """
+    try:
+        with open_image(path) as image:
+            xmp, segments = image.info.get("xmp") or b"", [data for _, data in getattr(image, "applist", ())]
+            header = Header(stored_size(image), bits_of(image), *_tags(image.getexif()), xmp, tuple(segments))
+    except UnidentifiedImageError:
+        header = _header_of_tiff(path)
+    return header._replace(size=raw_size(path), bits=8) if is_raw(path) else header
+
+
+def _tags(exif: Image.Exif) -> tuple[dict[int, Any], dict[int, Any]]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, as intended
+        return dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif)), dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
+
+
+def _header_of_tiff(path: Path) -> Header:
+    """Header of a TIFF whose pixels pillow cannot decode, such as raw ones, or bands of 16 bits.
+
+    Raises:
+        UnidentifiedImageError: it is no TIFF.
+    """
+    with path.open("rb") as file:
+        if file.read(4) not in (b"II*\0", b"MM\0*"):
+            raise UnidentifiedImageError("it is no image")
+        exif = Image.Exif()
+        file.seek(0)
+        exif.load_from_fp(file)
+        main, gps = _tags(exif)
+    size = int(main.get(IMAGEWIDTH, 0)), int(main.get(IMAGELENGTH, 0))
+    return Header(size, int(np.max(main.get(BITSPERSAMPLE, 8))), main, gps, main.get(Base.XMLPacket, b""), ())
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -51,7 +108,7 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
 def _not_turned(path: Path) -> Image.Image:
     """A TIFF as it is stored: pillow turns them, and damages grey ones that it maps into memory."""
     with Image.open(BytesIO(path.read_bytes())) as image:
-        image.getexif()[ExifTags.Base.Orientation] = 1
+        image.getexif()[Base.Orientation] = 1
         return image.copy()  # with the size of the pixels
 
 
@@ -72,19 +129,30 @@ def has_end(jpeg: bytes) -> bool:
     return False
 
 
-def read_image(path: Path, size: tuple[int, int]) -> U8:
+def _check_size(stored: tuple[int, int], size: tuple[int, int]) -> None:
+    if stored != size:
+        raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
+
+
+def read_image(path: Path, size: tuple[int, int], levels: Levels | None = None) -> U8:
     """Decode a whole image as it is stored, (H, W) when the file is grey, else (H, W, 3) RGB.
 
     OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses it.
 
+    Args:
+        path: of the image; of several pictures in it, the first is read.
+        size: (width, height) that the calibration is for.
+        levels: range of a set, for files with more than eight bits; None: their upper eight.
+
     Raises:
-        ValueError: cut off, damaged, or not of the (width, height) that the calibration is for.
+        ValueError: cut off, damaged, or of another size.
     """
     try:
+        if is_raw(path) or levels is not None:
+            _check_size(read_header(path).size, size)
+            return raw_pixels(path) if levels is None else levels.eight_bits(path)
         with open_image(path) as image:
-            stored = stored_size(image)
-            if stored != size:
-                raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
+            _check_size(stored_size(image), size)
             if isinstance(image, TiffImageFile):
                 return _pixels(_not_turned(path))
             pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")

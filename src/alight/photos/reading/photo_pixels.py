@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
 
@@ -18,10 +19,11 @@ class PictureMemory:
 
     Args:
         most_bytes: limit of its memory; the newest picture is kept however large.
+        read: decodes a file of a (width, height), as `read_image`.
     """
 
-    def __init__(self, most_bytes: float) -> None:
-        self._most = most_bytes
+    def __init__(self, most_bytes: float, read: Callable[[Path, tuple[int, int]], U8] = read_image) -> None:
+        self._most, self._read = most_bytes, read
         self._pictures: dict[Path, U8] = {}  # the newest one last
         self._lock = Lock()  # features are found by several threads
 
@@ -38,7 +40,7 @@ class PictureMemory:
         """
         with self._lock:
             found = self._pictures.get(path)
-        pixels = read_image(path, size) if found is None else found
+        pixels = self._read(path, size) if found is None else found
         with self._lock:
             self._pictures.pop(path, None)
             self._pictures[path] = pixels

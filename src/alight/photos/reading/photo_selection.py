@@ -1,16 +1,27 @@
-"""Search for the photos of a folder, as of a card or a survey; thermal pictures and further bands are left out."""
+"""Search for the photos of a folder, as of a card or a survey: thermal pictures, further bands, and false colours."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from alight.photos.reading.photo_tags import PhotoTags
+import numpy as np
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+from alight.arrays import U8
+from alight.photos.reading.photo_tags import COLOUR, Base, PhotoTags
+from alight.sources.image_formats import EXTRAS
+
+PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+SUFFIXES = (*PLAIN, *EXTRAS)
+MICROBOLOMETERS = (  # width and height of thermal sensors
+    (1280, 1024), (640, 512), (640, 480), (384, 288), (336, 256), (320, 256), (320, 240), (256, 192), (160, 120),
+)  # fmt: skip
+VIVID = 30.0  # grey levels about the mean of red, green and blue: photos of the ground have 4 to 21, palettes 24 to 170
 
 
 class FoundPhotos(NamedTuple):
@@ -24,7 +35,7 @@ def find_photos(folder: Path) -> FoundPhotos:
     """Pictures of a folder and of its sub-folders (as `DCIM/100MEDIA` of a card).
 
     Hidden files are left out, as are thumbnails and the output of programs, Alight's included. A file that links reach
-    as well is taken once.
+    as well is taken once, and so is a picture that stands beside its raw picture.
 
     Raises:
         OSError: the folder itself cannot be read.
@@ -34,7 +45,9 @@ def find_photos(folder: Path) -> FoundPhotos:
         real = os.path.realpath(path)
         if real not in files or real == str(path):
             files[real] = path
-    return FoundPhotos(sorted(files.values()), sorted(closed))
+    plain = {path.with_suffix("") for path in files.values() if path.suffix.lower() in PLAIN}
+    found = [p for p in files.values() if p.suffix.lower() in PLAIN or p.with_suffix("") not in plain]
+    return FoundPhotos(sorted(found), sorted(closed))
 
 
 def _pictures(folder: Path, depth: int, closed: list[Path]) -> Iterator[Path]:
@@ -66,8 +79,7 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
     """
     tagged = [p for p in photos if _is_tagged_thermal(p)]
     rest = [p for p in photos if not _is_tagged_thermal(p)]
-    microbolometers = (640, 512), (640, 480), (336, 256), (160, 120)
-    sized = [p for p in rest if (max(p.size), min(p.size)) in microbolometers]
+    sized = [p for p in rest if _has_thermal_size(p)]
     if len(rest) - len(sized) >= max(3, len(sized) / 2):
         return tagged + sized
     return tagged if rest else []
@@ -89,6 +101,45 @@ def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
     return max(counts, key=lambda band: (counts[band], *(band.lower() == b for b in ("green", "red"))))
 
 
+def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> str:
+    """What the colours of a set show instead of the ground's own; empty: they are its own, or there are none.
+
+    The size of the pictures decides only with colours that no ground has, since photos that were made smaller may have
+    it too.
+
+    Args:
+        photos: of the set, thermal pictures beside others left out.
+        read: pixels of a photo, (H, W) or (H, W, 3); may raise ValueError.
+    """
+    if all(_is_tagged_thermal(p) for p in photos):
+        return "temperatures"
+    if all(_sees_infrared(p) for p in photos):
+        return "near infrared"
+    if not all(_has_thermal_size(p) for p in photos):
+        return ""
+    pictures = []
+    for photo in photos[:: -(-len(photos) // 3)]:
+        with suppress(ValueError):
+            pictures.append(read(photo).astype(np.float64))
+    about = [p - p.mean(axis=2, keepdims=True) for p in pictures if p.ndim == 3]
+    strong = [float(np.sqrt((a - a.mean(axis=(0, 1))).var(axis=(0, 1)).sum())) > VIVID for a in about]
+    return "temperatures" if strong and all(strong) else ""
+
+
 def _is_tagged_thermal(photo: PhotoTags) -> bool:
     source, band = photo.xmp.get("dji:ImageSource", "").lower(), photo.xmp.get("camera:BandName", "").lower()
-    return "infrared" in source or band == "lwir" or photo.path.stem.endswith("_T")
+    named = re.search(r"_(T|IR)$|\d_(T|IR)_|^IRX_", photo.path.stem, re.IGNORECASE) is not None
+    by_flir = photo.is_radiometric or "flir" in photo.text(Base.Make).lower()
+    return "infrared" in source or band == "lwir" or named or (by_flir and _has_thermal_size(photo))
+
+
+def _has_thermal_size(photo: PhotoTags) -> bool:
+    return (max(photo.size), min(photo.size)) in MICROBOLOMETERS
+
+
+def _sees_infrared(photo: PhotoTags) -> bool:
+    """Whether one of the three colours is infrared, by the names of the bands, or of the filter in a MAPIR camera."""
+    bands = [b.strip().lower() for b in photo.xmp.get("camera:BandName", "").split(",") if b.strip()]
+    by_filter = re.search(r"(RGN|NGB|OCN|RE|NIR)$", photo.text(Base.Model)) is not None
+    by_bands = len(bands) > 1 and not set(bands) <= {"red", "green", "blue", *COLOUR}
+    return by_bands or (by_filter and "survey" in photo.text(Base.Model).lower())

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from PIL import ExifTags, Image
+from PIL import ExifTags
 
 from alight.photos.reading.photo_xmp import Xmp, parse_xmp
-from alight.sources.images import open_image, stored_size
+from alight.sources.images import read_header
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
 COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
@@ -47,6 +46,8 @@ class PhotoTags:
     gps: Mapping[int, Any]
     xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
     supposed_altitude: float | None = None  # metres, where the photo itself has none
+    bits: int = 8  # of the deepest value of the picture
+    is_radiometric: bool = False  # a JPEG with the temperatures of a FLIR camera in it
 
     def text(self, tag: int) -> str:
         """An EXIF text, padding removed; empty when absent."""
@@ -200,13 +201,6 @@ def _angle(dms: Any, ref: Any, negative: str) -> float | None:
     return (d + (m or 0.0) / 60 + (s or 0.0) / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
 
 
-def _exif(image: Image.Image) -> tuple[dict[int, Any], dict[int, Any]]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, as intended
-        exif = image.getexif()
-        return dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif)), dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
-
-
 def read_tags(path: Path) -> tuple[PhotoTags, str]:
     """Read one photo's tags, not its pixels.
 
@@ -216,8 +210,9 @@ def read_tags(path: Path) -> tuple[PhotoTags, str]:
     Raises:
         One of `images.UNREADABLE`.
     """
-    with open_image(path) as image:
-        exif, gps = _exif(image)
-        packet = image.info.get("xmp") or b""
-        xmp = parse_xmp(packet) if packet else Xmp({}, "")
-        return PhotoTags(path, stored_size(image), exif, gps, xmp.values), xmp.fault
+    header = read_header(path)
+    xmp = parse_xmp(header.xmp) if header.xmp else Xmp({}, "")
+    is_radiometric = any(segment.startswith(b"FLIR\0") for segment in header.segments)
+    return PhotoTags(
+        path, header.size, header.exif, header.gps, xmp.values, None, header.bits, is_radiometric
+    ), xmp.fault

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from alight.arrays import U8
 from alight.geometry import Camera
 from alight.photos.reading.photo_camera import (
     GUESSED,
@@ -34,15 +35,19 @@ from alight.photos.reading.photo_pose import (
     rtk_fix,
     with_supposed_altitudes,
 )
-from alight.photos.reading.photo_selection import band_to_use, thermal_photos
+from alight.photos.reading.photo_selection import band_to_use, false_colours, thermal_photos
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
+from alight.photos.reading.repeated import repeated_photos
+from alight.raster import grey_levels
 from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import Settings
 from alight.sources.calibration import read_camchain
-from alight.sources.images import UNREADABLE
+from alight.sources.image_formats import Levels, levels_of, missing_extra
+from alight.sources.images import UNREADABLE, read_image
 from alight.sources.source import Source
 
 SECOND = 1_000_000_000  # ns
+LEVELS_OF = 24  # pictures by which the range of a set is found
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
 
 
@@ -72,7 +77,9 @@ class Photos(Source):
     ) -> None:
         super().__init__()
         self._root = root
-        self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb)
+        self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb, self._read_pixels)
+        self._levels: dict[Path, Levels] = {}  # of pictures with more than eight bits
+        self._false_colours = ""  # what they show
         self._tags: dict[Path, PhotoTags] = {}  # of all photos that can be read
         self._left_out: dict[Path, str] = {}  # reasons
         self.findings.expect("photos", len(files))
@@ -81,7 +88,8 @@ class Photos(Source):
             self.findings.warn(f"no permission to read {names}: photos in there are left out")
         generic = root.name.lower() in ("images", "photos", "dcim", "jpg")
         self.name = root.parent.name if generic else root.name
-        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files, read))), settings)
+        photos = self._without_repeated(self._readable(self._with_extras(files), read))
+        photos = self._of_cameras(self._of_one_band(self._without_thermal(photos)), settings)
         photos, supposed = with_supposed_altitudes(photos)
         if supposed:
             self.findings.warn(f"no photo says its altitude: {supposed}, heights above the sea are not known")
@@ -100,6 +108,7 @@ class Photos(Source):
         self.length = len(ordered)
         self.local = local_frame([p for _, p in ordered])
         self.rig = self._calibrate(settings)
+        self._settle_pictures()
         self._note()
 
     def events(self) -> Iterator[Event]:
@@ -155,6 +164,45 @@ class Photos(Source):
         self.findings.counts |= {group: len(reasons)} if reasons else {}
         return [p for p in photos if p.path not in reasons]
 
+    def _with_extras(self, files: Sequence[Path]) -> list[Path]:
+        """The files that can be read with the extras that are installed."""
+        lacking = {path: str(error) for path in files if (error := missing_extra(path)) is not None}
+        for why, count in Counter(lacking.values()).items():
+            if len(lacking) == len(files):
+                raise InputError(f"{files[0].parent}: {count} of {len(files)} photos cannot be read: {why}")
+            self.findings.warn(f"{count} photo(s) are left out: {why}")
+        self._left_out |= lacking
+        return [path for path in files if path not in lacking]
+
+    def _read_pixels(self, path: Path, size: tuple[int, int]) -> U8:
+        pixels = read_image(path, size, self._levels.get(path))
+        return grey_levels(pixels) if self._false_colours else pixels
+
+    def _pixels_of(self, photo: PhotoTags) -> U8:
+        return self._read_pixels(photo.path, photo.size)
+
+    def _settle_pictures(self) -> None:
+        """Find one range for pictures with more than eight bits; of false colours, only the brightness is used."""
+        photos = [p for _, p in self._photos]
+        deep = [p.path for p in photos if p.bits > 8]
+        if levels := levels_of(deep[:: -(-len(deep) // LEVELS_OF)]) if deep else None:
+            self._levels = dict.fromkeys(deep, levels)
+            self.notes["levels"] = f"{levels.low:g} to {levels.high:g} of {len(deep)} pictures become 0 to 255"
+        if shows := false_colours(photos, self._pixels_of):
+            self._false_colours = self.notes["false_colours"] = shows
+            self.findings.warn(
+                f"the colours of all {len(photos)} pictures show {shows} (first: {photos[0].path.name}): they are "
+                "read as grey, and refuse no water or plants; give colour pictures as well"
+            )
+
+    def _without_repeated(self, photos: list[PhotoTags]) -> list[PhotoTags]:
+        repeated = repeated_photos(photos, self._pixels_of)
+        if repeated:
+            self.findings.warn(
+                f"{len(repeated)} photo(s) are in the set twice and count once (first: {repeated[0].path.name})"
+            )
+        return self._without(photos, {p.path: "the set holds it twice" for p in repeated}, "repeated photos")
+
     def _readable(self, files: Sequence[Path], read: Callable[[Path], tuple[PhotoTags, str]]) -> list[PhotoTags]:
         damaged = list[str]()
         for path in files:
@@ -186,11 +234,10 @@ class Photos(Source):
             return photos
         others = [p for p in photos if p.band != band]
         used = f"band {band.removeprefix('band ')} is" if band else "the colour pictures are"
-        if others:
-            self.findings.warn(
-                f"{len(others)} picture(s) of single bands are left out (first: {others[0].path.name}): of a "
-                f"multispectral camera {used} used"
-            )
+        first = f" (first: {others[0].path.name})" if others else ""
+        self.findings.warn(
+            f"{len(others)} picture(s) of single bands are left out{first}: of a multispectral camera {used} used"
+        )
         reasons = {p.path: f"{p.band or 'colour'}: {used} used" for p in others}
         return self._without(photos, reasons, "pictures of other bands")
 

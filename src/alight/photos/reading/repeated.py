@@ -1,0 +1,70 @@
+"""Photos that a set holds twice: copies, and pictures that were saved again with the tags of the same exposure."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from contextlib import suppress
+from hashlib import file_digest
+
+import cv2
+import numpy as np
+
+from alight.arrays import F64, U8
+from alight.photos.reading.photo_tags import PhotoTags
+from alight.raster import grey_levels
+
+ALIKE = 0.98  # correlation of two small pictures; neighbours that overlap by 90 % have less
+
+
+def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> list[PhotoTags]:
+    """Photos of which the set holds a better copy: larger, or else with the shorter name.
+
+    Copies have equal bytes; or camera, time and place are equal, and the pictures look alike.
+
+    Args:
+        photos: of the set.
+        read: pixels of a photo, (H, W) or (H, W, 3); may raise ValueError.
+    """
+    best_first = sorted(photos, key=lambda p: (-p.size[0] * p.size[1], len(p.path.name), p.path))
+    out = list[PhotoTags]()
+    for group in _groups(best_first, lambda p: p.path.stat().st_size):
+        out += [p for same in _groups(group, _bytes_of) for p in same[1:]]
+    left = {p.path for p in photos} - {p.path for p in out}
+    for group in _groups([p for p in best_first if p.path in left], _exposure_of):
+        small = [_small(p, read) for p in group]
+        out += [p for k, p in enumerate(group) if any(_alike(small[k], s) for s in small[:k])]
+    return out
+
+
+def _groups(photos: Iterable[PhotoTags], key: Callable[[PhotoTags], Hashable]) -> list[list[PhotoTags]]:
+    """Photos with equal keys, groups of two and more; those whose key is None are in none."""
+    found = defaultdict[Hashable, list[PhotoTags]](list)
+    for photo in photos:
+        found[key(photo)].append(photo)
+    return [group for value, group in found.items() if value is not None and len(group) > 1]
+
+
+def _bytes_of(photo: PhotoTags) -> str:
+    with photo.path.open("rb") as file:
+        return file_digest(file, "blake2b").hexdigest()
+
+
+def _exposure_of(photo: PhotoTags) -> Hashable:
+    """Identity of an exposure by its tags; None: they do not give one."""
+    if photo.time_ns is None or photo.place is None:
+        return None
+    camera = photo.camera._replace(size=(0, 0))
+    return (camera, photo.time_ns, *(round(angle, 7) for angle in photo.place))
+
+
+def _small(photo: PhotoTags, read: Callable[[PhotoTags], U8]) -> F64 | None:
+    with suppress(ValueError):
+        return np.asarray(cv2.resize(grey_levels(read(photo)), (32, 32), interpolation=cv2.INTER_AREA), np.float64)
+    return None
+
+
+def _alike(a: F64 | None, b: F64 | None) -> bool:
+    if a is None or b is None or not min(np.ptp(a), np.ptp(b)):
+        return False
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) > ALIKE
