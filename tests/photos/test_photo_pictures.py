@@ -24,6 +24,7 @@ from alight.sources.images import image_size, read_image
 
 GREY = np.asarray(d.picture(3, (64, 48), grey=True))
 COLOUR = np.asarray(d.picture(4, (64, 48)))
+SMOOTH = d.picture(4, (32, 24)).resize((64, 48))
 LENS = {41989: 28}
 AT = rasterio.Affine.translation(1, 1)  # else rasterio warns
 PALETTES = cv2.COLORMAP_INFERNO, cv2.COLORMAP_JET, cv2.COLORMAP_HOT
@@ -80,7 +81,7 @@ def test_colours_of_sixteen_bits_keep_their_ratios(tmp_path: Path) -> None:
     from alight.sources.image_formats import levels_of
 
     found = read_image(path, (64, 48), levels_of([path])).astype(float)
-    np.testing.assert_allclose(found, (COLOUR // 2 + 100) * 255 / 227, atol=1.5)
+    np.testing.assert_allclose(found, (COLOUR // 2 + 100.0) * 255 / 227, atol=1.5)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_colours_of_sixteen_bits_keep_their_ratios(tmp_path: Path) -> None:
         (Image.fromarray(COLOUR).convert("CMYK"), {"format": "JPEG"}, 3),
         (Image.fromarray(COLOUR).convert("CMYK"), {"format": "TIFF"}, 3),
         (Image.fromarray(COLOUR), {"format": "JPEG", "subsampling": 0, "quality": 98}, 3),
-        (d.picture(4, (32, 24)).resize((64, 48)), {"format": "MPO", "save_all": True, "append_images": [d.picture(9, (32, 24))], "quality": 98}, 3),
+        (SMOOTH, {"format": "MPO", "save_all": True, "append_images": [d.picture(9, (32, 24))], "quality": 98}, 3),
     ],
     ids=["grey", "grey alpha", "alpha", "palette", "cmyk", "cmyk tiff", "4:4:4", "mpo"],
 )  # fmt: skip
@@ -116,7 +117,7 @@ def test_a_missing_extra_is_named_in_one_line(
     for k in range(3):
         (tmp_path / f"b{k}.{suffix}").write_bytes(b"")
     with pytest.raises(
-        InputError, match=rf"3 of 3 photos .* is not installed; mend it with: pip install 'alight\[{extra}\]'"
+        InputError, match=rf"none of the 3 pictures .* is not installed; mend it with: pip install 'alight\[{extra}\]'"
     ):
         open_source(tmp_path)
     d.write_photos(tmp_path, 2)

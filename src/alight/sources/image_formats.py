@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,26 +84,26 @@ class Levels(NamedTuple):
         return np.asarray(np.rint(255.0 * share.clip(0.0, 1.0)), np.uint8)
 
 
-def levels_of(paths: Sequence[Path]) -> Levels:
-    """The range of a set of pictures with more than eight bits, all of the same kind.
+def levels_of(paths: Sequence[Path]) -> Levels | None:
+    """The range of a set of pictures with more than eight bits, all of the same kind; None: none can be read.
 
     A thousandth of the pixels of a picture may lie below, and above it: hot pixels and reflections. Colours begin at
     0: a higher value would change their ratios.
-
-    Raises:
-        ValueError: one cannot be read.
     """
-    ends = []
+    lows, highs = [], []
     for path in paths:
-        values = _values(path, 512)
-        low, high = np.nanpercentile(np.where(np.isfinite(values), values, np.nan), [0.1, 99.9])
-        ends.append((0.0 if values.ndim == 3 else low, high))
-    lows, highs = np.nanmin(ends, axis=0), np.nanmax(ends, axis=0)
-    return Levels(float(lows[0]), float(highs[1]))
+        with suppress(ValueError):
+            values = _values(path, 512)
+            known = values[np.isfinite(values)]
+            if known.size:
+                low, high = np.percentile(known, [0.1, 99.9])
+                lows.append(0.0 if values.ndim == 3 else float(low))
+                highs.append(float(high))
+    return Levels(min(lows), max(highs)) if lows else None
 
 
 def _values(path: Path, longest: int | None = None) -> F64:
-    """The values as stored, (H, W) or (H, W, 3), of every so manieth pixel if `longest` limits the longer side."""
+    """The values as stored, (H, W) or (H, W, 3), with fewer pixels if `longest` limits the longer side."""
     from alight.sources.opened_raster import open_raster
     from alight.sources.raster_band import bands_of_picture
 

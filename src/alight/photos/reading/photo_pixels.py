@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Lock
 
@@ -10,8 +10,51 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from alight.arrays import U8
+from alight.photos.reading.photo_selection import false_colours
+from alight.photos.reading.photo_tags import PhotoTags
+from alight.raster import grey_levels
 from alight.records import InputError
+from alight.sources.image_formats import Levels, levels_of
 from alight.sources.images import read_image
+
+LEVELS_OF = 24  # pictures by which the range of a set is found
+
+
+class PictureReader:
+    """Decodes the pictures of one set alike."""
+
+    def __init__(self) -> None:
+        self._levels: dict[Path, Levels] = {}  # of pictures with more than eight bits
+        self._as_grey = False
+
+    def read(self, path: Path, size: tuple[int, int]) -> U8:
+        """The pixels of a file, (H, W) grey or (H, W, 3) RGB, of a (width, height).
+
+        Raises:
+            ValueError: as `read_image`.
+        """
+        pixels = read_image(path, size, self._levels.get(path))
+        return grey_levels(pixels) if self._as_grey else pixels
+
+    def pixels_of(self, photo: PhotoTags) -> U8:
+        """As `read`, of a photo."""
+        return self.read(photo.path, photo.size)
+
+    def settle(self, photos: Sequence[PhotoTags]) -> dict[str, str]:
+        """Find the range of pictures with more than eight bits, and whether colours are false: these become grey.
+
+        Returns:
+            Notes of what was found: `levels`, `false_colours`.
+        """
+        notes = dict[str, str]()
+        deep = [p.path for p in photos if p.bits > 8]
+        if levels := levels_of(deep[:: -(-len(deep) // LEVELS_OF)]) if deep else None:
+            self._levels = dict.fromkeys(deep, levels)
+            notes["levels"] = f"{levels.low:g} to {levels.high:g} of {len(deep)} pictures become 0 to 255"
+        if shows := false_colours(photos, self.pixels_of):
+            notes["false_colours"] = shows
+        self._as_grey = bool(shows)
+        return notes
 
 
 class PictureMemory:

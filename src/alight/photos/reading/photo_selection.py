@@ -14,7 +14,7 @@ import numpy as np
 
 from alight.arrays import U8
 from alight.photos.reading.photo_tags import COLOUR, Base, PhotoTags
-from alight.sources.image_formats import EXTRAS
+from alight.sources.image_formats import EXTRAS, missing_extra
 
 PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 SUFFIXES = (*PLAIN, *EXTRAS)
@@ -71,8 +71,24 @@ def _may_hold_photos(folder: Path) -> bool:
     return not output and not (folder / "run.json").exists()
 
 
-def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
-    """Thermal pictures of a set that has others as well; empty where there are no others.
+class LeftOut(NamedTuple):
+    """Photos of a set that are not used."""
+
+    reasons: dict[Path, str]  # of each
+    group: str  # name for their number
+    warning: str = ""  # one sentence; empty: none
+
+
+def without_extra(files: Sequence[Path]) -> LeftOut:
+    """Files that cannot be read since an extra is missing."""
+    lacking = {path: str(error) for path in files if (error := missing_extra(path)) is not None}
+    counts = Counter(lacking.values())
+    warning = "; ".join(f"{count} photo(s) are left out: {why}" for why, count in counts.items())
+    return LeftOut(lacking, "photos without their extra", warning)
+
+
+def thermal_photos(photos: Sequence[PhotoTags]) -> LeftOut:
+    """Thermal pictures of a set that has others as well; none where there are no others.
 
     They are recognised by the tags or the file's name. The size alone decides only beside enough others, since photos
     that were made smaller may have it too.
@@ -80,9 +96,9 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
     tagged = [p for p in photos if _is_tagged_thermal(p)]
     rest = [p for p in photos if not _is_tagged_thermal(p)]
     sized = [p for p in rest if _has_thermal_size(p)]
-    if len(rest) - len(sized) >= max(3, len(sized) / 2):
-        return tagged + sized
-    return tagged if rest else []
+    thermal = tagged + sized if len(rest) - len(sized) >= max(3, len(sized) / 2) else tagged if rest else []
+    warning = f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})" if thermal else ""
+    return LeftOut({p.path: "a thermal picture" for p in thermal}, "thermal pictures", warning)
 
 
 def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
@@ -99,6 +115,20 @@ def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
         return ""
     # the first ones among as many photos of each: most like a grey picture, the sharpest lenses
     return max(counts, key=lambda band: (counts[band], *(band.lower() == b for b in ("green", "red"))))
+
+
+def other_bands(photos: Sequence[PhotoTags]) -> LeftOut:
+    """Pictures of a multispectral camera that are of other bands than the one that is used."""
+    group, band = "pictures of other bands", band_to_use(photos)
+    if band is None:
+        return LeftOut({}, group)
+    others = [p for p in photos if p.band != band]
+    used = f"band {band.removeprefix('band ')} is" if band else "the colour pictures are"
+    first = f" (first: {others[0].path.name})" if others else ""
+    return LeftOut(
+        {p.path: f"{p.band or 'colour'}: {used} used" for p in others}, group,
+        f"{len(others)} picture(s) of single bands are left out{first}: of a multispectral camera {used} used",
+    )  # fmt: skip
 
 
 def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> str:

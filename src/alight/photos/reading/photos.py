@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from alight.arrays import U8
 from alight.geometry import Camera
 from alight.photos.reading.photo_camera import (
     GUESSED,
@@ -25,7 +24,7 @@ from alight.photos.reading.photo_camera import (
     photo_camera,
     photo_readout,
 )
-from alight.photos.reading.photo_pixels import PhotoPixels, PictureMemory
+from alight.photos.reading.photo_pixels import PhotoPixels, PictureMemory, PictureReader
 from alight.photos.reading.photo_pose import (
     BODY_FROM_CAM,
     local_frame,
@@ -35,19 +34,16 @@ from alight.photos.reading.photo_pose import (
     rtk_fix,
     with_supposed_altitudes,
 )
-from alight.photos.reading.photo_selection import band_to_use, false_colours, thermal_photos
+from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_photos, without_extra
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.photos.reading.repeated import repeated_photos
-from alight.raster import grey_levels
 from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import Settings
 from alight.sources.calibration import read_camchain
-from alight.sources.image_formats import Levels, levels_of, missing_extra
-from alight.sources.images import UNREADABLE, read_image
+from alight.sources.images import UNREADABLE
 from alight.sources.source import Source
 
 SECOND = 1_000_000_000  # ns
-LEVELS_OF = 24  # pictures by which the range of a set is found
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
 
 
@@ -77,9 +73,8 @@ class Photos(Source):
     ) -> None:
         super().__init__()
         self._root = root
-        self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb, self._read_pixels)
-        self._levels: dict[Path, Levels] = {}  # of pictures with more than eight bits
-        self._false_colours = ""  # what they show
+        self._reader = PictureReader()
+        self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb, self._reader.read)
         self._tags: dict[Path, PhotoTags] = {}  # of all photos that can be read
         self._left_out: dict[Path, str] = {}  # reasons
         self.findings.expect("photos", len(files))
@@ -88,8 +83,10 @@ class Photos(Source):
             self.findings.warn(f"no permission to read {names}: photos in there are left out")
         generic = root.name.lower() in ("images", "photos", "dcim", "jpg")
         self.name = root.parent.name if generic else root.name
-        photos = self._without_repeated(self._readable(self._with_extras(files), read))
-        photos = self._of_cameras(self._of_one_band(self._without_thermal(photos)), settings)
+        photos = self._readable(files, read)
+        photos = self._without(photos, repeated_photos(photos, self._reader.pixels_of))
+        photos = self._without(photos, thermal_photos(photos))
+        photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
         photos, supposed = with_supposed_altitudes(photos)
         if supposed:
             self.findings.warn(f"no photo says its altitude: {supposed}, heights above the sea are not known")
@@ -108,7 +105,7 @@ class Photos(Source):
         self.length = len(ordered)
         self.local = local_frame([p for _, p in ordered])
         self.rig = self._calibrate(settings)
-        self._settle_pictures()
+        self.notes |= self._reader.settle([p for _, p in ordered])
         self._note()
 
     def events(self) -> Iterator[Event]:
@@ -158,54 +155,18 @@ class Photos(Source):
         self.findings.lose("photos", self._name_of(path), why)
         self._left_out[path] = why
 
-    def _without(self, photos: list[PhotoTags], reasons: dict[Path, str], group: str) -> list[PhotoTags]:
+    def _without(self, photos: list[PhotoTags], left_out: LeftOut) -> list[PhotoTags]:
         """The photos that nothing speaks against; the others are counted by the name of their group."""
-        self._left_out |= reasons
-        self.findings.counts |= {group: len(reasons)} if reasons else {}
-        return [p for p in photos if p.path not in reasons]
-
-    def _with_extras(self, files: Sequence[Path]) -> list[Path]:
-        """The files that can be read with the extras that are installed."""
-        lacking = {path: str(error) for path in files if (error := missing_extra(path)) is not None}
-        for why, count in Counter(lacking.values()).items():
-            if len(lacking) == len(files):
-                raise InputError(f"{files[0].parent}: {count} of {len(files)} photos cannot be read: {why}")
-            self.findings.warn(f"{count} photo(s) are left out: {why}")
-        self._left_out |= lacking
-        return [path for path in files if path not in lacking]
-
-    def _read_pixels(self, path: Path, size: tuple[int, int]) -> U8:
-        pixels = read_image(path, size, self._levels.get(path))
-        return grey_levels(pixels) if self._false_colours else pixels
-
-    def _pixels_of(self, photo: PhotoTags) -> U8:
-        return self._read_pixels(photo.path, photo.size)
-
-    def _settle_pictures(self) -> None:
-        """Find one range for pictures with more than eight bits; of false colours, only the brightness is used."""
-        photos = [p for _, p in self._photos]
-        deep = [p.path for p in photos if p.bits > 8]
-        if levels := levels_of(deep[:: -(-len(deep) // LEVELS_OF)]) if deep else None:
-            self._levels = dict.fromkeys(deep, levels)
-            self.notes["levels"] = f"{levels.low:g} to {levels.high:g} of {len(deep)} pictures become 0 to 255"
-        if shows := false_colours(photos, self._pixels_of):
-            self._false_colours = self.notes["false_colours"] = shows
-            self.findings.warn(
-                f"the colours of all {len(photos)} pictures show {shows} (first: {photos[0].path.name}): they are "
-                "read as grey, and refuse no water or plants; give colour pictures as well"
-            )
-
-    def _without_repeated(self, photos: list[PhotoTags]) -> list[PhotoTags]:
-        repeated = repeated_photos(photos, self._pixels_of)
-        if repeated:
-            self.findings.warn(
-                f"{len(repeated)} photo(s) are in the set twice and count once (first: {repeated[0].path.name})"
-            )
-        return self._without(photos, {p.path: "the set holds it twice" for p in repeated}, "repeated photos")
+        self._left_out |= left_out.reasons
+        self.findings.counts |= {left_out.group: len(left_out.reasons)} if left_out.reasons else {}
+        if left_out.warning:
+            self.findings.warn(left_out.warning)
+        return [p for p in photos if p.path not in left_out.reasons]
 
     def _readable(self, files: Sequence[Path], read: Callable[[Path], tuple[PhotoTags, str]]) -> list[PhotoTags]:
-        damaged = list[str]()
-        for path in files:
+        damaged, lacking = list[str](), without_extra(files)
+        self._without([], lacking)
+        for path in (f for f in files if f not in lacking.reasons):
             try:
                 self._tags[path], problem = read(path)
             except UNREADABLE as e:
@@ -219,27 +180,9 @@ class Photos(Source):
                 "what can be picked out of it is used"
             )
         if not self._tags:
-            raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
+            why = lacking.warning or "copy them again"
+            raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; {why}")
         return list(self._tags.values())
-
-    def _without_thermal(self, photos: list[PhotoTags]) -> list[PhotoTags]:
-        thermal = thermal_photos(photos)
-        if thermal:
-            self.findings.warn(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
-        return self._without(photos, {p.path: "a thermal picture" for p in thermal}, "thermal pictures")
-
-    def _of_one_band(self, photos: list[PhotoTags]) -> list[PhotoTags]:
-        band = band_to_use(photos)
-        if band is None:
-            return photos
-        others = [p for p in photos if p.band != band]
-        used = f"band {band.removeprefix('band ')} is" if band else "the colour pictures are"
-        first = f" (first: {others[0].path.name})" if others else ""
-        self.findings.warn(
-            f"{len(others)} picture(s) of single bands are left out{first}: of a multispectral camera {used} used"
-        )
-        reasons = {p.path: f"{p.band or 'colour'}: {used} used" for p in others}
-        return self._without(photos, reasons, "pictures of other bands")
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
@@ -259,7 +202,7 @@ class Photos(Source):
                 f"{out[camera]}"
             )
         return self._without(
-            photos, {p.path: out[p.camera] for p in photos if p.camera in out}, "photos of another camera"
+            photos, LeftOut({p.path: out[p.camera] for p in photos if p.camera in out}, "photos of another camera")
         )
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
@@ -333,7 +276,10 @@ class Photos(Source):
         low = sum(p.position is None and p.place is not None for p in photos)
         but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
         half, turned = sum(p.hemisphere_missing for p in photos), sum(p.turned > 0 for p in photos)
+        shows = self.notes.get("false_colours", "")
         for count, warning in (
+            (len(photos) if shows else 0, f"the colours of all {len(photos)} pictures show {shows} (first: "
+             f"{photos[0].path.name}): they are read as grey, and refuse no water or plants; give colour pictures too"),
             (missing, f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the "
              "pictures alone"),
             (half, f"{half} photo(s) do not say whether their place is north or south, east or west: north and east "

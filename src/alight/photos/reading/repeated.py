@@ -11,13 +11,14 @@ import cv2
 import numpy as np
 
 from alight.arrays import F64, U8
+from alight.photos.reading.photo_selection import LeftOut
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.raster import grey_levels
 
 ALIKE = 0.98  # correlation of two small pictures; neighbours that overlap by 90 % have less
 
 
-def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> list[PhotoTags]:
+def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> LeftOut:
     """Photos of which the set holds a better copy: larger, or else with the shorter name.
 
     Copies have equal bytes; or camera, time and place are equal, and the pictures look alike.
@@ -34,7 +35,8 @@ def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]
     for group in _groups([p for p in best_first if p.path in left], _exposure_of):
         small = [_small(p, read) for p in group]
         out += [p for k, p in enumerate(group) if any(_alike(small[k], s) for s in small[:k])]
-    return out
+    warning = f"{len(out)} photo(s) are in the set twice and count once (first: {out[0].path.name})" if out else ""
+    return LeftOut({p.path: "the set holds it twice" for p in out}, "repeated photos", warning)
 
 
 def _groups(photos: Iterable[PhotoTags], key: Callable[[PhotoTags], Hashable]) -> list[list[PhotoTags]]:
