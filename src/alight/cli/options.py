@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -48,6 +49,10 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Another seed, another 
 Out = Annotated[Path, typer.Option("--out", metavar="OUT", help="Folder for the results.")]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster that does the work: tcp://host:8786.")
+]
+Places = Annotated[
+    Path | None,
+    typer.Option("--places", metavar="FILE", help="Places of photos instead of their tags: geo.txt or CSV."),
 ]
 
 
@@ -100,9 +105,15 @@ class RouteOptions(ResultOptions):
             metavar="LAT,LON,ALT_MSL", help="Where the vehicle is armed; heights of route.plan count from it."
         ),
     ] = None
-    geoid: Annotated[Path | None, typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF) for --home.")] = (
-        None
-    )
+    geoid: Annotated[
+        Path | None,
+        typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF): of --home, and of photos above the sea."),
+    ] = None
+
+
+def assigned(key: str, value: Path | None) -> list[str]:
+    """The assignment of an option that sets a key; none without it."""
+    return [] if value is None else [f"{key}={json.dumps(str(value))}"]
 
 
 def yaml_text(file: Path) -> str:

@@ -39,6 +39,7 @@ class RunOptions(options.RouteOptions):
     prior_dem: Annotated[
         Path | None, typer.Option(metavar="DEM", help="Heights from elsewhere: to begin with and to compare with.")
     ] = None
+    places: options.Places = None
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
     ] = False
@@ -49,11 +50,18 @@ class RunOptions(options.RouteOptions):
 @options.command_of(RunOptions)
 def run(o: RunOptions) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
-    chosen = o.read_settings(after=[f"parallax.quality={o.quality}"] if o.quality else ())
+    chosen = o.read_settings(
+        after=[
+            *([f"parallax.quality={o.quality}"] if o.quality else ()),
+            *options.assigned("sources.places", o.places),
+            # a recording is run with the settings of its flight if none are given
+            *options.assigned("sources.geoid", None if o.source.suffix == ".mcap" else o.geoid),
+        ]
+    )
     from alight.runner import replay
     from alight.runs import known_home
 
-    armed_at = known_home(o.home, o.geoid)
+    armed_at = known_home(o.home, o.geoid if o.home else None)
     wishes = replay.Find(chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at)
     with progress_bar() as report:
         result = replay.find(o.source, o.out, wishes, report)
@@ -67,6 +75,7 @@ class CheckOptions(options.SettingsOptions):
     source: Annotated[
         Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/), a recording (.mcap), or photos.")
     ]
+    places: options.Places = None
     seconds: Annotated[float, typer.Option(min=1.0, help="How much of the recording is read.")] = 10.0
     start: Annotated[float, typer.Option(min=0.0, help="Seconds from the first exposure at which to begin.")] = 0.0
     as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False
@@ -79,7 +88,7 @@ def check(o: CheckOptions) -> None:
 
     Of photos: the facts in their tags, one line a photo.
     """
-    chosen = o.read_settings()
+    chosen = o.read_settings(after=options.assigned("sources.places", o.places))
     from alight.checks.checking import check_source
     from alight.checks.result import Judged
     from alight.records import PhotoRow

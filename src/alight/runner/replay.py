@@ -146,6 +146,8 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
     """
     source = open_source(path, how.settings)
     settings = settings_for(source, how.settings)
+    if settings.sources.geoid is not None and how.home is None and source.kind != "photos":
+        raise InputError(f"--geoid {settings.sources.geoid}: is for --home and for photos; give the home as well")
     digest = source.digest()
     if not digest and (option := "--resume" if how.resume else how.scheduler and "--scheduler"):
         raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")

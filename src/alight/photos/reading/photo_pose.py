@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -66,7 +65,9 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """1-sigma (3,) of east, north, up in metres: the receiver's, else that of a consumer receiver."""
+    """1-sigma (3,) of east, north, up in metres: that of the file of places, or of the receiver, else a consumer's."""
+    if tags.settled is not None and tags.settled.sigma is not None:
+        return np.array(tags.settled.sigma)
     own = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
     if (fix := rtk_fix(tags)) in LEAST_SIGMA and all(s is not None and s > 0 for s in own):
         return np.asarray(np.maximum(np.array(own, dtype=np.float64), LEAST_SIGMA[fix]))
@@ -80,27 +81,15 @@ def position_sigma(tags: PhotoTags) -> F64:
 
 
 def rtk_fix(tags: PhotoTags) -> str:
-    """The kind of fix by DJI's flag; empty without it."""
+    """The kind of fix: the file of places, else by DJI's flag; empty without it."""
+    if tags.settled is not None and tags.settled.source:
+        return tags.settled.source
     flag = tags.xmp_number("dji:RtkFlag")
     if flag is None:
         return ""
     if flag in range(32, 50):
         return "RTK float"
     return {50: "RTK fixed", 16: "single point"}.get(int(flag), "")
-
-
-def with_supposed_altitudes(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], str]:
-    """Assume altitudes for a set in which no photo has one; return their kind as well, empty if none was assumed.
-
-    They are altitudes above take-off, where all photos have them, else one altitude for all.
-    """
-    placed = [p for p in photos if p.place is not None]
-    if not placed or any(p.position is not None for p in placed):
-        return list(photos), ""
-    relative = [p.relative_altitude for p in placed]
-    if all(r is not None for r in relative):
-        return [replace(p, supposed_altitude=p.relative_altitude) for p in photos], "the height above take-off is used"
-    return [replace(p, supposed_altitude=0.0) for p in photos], "the flight is taken as level"
 
 
 def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:

@@ -36,6 +36,16 @@ class PhotoCamera(NamedTuple):
         return f"{self.make or 'unknown'} {self.model or 'camera'}, {width}x{height}{focal}{band}"
 
 
+class Position(NamedTuple):
+    """Where a photo was taken, as settled for the whole set."""
+
+    place: tuple[float, float] | None  # latitude, longitude, degrees
+    altitude: float | None  # metres
+    altitude_kind: str  # what it counts from
+    source: str = ""  # file; empty: tags
+    sigma: tuple[float, float, float] | None = None  # metres, east, north, up; None: as by the tags
+
+
 @dataclass(frozen=True)
 class PhotoTags:
     """The tags of one photo, as written: degrees, metres, no derived values."""
@@ -45,7 +55,7 @@ class PhotoTags:
     exif: Mapping[int, Any]  # main and photo directory, by tag number
     gps: Mapping[int, Any]
     xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
-    supposed_altitude: float | None = None  # metres, where the photo itself has none
+    settled: Position | None = None  # position of the photo; None: that of its own tags
     bits: int = 8  # of the deepest value of the picture
     is_radiometric: bool = False  # a JPEG with the temperatures of a FLIR camera in it
 
@@ -92,9 +102,15 @@ class PhotoTags:
         0 and 1 were about the sea level, and in practice about either. DJI names a fused or an RTK altitude. Parrot
         documents its own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
         """
-        if (altitude := self._written_altitude()) is None:
+        if self.settled is not None:
+            return self.settled.altitude_kind
+        return self.kind_of(self._written_altitude())
+
+    def kind_of(self, altitude: float | None) -> str:
+        """As `altitude_kind`, for one of the altitudes of the photo."""
+        if altitude is None:
             return "not said"
-        code = self._altitude_code if altitude == self._exif_altitude else None
+        code = self._altitude_code if altitude == self.exif_altitude else None
         model = self.text(Base.Model).lower().replace(" ", "")
         datum = (self.xmp.get("camera:VertCS") or self.xmp.get("skydio:VertCS") or "").lower()
         rtk = self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt"
@@ -132,22 +148,29 @@ class PhotoTags:
     @property
     def position(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (degrees), altitude (metres above the maker's datum); None without a fix."""
-        place, altitude = self.place, self._written_altitude()
-        altitude = self.supposed_altitude if altitude is None else altitude
-        return None if place is None or altitude is None else (*place, altitude)
+        altitude = self._written_altitude() if self.settled is None else self.settled.altitude
+        return None if self.place is None or altitude is None else (*self.place, altitude)
 
     @property
     def place(self) -> tuple[float, float] | None:
         """Latitude and longitude in degrees; None without a fix."""
-        latitude = _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S")
-        longitude = _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W")
-        if latitude is None or longitude is None:
-            latitude = self.xmp_number("dji:GpsLatitude")
-            longitude = self._first_of("dji:GpsLongitude", "dji:GpsLongtitude")  # both are DJI's spelling
-        if latitude is None or longitude is None:
-            return None
-        on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
-        return (latitude, longitude) if on_earth and (latitude, longitude) != (0, 0) else None
+        return (self.exif_place or self.xmp_place) if self.settled is None else self.settled.place
+
+    @property
+    def exif_place(self) -> tuple[float, float] | None:
+        """Latitude and longitude in degrees by EXIF; None without a fix."""
+        return _on_earth(
+            _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S"),
+            _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W"),
+        )
+
+    @property
+    def xmp_place(self) -> tuple[float, float] | None:
+        """Latitude and longitude in degrees by XMP; None without a fix."""
+        return _on_earth(
+            self.xmp_number("dji:GpsLatitude"),
+            self._first_of("dji:GpsLongitude", "dji:GpsLongtitude"),  # both are DJI's spelling
+        )
 
     @property
     def relative_altitude(self) -> float | None:
@@ -170,15 +193,27 @@ class PhotoTags:
         return reference[0] if isinstance(reference, bytes) and reference else reference
 
     @property
-    def _exif_altitude(self) -> float | None:
+    def exif_altitude(self) -> float | None:
+        """Metres by EXIF, below the surface that they count from negative; None when absent."""
         exif = finite(self.gps.get(Gps.GPSAltitude))
         return -exif if exif is not None and self._altitude_code in (1, 3) else exif
 
+    @property
+    def absolute_altitude(self) -> float | None:
+        """Metres by DJI's XMP; None when absent."""
+        return self.xmp_number("dji:AbsoluteAltitude")
+
     def _written_altitude(self) -> float | None:
-        exif, absolute = self._exif_altitude, self.xmp_number("dji:AbsoluteAltitude")
+        exif, absolute = self.exif_altitude, self.absolute_altitude
         if absolute is not None and (exif is None or abs(exif - absolute) > 1):
             return absolute  # some firmware leaves the EXIF altitude at zero
         return exif
+
+
+def _on_earth(latitude: float | None, longitude: float | None) -> tuple[float, float] | None:
+    if latitude is None or longitude is None or (latitude, longitude) == (0, 0):
+        return None
+    return (latitude, longitude) if abs(latitude) <= 90 and abs(longitude) <= 180 else None
 
 
 def finite(value: Any) -> float | None:

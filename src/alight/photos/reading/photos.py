@@ -32,10 +32,10 @@ from alight.photos.reading.photo_pose import (
     photo_attitude,
     position_sigma,
     rtk_fix,
-    with_supposed_altitudes,
 )
 from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_photos, without_extra
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
+from alight.photos.reading.positions import flights_of, settle_positions
 from alight.photos.reading.repeated import repeated_photos
 from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import Settings
@@ -87,10 +87,12 @@ class Photos(Source):
         photos = self._without(photos, repeated_photos(photos, self._reader.pixels_of))
         photos = self._without(photos, thermal_photos(photos))
         photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
-        photos, supposed = with_supposed_altitudes(photos)
-        if supposed:
-            self.findings.warn(f"no photo says its altitude: {supposed}, heights above the sea are not known")
-            self._tags |= {p.path: p for p in photos}
+        positions = settle_positions(photos, root, settings.sources)
+        photos = positions.photos
+        self._tags |= {p.path: p for p in photos}
+        for warning in positions.warnings:
+            self.findings.warn(warning)
+        self.notes |= {"positions_from": positions.source, "heights_count_from": positions.counted_from}
         if not any(p.position for p in photos):
             raise InputError(f"{root}: no photo has a GPS position; photos need EXIF GPS latitude and longitude")
         ordered = self._in_order(photos)[settings.sources.skip :: settings.sources.every]
@@ -101,7 +103,7 @@ class Photos(Source):
         self._left_out |= dict.fromkeys(skipped, "by sources.skip or sources.every")
         self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
         self._names = _names([p for _, p in ordered], root)
-        self._flights = _flights([p for _, p in ordered])
+        self._flights = flights_of([p for _, p in ordered])
         self.length = len(ordered)
         self.local = local_frame([p for _, p in ordered])
         self.rig = self._calibrate(settings)
@@ -140,7 +142,7 @@ class Photos(Source):
         of = blake2b()
         for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             with tags.path.open("rb") as file:
-                line = f"{name} {t_ns} {tags.xmp} {file_digest(file, blake2b).hexdigest()}\n"
+                line = f"{name} {t_ns} {tags.xmp} {tags.settled} {file_digest(file, blake2b).hexdigest()}\n"
             of.update(line.encode(errors="surrogateescape"))
         return of.hexdigest()
 
@@ -266,9 +268,9 @@ class Photos(Source):
             "attitude_from": dict(kinds),
             "position_sigma": np.median([position_sigma(p) for p in photos], axis=0).round(3).tolist(),
         }
-        if set(flags) - {"RTK fixed"}:
+        if not str(self.notes["heights_count_from"]).startswith("ellipsoid"):
             self.notes["height_note"] = (
-                "without an RTK fix a drone's altitude may be above sea level, not the ellipsoid"
+                "an altitude above sea level lies up to 100 m from one above the ellipsoid: all heights alike"
             )
         if self._flights[-1]:
             self.notes["flights"] = self._flights[-1] + 1
@@ -315,16 +317,6 @@ def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
     """File names; with the folder where two folders have the same one."""
     taken = Counter(p.path.name for p in photos)
     return [p.path.name if taken[p.path.name] == 1 else p.path.relative_to(root).as_posix() for p in photos]
-
-
-def _flights(photos: Sequence[PhotoTags]) -> list[int]:
-    """Number of the flight of each photo, from 0: another one begins after five minutes without a photo."""
-    out, flight, before = list[int](), 0, None
-    for taken in (tags.time_ns for tags in photos):
-        flight += before is not None and taken is not None and taken - before > 300 * SECOND
-        before = before if taken is None else taken
-        out.append(flight)
-    return out
 
 
 def spread_times(times: Sequence[int]) -> list[int]:

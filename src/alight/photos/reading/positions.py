@@ -1,0 +1,257 @@
+"""Positions of a set of photos: which source of place and height is used, and what heights count from."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.photos.reading.photo_tags import PhotoTags, Position
+from alight.photos.reading.places import Places, places_beside, read_places
+from alight.records import InputError
+from alight.settings.user import SourcesKeys
+
+METRES_A_DEGREE = 111_194.0
+SAME_ALTITUDE = 1.0  # m; two altitudes of a photo that differ by more are two numbers
+STEADY = 5.0  # m; altitudes above sea and above take-off may drift apart by as much in a flight
+
+
+class Positions(NamedTuple):
+    """A set with the position of each photo settled."""
+
+    photos: list[PhotoTags]
+    source: str  # of places and heights, in words
+    warnings: list[str]
+    counted_from: str = ""  # surface that heights count from
+
+
+def settle_positions(photos: Sequence[PhotoTags], root: Path, sources: SourcesKeys) -> Positions:
+    """Settle the positions of a set: by the file of places that is named, or stands beside, else by the tags.
+
+    Raises:
+        InputError: the file, or the geoid, cannot be used.
+    """
+    file = sources.places
+    path = places_beside(root) if file is None else None if file == "tags" else Path(file).expanduser()
+    if path is not None:
+        names = [p.path.relative_to(root).as_posix() for p in photos]
+        found = positions_by_file(photos, names, read_places(path))
+    else:
+        timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
+        found = positions_by_tags(timed, flights_of(timed))
+    geoid = None if sources.geoid is None else Path(sources.geoid).expanduser()
+    moved, counted_from, warnings = above_ellipsoid(found.photos, geoid)
+    return found._replace(photos=moved, counted_from=counted_from, warnings=found.warnings + warnings)
+
+
+def flights_of(photos: Sequence[PhotoTags]) -> list[int]:
+    """Number of the flight of each photo, from 0: another one begins after five minutes without a photo."""
+    out, flight, before = list[int](), 0, None
+    for taken in (tags.time_ns for tags in photos):
+        flight += before is not None and taken is not None and taken - before > 300_000_000_000
+        before = before if taken is None else taken
+        out.append(flight)
+    return out
+
+
+def positions_by_file(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> Positions:
+    """The photos with the places of a file instead of those of their tags.
+
+    Photos without a row have no position: their tags may count from elsewhere.
+
+    Raises:
+        InputError: no row fits a photo, or x and y are exchanged.
+    """
+    found, file = places.of(names), places.file.name
+    if not found:
+        first = next(iter(places.rows))
+        raise InputError(f"{places.file}: none of its {len(places.rows)} names is that of a photo (first: {first})")
+    _check_order(photos, names, places)
+    out, lack = list[PhotoTags](), [n for n in names if n not in found]
+    for photo, name in zip(photos, names, strict=True):
+        if name not in found:
+            out.append(replace(photo, settled=Position(None, None, places.datum, file)))
+            continue
+        at = found[name]
+        tagged = photo.position if math.isnan(at.height) else None
+        altitude = at.height if tagged is None and not math.isnan(at.height) else tagged and tagged[2]
+        kind = photo.altitude_kind if math.isnan(at.height) else places.datum
+        out.append(replace(photo, settled=Position((at.latitude, at.longitude), altitude, kind, file, at.sigma)))
+    warnings, others = [], len(places.rows) - len(found)
+    if lack:
+        warnings.append(f"{file}: {len(lack)} photo(s) have no row (first: {lack[0]}): the pictures alone place them")
+    if others:
+        warnings.append(f"{file}: {others} row(s) name no photo of the set")
+    return Positions(out, f"{file} ({places.settled}): {len(found)} of {len(photos)} photos", warnings)
+
+
+def _check_order(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> None:
+    """Refuse a file whose places are those of the tags with latitude and longitude exchanged."""
+    found = places.of(names)
+    pairs = [(p.place, found[n]) for p, n in zip(photos, names, strict=True) if n in found and p.place is not None]
+    if not pairs:
+        return
+    tags, rows = np.array([t for t, _ in pairs]), np.array([(r.latitude, r.longitude) for _, r in pairs])
+    straight, exchanged = (np.median(np.abs(tags - r).max(axis=1)) for r in (rows, rows[:, ::-1]))
+    if straight > 1.0 and exchanged < 0.1 * straight:
+        raise InputError(
+            f"{places.file}: its places lie {straight:.0f} degrees from those of the tags, and with latitude and "
+            "longitude exchanged they do not: write x (longitude) before y (latitude)"
+        )
+
+
+def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Positions:
+    """The photos with the finer of two places, and the altitude that the others confirm.
+
+    Args:
+        photos: in order of time.
+        flights: number of the flight of each: heights above take-off of two flights differ.
+    """
+    places, warnings = _finer_places(photos)
+    altitudes, source = _altitudes(photos, np.array(flights), warnings)
+    out = []
+    for photo, place, altitude in zip(photos, places, altitudes, strict=True):
+        known = None if math.isnan(altitude) else altitude
+        out.append(replace(photo, settled=Position(place, known, photo.kind_of(known))))
+    placed = [p for p in out if p.place is not None]
+    if placed and not any(p.position is not None for p in placed):
+        relative = [p.relative_altitude for p in placed]
+        by_takeoff = all(r is not None for r in relative)
+        source = "the height above take-off is used" if by_takeoff else "the flight is taken as level"
+        warnings.append(f"no photo says its altitude: {source}, heights above the sea are not known")
+        out = [_with_altitude(p, (p.relative_altitude or 0.0) if by_takeoff else 0.0) for p in out]
+    return Positions(out, source, warnings)
+
+
+def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
+    assert photo.settled is not None
+    return replace(photo, settled=photo.settled._replace(altitude=altitude))
+
+
+def _finer_places(photos: Sequence[PhotoTags]) -> tuple[list[tuple[float, float] | None], list[str]]:
+    """Places by EXIF, or by XMP where that has more digits and lies within what EXIF has lost."""
+    own = [p.place for p in photos]
+    both = [k for k, p in enumerate(photos) if p.exif_place is not None and p.xmp_place is not None]
+    if not both:
+        return own, []
+    exif, xmp = (np.array([getattr(photos[k], f"{n}_place") for k in both]) for n in ("exif", "xmp"))
+    step, finer = _step(3600 * exif) / 3600, _step(xmp)
+    off = float(np.abs(exif - xmp).max())
+    if step * METRES_A_DEGREE < 0.05 or finer >= step:
+        return own, []
+    lost = f"places in EXIF have steps of {step * METRES_A_DEGREE:.2g} m"
+    if off > 1.01 * step:
+        return own, [f"{lost}, and those in XMP lie up to {off * METRES_A_DEGREE:.1f} m away: those in EXIF are used"]
+    for k, place in zip(both, xmp.tolist(), strict=True):
+        own[k] = (place[0], place[1])
+    return own, [f"{lost}: those in XMP are used, which are finer"]
+
+
+def _step(values: F64) -> float:
+    """The largest power of ten, at most 1, that all values are multiples of; 1e-9 at least."""
+    for digits in range(9):
+        scaled = values * 10.0**digits
+        if np.abs(scaled - np.rint(scaled)).max() < 1e-3:
+            return float(10.0**-digits)
+    return 1e-9
+
+
+def _altitudes(photos: Sequence[PhotoTags], flights: I64, warnings: list[str]) -> tuple[F64, str]:
+    """(n,) metres, the altitudes used, NaN where there is none, and the tag that most are of."""
+    exif, absolute, relative = (
+        np.array([math.nan if (v := getattr(p, name)) is None else v for p in photos])
+        for name in ("exif_altitude", "absolute_altitude", "relative_altitude")
+    )
+    exif = np.where((exif == 0.0) & (np.abs(absolute) > SAME_ALTITUDE), math.nan, exif)  # left at zero by the maker
+    both = np.isfinite(exif) & np.isfinite(absolute)
+    use_exif = True
+    if both.any():
+        off = (exif - absolute)[both]
+        steps = {"EXIF": _step(exif[both]), "XMP": _step(absolute[both])}
+        coarser = max(steps.values())
+        if float(np.ptp(off)) > max(SAME_ALTITUDE, 2 * coarser):
+            drifts = [_drift(a[both] - relative[both], flights[both]) for a in (exif, absolute)]
+            by_takeoff = np.isfinite(drifts).all() and abs(drifts[0] - drifts[1]) > SAME_ALTITUDE
+            use_exif = drifts[0] < drifts[1] if by_takeoff else steps["EXIF"] < steps["XMP"]
+            why = "agree with the heights above take-off" if by_takeoff else "are finer"
+            warnings.append(
+                f"altitudes in EXIF and XMP differ by {off.min():+.1f} to {off.max():+.1f} m: one is wrong; those in "
+                f"{'EXIF' if use_exif else 'XMP'} {why} and are used"
+            )
+        elif abs(float(np.median(off))) > max(SAME_ALTITUDE, coarser):
+            use_exif = False
+            warnings.append(
+                f"altitudes in EXIF lie {abs(np.median(off)):.1f} m {'above' if np.median(off) > 0 else 'below'} those "
+                "in XMP in all photos: they count from another surface; those in XMP are used"
+            )
+        else:
+            use_exif = steps["EXIF"] <= steps["XMP"]
+    first, second = (exif, absolute) if use_exif else (absolute, exif)
+    used = np.where(np.isfinite(first), first, second)
+    source = "EXIF altitude" if use_exif and np.isfinite(exif).any() else "XMP AbsoluteAltitude"
+    return _checked_by_takeoff(used, relative, flights, warnings), source
+
+
+def _checked_by_takeoff(used: F64, relative: F64, flights: I64, warnings: list[str]) -> F64:
+    """Altitudes that follow the heights above take-off; where they stand still and these do not, these are used."""
+    known = np.isfinite(used) & np.isfinite(relative)
+    if known.sum() < 3:
+        return used
+    drift = _drift((used - relative)[known], flights[known])
+    if drift <= 2 * STEADY:
+        return used
+    stuck = bool(np.ptp(used[known]) <= SAME_ALTITUDE)
+    what = "the altitudes stand still" if stuck else f"altitudes and heights above take-off drift {drift:.0f} m apart"
+    chosen = "the heights above take-off decide" if stuck else "one is wrong; the altitudes are used"
+    warnings.append(f"{what} in a flight: {chosen}")
+    return np.asarray(np.where(known, relative + np.median((used - relative)[known]), used)) if stuck else used
+
+
+def _drift(difference: F64, flights: I64) -> float:
+    """How far a difference (n,) changes within a flight, metres, nine of ten photos; NaN: nowhere known."""
+    parts = [difference[(flights == f) & np.isfinite(difference)] for f in np.unique(flights)]
+    return max((float(np.ptp(np.percentile(p, [5, 95]))) for p in parts if len(p)), default=math.nan)
+
+
+def above_ellipsoid(photos: Sequence[PhotoTags], geoid: Path | None) -> tuple[list[PhotoTags], str, list[str]]:
+    """The photos with heights above the ellipsoid where the evidence allows it; what heights count from; warnings.
+
+    Only altitudes that are known to count from the sea level are converted, by the geoid at the middle of the set.
+
+    Raises:
+        InputError: the geoid cannot be used.
+    """
+    kinds = Counter(p.altitude_kind for p in photos if p.position is not None)
+    counted = ", ".join(kind for kind, _ in kinds.most_common())
+    if geoid is None:
+        return list(photos), counted, []
+    at_sea = {
+        p.path: p.place for p in photos if p.position is not None and re.match(r"sea level($| \()", p.altitude_kind)
+    }
+    unknown = sum(n for kind, n in kinds.items() if kind.startswith("sea level or"))
+    warnings = [
+        f"--geoid: {unknown} height(s) are not known to count from the sea level and stay as they are; to declare it, "
+        "give them by --places with a column altitude_msl, or with a system such as EPSG:4326+5773"
+    ] * bool(unknown)
+    if not at_sea:
+        return list(photos), counted, warnings
+    from alight.sources.geoid import separation_at
+
+    latitude, longitude = np.median([place for place in at_sea.values() if place is not None], axis=0)
+    separation = separation_at(geoid, float(latitude), float(longitude))
+    moved = [_moved(p, separation) if p.path in at_sea else p for p in photos]
+    return moved, f"ellipsoid, by {geoid.name}: {separation:+.2f} m from sea level", warnings
+
+
+def _moved(photo: PhotoTags, up: float) -> PhotoTags:
+    assert photo.settled is not None
+    assert photo.settled.altitude is not None
+    kind = "ellipsoid (by a geoid)"
+    return replace(photo, settled=photo.settled._replace(altitude=photo.settled.altitude + up, altitude_kind=kind))
