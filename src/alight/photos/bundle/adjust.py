@@ -77,7 +77,8 @@ def adjust(
         np.array([f.t_ns * 1e-9 for f in frames]), frames,
     )  # fmt: skip
     progress(1.0)
-    attitude = any(n is not None and n.world_from_body is not None for n in nav)
+    wrong = () if solved is None else solved.first.contradicted
+    attitude = any(n is not None and n.world_from_body is not None for k, n in enumerate(nav) if k not in wrong)
     if solved is None or not len(solved.registered):
         return Trajectory((), rig, (why_no_motion(features, tagged),), {"registered": 0}, attitude=attitude)
     priors = replace(levelled(tagged) if solved.first.climbs else tagged, velocity=solved.priors.velocity)

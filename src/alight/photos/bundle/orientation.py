@@ -221,31 +221,34 @@ def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal
     """Turn the averaged rotations of one component into the world.
 
     `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
-    Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of two
-    starts, one with the heading of the gimbal and one without, the one that fits better is taken. The common
-    error of all headings counts once, not once a photo.
+    Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of three
+    starts, with the heading of the gimbal, without it, and with cameras that look down, the one that fits best is
+    taken. The common error of all headings counts once, not once a photo. Tags that are wrong in most photos count in
+    none.
     """
     frame_from_cam = average_rotations(photos, pairs)
     base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
     tags = gimbal[photos]
     tagged = np.asarray(np.isfinite(tags).all(axis=(1, 2)))
+    down = np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1))
+    starts = [_world_from_frame(base, down, frame_from_cam, (2,), _NADIR_SIGMA)]
     if tagged.any():
         axes = ((2,), (0, 1, 2))
-        starts = [_world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in axes]
-    else:
-        down = np.tile(np.diag([1.0, -1.0, -1.0]), (len(photos), 1, 1))
-        starts = [_world_from_frame(base, down, frame_from_cam, (2,), _NADIR_SIGMA)]
+        starts += [_world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in axes]
     cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
     world_from_cam = R @ frame_from_cam
     heading = _common_heading(world_from_cam[tagged], tags[tagged])
     tags = so3_exp([0.0, 0.0, heading]) @ tags
     agrees = tagged & _agree(world_from_cam, tags)
     turned = tagged & ~agrees & _agree(world_from_cam, tags @ HALF_TURN)
+    wrong = tagged & ~agrees & ~turned
+    if 2 * wrong.sum() > tagged.sum():
+        without = _orient(photos, pairs, centres, sigma, np.full_like(gimbal, np.nan))
+        return replace(without, contradicted=photos[tagged])
     world_from_cam[agrees] = tags[agrees]
     world_from_cam[turned] = tags[turned] @ HALF_TURN
-    wrong = photos[tagged & ~agrees & ~turned]
     return _Oriented(
-        photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base),
+        photos, world_from_cam, photos[turned], photos[wrong], _jumped(base, R), not tagged.any() and _in_line(base),
         cost, len(base.noise), heading,
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,7 @@ GIMBALS = (
     "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
     "yuneec:Gimbal{}", "Camera{}",  # the last one of Yuneec's CGO3+
 )  # fmt: skip
+PIX4D, FLIGHT = "camera:{}", "dji:Flight{}Degree"
 ACCURACIES = (  # across, up
     ("camera:GPSXYAccuracy", "camera:GPSZAccuracy"), ("skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"),
 )  # fmt: skip
@@ -45,18 +47,49 @@ def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
     for pattern in GIMBALS:
         if (gimbal := _angles(tags, pattern)) is not None:
             return enu_from_flu(*gimbal), "gimbal"
-    if (pix4d := _angles(tags, "camera:{}")) is not None and pix4d[1] < math.radians(-45.0):
+    if (pix4d := _angles(tags, PIX4D)) is not None and pix4d[1] < math.radians(-45.0):
         return enu_from_flu(*pix4d), "camera, from the horizon"
     if pix4d is not None:
         yaw, pitch, roll = pix4d
         sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly counts roll the other way round
         return enu_from_flu(yaw, pitch, sign * roll) @ CRAFT_FROM_NADIR, "camera"
-    if (flight := _angles(tags, "dji:Flight{}Degree")) is not None:
+    if (flight := _angles(tags, FLIGHT)) is not None:
         return enu_from_flu(*flight) @ CRAFT_FROM_NADIR, "flight"
-    return None, ""
+    return None, "not used: the same in all photos" if tags.distrusted else ""
+
+
+def with_attitudes_settled(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], list[str]]:
+    """The photos without angles that cannot be attitudes, and a warning for each kind.
+
+    They are zero in all photos, or the same to the last digit although the flight turned.
+
+    Args:
+        photos: three or more; with fewer, all angles are kept.
+    """
+    same, warnings = set[str](), list[str]()
+    for pattern in (*GIMBALS, PIX4D, FLIGHT):
+        found = {angles for p in photos if (angles := _angles(p, pattern)) is not None}
+        if len(found) == 1 and len(photos) >= 3 and (not any(*found) or _turns(photos)):
+            same.add(pattern)
+            which = pattern.format("").rstrip(":").removesuffix("Degree")
+            what = "are 0" if not any(*found) else "are the same, although the flight turned,"
+            warnings.append(f"the angles {which} {what} in all photos: they are not used")
+    return [replace(p, distrusted=frozenset(same)) for p in photos] if same else list(photos), warnings
+
+
+def _turns(photos: Sequence[PhotoTags]) -> bool:
+    """Whether two legs of the flight, each longer than GPS is wrong, differ by more than 45 degrees in direction."""
+    timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
+    places = np.array([p.place for p in timed if p.place is not None]).reshape(-1, 2)
+    legs = np.diff(places, axis=0) * [111_194.0, 111_194.0 * np.cos(np.radians(places[:1, 0])).sum()]
+    long = np.linalg.norm(legs, axis=1)
+    ways = legs[long > GPS_SIGMA[0]] / long[long > GPS_SIGMA[0], None]
+    return bool(len(ways)) and bool((ways @ ways.T).min() < math.cos(math.radians(45.0)))
 
 
 def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
+    if pattern in tags.distrusted:
+        return None
     values = [v for name in ("Yaw", "Pitch", "Roll") if (v := tags.xmp_number(pattern.format(name))) is not None]
     if len(values) < 3:
         return None

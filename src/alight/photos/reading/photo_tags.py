@@ -55,9 +55,10 @@ class PhotoTags:
     exif: Mapping[int, Any]  # main and photo directory, by tag number
     gps: Mapping[int, Any]
     xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
-    settled: Position | None = None  # position of the photo; None: that of its own tags
     bits: int = 8  # of the deepest value of the picture
     is_radiometric: bool = False  # a JPEG with the temperatures of a FLIR camera in it
+    distrusted: frozenset[str] = frozenset()  # names of angles that the set shows to be no attitudes
+    settled: Position | None = None  # position of the photo; None: that of its own tags
 
     def text(self, tag: int) -> str:
         """An EXIF text, padding removed; empty when absent."""
@@ -248,6 +249,5 @@ def read_tags(path: Path) -> tuple[PhotoTags, str]:
     header = read_header(path)
     xmp = parse_xmp(header.xmp) if header.xmp else Xmp({}, "")
     is_radiometric = any(segment.startswith(b"FLIR\0") for segment in header.segments)
-    return PhotoTags(
-        path, header.size, header.exif, header.gps, xmp.values, None, header.bits, is_radiometric
-    ), xmp.fault
+    tags = PhotoTags(path, header.size, header.exif, header.gps, xmp.values, header.bits, is_radiometric)
+    return tags, xmp.fault

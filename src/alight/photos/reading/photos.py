@@ -32,6 +32,7 @@ from alight.photos.reading.photo_pose import (
     photo_attitude,
     position_sigma,
     rtk_fix,
+    with_attitudes_settled,
 )
 from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_photos, without_extra
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
@@ -88,9 +89,9 @@ class Photos(Source):
         photos = self._without(photos, thermal_photos(photos))
         photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
         positions = settle_positions(photos, root, settings.sources)
-        photos = positions.photos
+        photos, distrusted = with_attitudes_settled(positions.photos)
         self._tags |= {p.path: p for p in photos}
-        for warning in positions.warnings:
+        for warning in positions.warnings + distrusted:
             self.findings.warn(warning)
         self.notes |= {"positions_from": positions.source, "heights_count_from": positions.counted_from}
         if not any(p.position for p in photos):
