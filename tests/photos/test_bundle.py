@@ -18,6 +18,7 @@ from alight.photos.bundle.adjust import confirmed, joint_of, select, solve_bundl
 from alight.photos.bundle.exposure import exposure_gains
 from alight.photos.bundle.features import PhotoFeatures
 from alight.photos.bundle.matching import BundleObservations, Pair, match_descriptors, neighbours, tracks, verify
+from alight.photos.bundle.orientation import first_poses
 from alight.photos.bundle.priors import make_priors, rolling_priors, velocities
 from alight.photos.bundle.solver import (
     Adjustment,
@@ -246,6 +247,22 @@ def test_one_nonsense_tag_is_ignored(noisy: Scene) -> None:
     out = solved(noisy, replace(priors, world_from_body=attitude))
     assert list(out.first.contradicted) == [4]
     assert errors(noisy, out)[1] < GPS_TURN
+
+
+@pytest.mark.parametrize("kind", ["zero", "ahead", "random"])
+def test_tags_that_are_wrong_throughout_count_in_no_photo(noisy: Scene, kind: str) -> None:
+    """They decide nothing: the cameras look down, as the pictures and GPS show."""
+    priors, rng = told(noisy, lens="held"), np.random.default_rng(5)
+    true = priors.world_from_body
+    tags = {
+        "zero": np.tile(np.eye(3), (12, 1, 1)),
+        "ahead": true @ enu_from_flu(0.0, np.pi / 2, 0.0),
+        "random": np.array([enu_from_flu(*rng.uniform(-1.0, 1.0, 3)) for _ in range(12)]),
+    }[kind]
+    found = first_poses(noisy.pairs, replace(priors, world_from_body=tags))
+    assert found is not None
+    assert list(found.contradicted) == list(range(12))
+    np.testing.assert_allclose(found.rotations, np.array(noisy.body) @ LOOKS_FORWARD, atol=0.1)
 
 
 def test_without_attitude_the_pictures_and_gps_suffice(noisy: Scene) -> None:

@@ -202,13 +202,13 @@ def test_the_altitude_that_the_others_confirm(exif: Any, absolute: Any, relative
     ]
     found = positions_by_tags(photos, [0] * 6)
     np.testing.assert_allclose([p.position[2] for p in found.photos if p.position], used, atol=1e-6)
-    assert [warning in w for w in found.warnings] == ([True] if warning else [])
+    assert [warning in w for w in found.warnings + found.contradictions] == ([True] if warning else [])
 
 
 def test_each_flight_has_a_take_off_of_its_own() -> None:
     photos = [tagged(340 + u + (30 if k > 2 else 0), None, u, 400 * (k > 2) + k) for k, u in enumerate(UP)]
-    assert positions_by_tags(photos, [0, 0, 0, 1, 1, 1]).warnings == []
-    assert "drift" in positions_by_tags(photos, [0] * 6).warnings[0]
+    assert positions_by_tags(photos, [0, 0, 0, 1, 1, 1]).contradictions == []
+    assert "drift" in positions_by_tags(photos, [0] * 6).contradictions[0]
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_the_finer_place(seconds: float, xmp: str, latitude: float, warning: str
     found = positions_by_tags(photos, [0] * 3)
     assert found.photos[0].place is not None
     assert found.photos[0].place[0] == pytest.approx(latitude, abs=1e-10)
-    assert [warning in w for w in found.warnings] == ([True] if warning else [])
+    assert [warning in w for w in found.warnings + found.contradictions] == ([True] if warning else [])
 
 
 # -- datum

@@ -110,11 +110,11 @@ def test_an_autel_that_writes_its_pitch_from_the_horizon_into_the_names_of_pix4d
     [
         ({271: "DJI"}, d.dji_tags(), "ellipsoid (RTK fixed)"),
         ({271: "DJI"}, d.dji_tags(RtkFlag="", AltitudeType="RtkAlt"), "ellipsoid"),
-        ({271: "DJI"}, d.dji_tags(RtkFlag="", AltitudeType="GpsFusionAlt"), "sea level or ellipsoid: not said"),
+        ({271: "DJI"}, d.dji_tags(RtkFlag="", AltitudeType="GpsFusionAlt"), "sea level or ellipsoid: not declared"),
         ({271: "Parrot", 272: "Anafi"}, {}, "sea level (EGM96)"),
         ({271: "Parrot", 272: "AnafiAi"}, {}, "ellipsoid"),
         ({271: "Parrot", 272: "ANAFI Ai"}, {}, "ellipsoid"),
-        ({271: "Apple", 272: "iPhone 15"}, {}, "sea level or ellipsoid: not said"),
+        ({271: "Apple", 272: "iPhone 15"}, {}, "sea level or ellipsoid: not declared"),
     ],
 )
 def test_what_an_altitude_is_counted_from(tmp_path: Path, main: dict[int, str], xmp: dict[str, str], kind: str) -> None:
@@ -130,8 +130,8 @@ def test_what_an_altitude_is_counted_from(tmp_path: Path, main: dict[int, str], 
         (b"\x02", b"0300", {}, 350.0, "sea level"),
         (b"\x03", b"0300", {}, -350.0, "sea level"),
         (b"\x02", b"0232", {}, 350.0, "sea level"),
-        (b"\x00", b"0232", {}, 350.0, "sea level or ellipsoid: not said"),
-        (b"\x00", b"0300", {"AbsoluteAltitude": "+402.00"}, 402.0, "sea level or ellipsoid: not said"),
+        (b"\x00", b"0232", {}, 350.0, "sea level or ellipsoid: not declared"),
+        (b"\x00", b"0300", {"AbsoluteAltitude": "+402.00"}, 402.0, "sea level or ellipsoid: not declared"),
     ],
 )
 def test_exif_3_says_what_an_altitude_is_counted_from(

@@ -196,7 +196,7 @@ def test_a_set_without_altitudes(
     ups = [n.position_world[2] for n in of_kind(source, NavSample)]
     np.testing.assert_allclose(np.array(ups) - ups[0], np.array(heights) - heights[0], atol=0.01)
     assert source.warnings == [f"no photo says its altitude: {said}, heights above the sea are not known"]
-    assert [p.altitude_kind for p in source.photos] == ["not said"] * 3
+    assert [p.altitude_kind for p in source.photos] == ["not given"] * 3
 
 
 @pytest.mark.parametrize("place", [(-33.5, -70.25, 800.0), (45.0, 7.6, 350.0)])

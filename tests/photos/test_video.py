@@ -155,7 +155,7 @@ def test_a_video_with_heights_above_take_off_alone_says_so(video: Path) -> None:
     assert source.warnings == [
         "no photo says its altitude: the height above take-off is used, heights above the sea are not known"
     ]
-    assert {p.altitude_kind for p in source.photos} == {"not said"}
+    assert {p.altitude_kind for p in source.photos} == {"not given"}
     nav, frames = events(source)
     assert len(frames) == len(nav) == source.length
     for sample in nav:

@@ -81,29 +81,24 @@ class CheckOptions(options.SettingsOptions):
     as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False
 
 
-@app.command()
+@app.command("check")
 @options.command_of(CheckOptions)
-def check(o: CheckOptions) -> None:
-    """Find faults of a rig: cameras, mounting, clocks, units, lenses; the exit code is 3 if a check is bad.
+def check_recording(o: CheckOptions) -> None:
+    """Find faults of a rig, or whether photos will do; the exit code is 3 if a check is bad.
 
-    Of photos: the facts in their tags, one line a photo.
+    With --verbose, the facts in the tags of each photo, one line a photo.
     """
     chosen = o.read_settings(after=options.assigned("sources.places", o.places))
-    from alight.checks.checking import check_source
     from alight.checks.result import Judged
-    from alight.records import PhotoRow
-    from alight.runner.opening import open_source
+    from alight.runner.checking import check
 
-    recording = open_source(o.source, chosen)
-    if recording.photos:
-        for w in recording.warnings:
-            print_stderr(f"warning: {w}")
-        rows = [PhotoRow(p, None) for p in recording.photos]
-        _print_rows([row.line for row in rows], [row.as_json() for row in rows], o.as_json)
-        return
     with progress_bar() as report:
-        found = check_source(recording, o.seconds, o.start, lambda share: report("checking", share))
-    _print_rows([r.line for r in found], [asdict(r) for r in found], o.as_json)
+        found, photos = check(o.source, chosen, o.seconds, o.start, lambda share: report("checking", share))
+    records: list[dict[str, Any]] = [asdict(r) for r in found]
+    if photos:
+        records[-1]["photos"] = [row.as_json() for row in photos]
+    lines = [row.line for row in photos] if o.verbose else []
+    _print_rows([*lines, *(r.line for r in found)], records, o.as_json)
     if any(r.verdict is Judged.BAD for r in found):
         raise typer.Exit(ExitCode.FAULT_FOUND)
 

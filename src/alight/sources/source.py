@@ -24,6 +24,7 @@ class Findings:
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
+        self.contradictions: set[str] = set()  # sentences on data that exclude each other
         self._sentences: dict[str, None] = {}
         self._totals: dict[str, int] = {}
         self._lost: dict[str, dict[str, str]] = {}
@@ -31,6 +32,11 @@ class Findings:
     def warn(self, sentence: str) -> None:
         """Note one whole sentence, once."""
         self._sentences[sentence] = None
+
+    def contradict(self, sentence: str) -> None:
+        """Warn that data exclude each other."""
+        self.warn(sentence)
+        self.contradictions.add(sentence)
 
     def expect(self, group: str, total: int) -> None:
         """Note the number of items of a group ("cam0 images"), lost ones included."""

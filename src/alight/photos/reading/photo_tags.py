@@ -110,7 +110,7 @@ class PhotoTags:
     def kind_of(self, altitude: float | None) -> str:
         """As `altitude_kind`, for one of the altitudes of the photo."""
         if altitude is None:
-            return "not said"
+            return "not given"
         code = self._altitude_code if altitude == self.exif_altitude else None
         model = self.text(Base.Model).lower().replace(" ", "")
         datum = (self.xmp.get("camera:VertCS") or self.xmp.get("skydio:VertCS") or "").lower()
@@ -125,7 +125,7 @@ class PhotoTags:
             return "ellipsoid"
         if self.text(Base.Make).lower() == "parrot":
             return "sea level (EGM96)"
-        return "sea level or ellipsoid: not said"
+        return "sea level or ellipsoid: not declared"
 
     @property
     def turned(self) -> int:

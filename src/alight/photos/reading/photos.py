@@ -12,9 +12,11 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from hashlib import blake2b, file_digest
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from alight.arrays import U8
 from alight.geometry import Camera
 from alight.photos.reading.photo_camera import (
     GUESSED,
@@ -38,7 +40,7 @@ from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.photos.reading.positions import flights_of, settle_positions
 from alight.photos.reading.repeated import repeated_photos
-from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
+from alight.records import Event, Frame, InputError, NavSample, PhotoFacts, Rig, RigCamera
 from alight.settings import Settings
 from alight.sources.calibration import read_camchain
 from alight.sources.images import UNREADABLE
@@ -46,6 +48,14 @@ from alight.sources.source import Source
 
 SECOND = 1_000_000_000  # ns
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
+
+
+class Exposure(NamedTuple):
+    """One photo that is used."""
+
+    tags: PhotoTags
+    nav: NavSample  # by the tags
+    camera: int  # of the rig
 
 
 class Photos(Source):
@@ -93,6 +103,8 @@ class Photos(Source):
         self._tags |= {p.path: p for p in photos}
         for warning in positions.warnings + distrusted:
             self.findings.warn(warning)
+        for warning in positions.contradictions:
+            self.findings.contradict(warning)
         self.notes |= {"positions_from": positions.source, "heights_count_from": positions.counted_from}
         if not any(p.position for p in photos):
             raise InputError(f"{root}: no photo has a GPS position; photos need EXIF GPS latitude and longitude")
@@ -137,6 +149,22 @@ class Photos(Source):
             known = facts.get(path) or PhotoFacts(self._name_of(path), (0, 0), "")
             facts[path] = replace(known, left_out=why, t_ns=None)
         return [facts[path] for path in sorted(facts)]
+
+    @property
+    def exposures(self) -> list[Exposure]:
+        """The photos that are used, in order of time."""
+        return [
+            Exposure(tags, nav_sample(tags, t_ns, self.local), self._cameras.index(tags.camera))
+            for t_ns, tags in self._photos
+        ]
+
+    def read(self, tags: PhotoTags) -> U8:
+        """The pixels of a photo of the set, (H, W) grey or (H, W, 3) RGB.
+
+        Raises:
+            ValueError: as `read_image`.
+        """
+        return self._reader.pixels_of(tags)
 
     def digest(self) -> str:
         """Digest of the names, times, tags and bytes of all photos that are used."""

@@ -29,6 +29,7 @@ class Positions(NamedTuple):
     photos: list[PhotoTags]
     source: str  # of places and heights, in words
     warnings: list[str]
+    contradictions: list[str]
     counted_from: str = ""  # surface that heights count from
 
 
@@ -89,7 +90,7 @@ def positions_by_file(photos: Sequence[PhotoTags], names: Sequence[str], places:
         warnings.append(f"{file}: {len(lack)} photo(s) have no row (first: {lack[0]}): the pictures alone place them")
     if others:
         warnings.append(f"{file}: {others} row(s) name no photo of the set")
-    return Positions(out, f"{file} ({places.settled}): {len(found)} of {len(photos)} photos", warnings)
+    return Positions(out, f"{file} ({places.settled}): {len(found)} of {len(photos)} photos", warnings, [])
 
 
 def _check_order(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> None:
@@ -114,8 +115,9 @@ def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Po
         photos: in order of time.
         flights: number of the flight of each: heights above take-off of two flights differ.
     """
-    places, warnings = _finer_places(photos)
-    altitudes, source = _altitudes(photos, np.array(flights), warnings)
+    warnings, contradictions = list[str](), list[str]()
+    places = _finer_places(photos, warnings, contradictions)
+    altitudes, source = _altitudes(photos, np.array(flights), warnings, contradictions)
     out = []
     for photo, place, altitude in zip(photos, places, altitudes, strict=True):
         known = None if math.isnan(altitude) else altitude
@@ -127,7 +129,7 @@ def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Po
         source = "the height above take-off is used" if by_takeoff else "the flight is taken as level"
         warnings.append(f"no photo says its altitude: {source}, heights above the sea are not known")
         out = [_with_altitude(p, (p.relative_altitude or 0.0) if by_takeoff else 0.0) for p in out]
-    return Positions(out, source, warnings)
+    return Positions(out, source, warnings, contradictions)
 
 
 def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
@@ -135,23 +137,29 @@ def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
     return replace(photo, settled=photo.settled._replace(altitude=altitude))
 
 
-def _finer_places(photos: Sequence[PhotoTags]) -> tuple[list[tuple[float, float] | None], list[str]]:
+def _finer_places(
+    photos: Sequence[PhotoTags], warnings: list[str], contradictions: list[str]
+) -> list[tuple[float, float] | None]:
     """Places by EXIF, or by XMP where that has more digits and lies within what EXIF has lost."""
     own = [p.place for p in photos]
     both = [k for k, p in enumerate(photos) if p.exif_place is not None and p.xmp_place is not None]
     if not both:
-        return own, []
+        return own
     exif, xmp = (np.array([getattr(photos[k], f"{n}_place") for k in both]) for n in ("exif", "xmp"))
     step, finer = _step(3600 * exif) / 3600, _step(xmp)
     off = float(np.abs(exif - xmp).max())
     if step * METRES_A_DEGREE < 0.05 or finer >= step:
-        return own, []
+        return own
     lost = f"places in EXIF have steps of {step * METRES_A_DEGREE:.2g} m"
     if off > 1.01 * step:
-        return own, [f"{lost}, and those in XMP lie up to {off * METRES_A_DEGREE:.1f} m away: those in EXIF are used"]
+        contradictions.append(
+            f"{lost}, and those in XMP lie up to {off * METRES_A_DEGREE:.1f} m away: those in EXIF are used"
+        )
+        return own
     for k, place in zip(both, xmp.tolist(), strict=True):
         own[k] = (place[0], place[1])
-    return own, [f"{lost}: those in XMP are used, which are finer"]
+    warnings.append(f"{lost}: those in XMP are used, which are finer")
+    return own
 
 
 def _step(values: F64) -> float:
@@ -163,7 +171,9 @@ def _step(values: F64) -> float:
     return 1e-9
 
 
-def _altitudes(photos: Sequence[PhotoTags], flights: I64, warnings: list[str]) -> tuple[F64, str]:
+def _altitudes(
+    photos: Sequence[PhotoTags], flights: I64, warnings: list[str], contradictions: list[str]
+) -> tuple[F64, str]:
     """(n,) metres, the altitudes used, NaN where there is none, and the tag that most are of."""
     exif, absolute, relative = (
         np.array([math.nan if (v := getattr(p, name)) is None else v for p in photos])
@@ -181,7 +191,7 @@ def _altitudes(photos: Sequence[PhotoTags], flights: I64, warnings: list[str]) -
             by_takeoff = np.isfinite(drifts).all() and abs(drifts[0] - drifts[1]) > SAME_ALTITUDE
             use_exif = drifts[0] < drifts[1] if by_takeoff else steps["EXIF"] < steps["XMP"]
             why = "agree with the heights above take-off" if by_takeoff else "are finer"
-            warnings.append(
+            contradictions.append(
                 f"altitudes in EXIF and XMP differ by {off.min():+.1f} to {off.max():+.1f} m: one is wrong; those in "
                 f"{'EXIF' if use_exif else 'XMP'} {why} and are used"
             )
@@ -195,11 +205,11 @@ def _altitudes(photos: Sequence[PhotoTags], flights: I64, warnings: list[str]) -
             use_exif = steps["EXIF"] <= steps["XMP"]
     first, second = (exif, absolute) if use_exif else (absolute, exif)
     used = np.where(np.isfinite(first), first, second)
-    source = "EXIF altitude" if use_exif and np.isfinite(exif).any() else "XMP AbsoluteAltitude"
-    return _checked_by_takeoff(used, relative, flights, warnings), source
+    source = "tags, altitudes in EXIF" if use_exif and np.isfinite(exif).any() else "tags, altitudes in XMP"
+    return _checked_by_takeoff(used, relative, flights, contradictions), source
 
 
-def _checked_by_takeoff(used: F64, relative: F64, flights: I64, warnings: list[str]) -> F64:
+def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: list[str]) -> F64:
     """Altitudes that follow the heights above take-off; where they stand still and these do not, these are used."""
     known = np.isfinite(used) & np.isfinite(relative)
     if known.sum() < 3:
@@ -210,7 +220,7 @@ def _checked_by_takeoff(used: F64, relative: F64, flights: I64, warnings: list[s
     stuck = bool(np.ptp(used[known]) <= SAME_ALTITUDE)
     what = "the altitudes stand still" if stuck else f"altitudes and heights above take-off drift {drift:.0f} m apart"
     chosen = "the heights above take-off decide" if stuck else "one is wrong; the altitudes are used"
-    warnings.append(f"{what} in a flight: {chosen}")
+    contradictions.append(f"{what} in a flight: {chosen}")
     return np.asarray(np.where(known, relative + np.median((used - relative)[known]), used)) if stuck else used
 
 

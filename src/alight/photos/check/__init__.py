@@ -1,0 +1,1 @@
+"""Whether a set of photos will do, before a run."""

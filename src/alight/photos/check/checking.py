@@ -1,0 +1,233 @@
+"""All checks of a set of photos, and the verdict whether a run will find something in them."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from alight.checks.picture_quality import Brightness
+from alight.checks.result import Check, CheckResult, Judged, bad, good, unknown, warning
+from alight.hazards.detection import read_detection
+from alight.hazards.factors import pixel_that_settles
+from alight.photos.check.evidence import PhotoEvidence, coverage, gather
+from alight.photos.reading.photos import Photos
+from alight.settings import Settings
+
+CPU_A_MEGAPIXEL = 1.0  # s, of a run (docs/lab/photos.md)
+
+
+def check_photos(
+    source: Photos, settings: Settings, progress: Callable[[float], None] = lambda share: None
+) -> list[CheckResult]:
+    """Check whether photos will do, by their tags and a sample of their pictures; the verdict is last.
+
+    Args:
+        source: the photos.
+        settings: of the run that is planned.
+        progress: called with the share that is done.
+    """
+    found = gather(source, progress)
+    results = [
+        check_set(found), check_focal(found), check_positions(found), check_heights(found), check_attitude(found),
+        check_exposure(found), check_sharpness(found), check_overlap(found), check_resolution(found, settings),
+        *_of_reading(source), estimate(found, settings),
+    ]  # fmt: skip
+    return [*results, verdict(results)]
+
+
+def _of_reading(source: Photos) -> Iterator[CheckResult]:
+    """What was noticed while the tags were read: contradictions are faults."""
+    for sentence in source.warnings:
+        contradicts = sentence in source.findings.contradictions
+        yield (bad if contradicts else warning)("reading", sentence, "see above" if contradicts else "")
+
+
+def check_set(found: PhotoEvidence) -> CheckResult:
+    """Number, size and kind of the pictures, and those that are not used."""
+    notes, used = found.source.notes, len(found.exposures)
+    left_out = [p for p in found.source.photos if p.left_out]
+    cameras = notes.get("cameras") or [notes["camera"]]
+    check = Check("pictures", [f"{used} of {used + len(left_out)} are used", *(f"{c}" for c in cameras)])
+    check.measured += [f"{n} left out: {why}" for why, n in Counter(p.left_out for p in left_out).items()][:3]
+    check.measured += [f"levels {notes['levels']}"] if "levels" in notes else []
+    check.judge(
+        (
+            bool(found.unread),
+            "copy the damaged ones again",
+            f"of a sample, cannot be read: {'; '.join(found.unread[:3])}",
+        ),
+        (used < 3, "give more photos: a height needs two views, a good one five"),
+    )
+    return check.result
+
+
+def check_focal(found: PhotoEvidence) -> CheckResult:
+    """Focal length and its source; whether the pictures confirm it stands with the heights."""
+    notes = found.source.notes
+    told = [
+        f"{notes['focal_px']:.0f} px, {notes['focal_from']}",
+        *(str(notes[k]) for k in ("focal_note",) if k in notes),
+    ]
+    if "guess" in notes["focal_from"]:
+        return warning("focal length", "; ".join(told), "give the camera's calibration")
+    return good("focal length", "; ".join(told))
+
+
+def check_positions(found: PhotoEvidence) -> CheckResult:
+    """Kinds of fix, and their 1-sigma."""
+    notes, lack = found.source.notes, int((~np.isfinite(found.centres).all(axis=1)).sum())
+    kinds = ", ".join(f"{n} {kind}" for kind, n in notes["gps"].items())
+    east, north, up = notes["position_sigma"]
+    said = f"{kinds}; 1-sigma {east:g} m east, {north:g} m north, {up:g} m up; by {notes['positions_from']}"
+    if lack:
+        return warning("positions", f"{said}; {lack} photos have none", "write their places into geo.txt")
+    return good("positions", said)
+
+
+def check_heights(found: PhotoEvidence) -> CheckResult:
+    """What altitudes count from, and height above ground by the tags against that by focal length and baseline."""
+    counted, tagged, seen = found.source.notes["heights_count_from"], found.above, found.measured
+    check = Check("heights", [f"altitudes count from: {counted}"], incomplete="not declared" in counted)
+    if np.isfinite(tagged).any():
+        check.measured.append(f"{np.nanmedian(tagged):.0f} m above take-off by the tags")
+    if not np.isfinite(seen):
+        check.incomplete = True
+        check.measured.append("matched pairs do not give the height above ground")
+        return check.result
+    check.measured.append(f"{seen:.0f} m above ground by the shift of matched pairs")
+    if np.isfinite(tagged).any() and np.nanmedian(tagged) > 0:
+        ratio = seen / float(np.nanmedian(tagged))
+        check.judge(
+            (
+                not 1 / 1.5 < ratio < 1.5,
+                "give the true focal length, unless take-off was as much above or below the ground of the photos",
+                f"that is {ratio:.2f} times as much",
+            )
+        )
+    return check.result
+
+
+def check_attitude(found: PhotoEvidence) -> CheckResult:
+    """Source of the attitudes, and where the cameras looked."""
+    kinds = ", ".join(f"{n} {kind or 'none'}" for kind, n in found.source.notes["attitude_from"].items())
+    if not np.isfinite(found.down).any():
+        return unknown("attitude", f"{kinds}: whether the cameras looked down follows from the pictures in a run")
+    off = np.degrees(np.arccos(np.clip(found.down[np.isfinite(found.down)], -1, 1)))
+    said = (
+        f"{kinds}; optical axes {np.median(off):.0f} degrees from straight down, one in ten more than "
+        f"{np.percentile(off, 90):.0f}"
+    )
+    if np.median(off) > 60:
+        return bad("attitude", said, "point the camera down: a site is sought below the aircraft")
+    if np.median(off) > 30:
+        return warning("attitude", said, "point the camera down, or up to 30 degrees off")
+    return good("attitude", said)
+
+
+def check_exposure(found: PhotoEvidence) -> CheckResult:
+    """Whether pictures of the sample are saturated, black or flat."""
+    if not found.brightness:
+        return unknown("exposure", "no picture of the sample can be read")
+    light = Brightness(*np.median(np.array(found.brightness), axis=0))
+    check = Check("exposure", [
+        f"mean grey {light.mean:.0f}, contrast {light.contrast:.0f}, {100 * light.saturated:.1f} % saturated, "
+        f"{100 * light.black:.1f} % black, of {len(found.brightness)} pictures"
+    ])  # fmt: skip
+    check.judge(
+        (light.saturated > 0.15, "over-exposed: shorten the exposure"),
+        (light.black > 0.4, "under-exposed: lengthen the exposure"),
+        (light.contrast < 15.0, "hardly any contrast: fog, or a dirty lens"),
+    )
+    return check.result
+
+
+def check_sharpness(found: PhotoEvidence) -> CheckResult:
+    """Focus and motion blur, from the width of the sharpest edges: good pictures have 1.8 to 3 px."""
+    known = found.edges[np.isfinite(found.edges).all(axis=1)]
+    if len(known) < 3:
+        return unknown("sharpness", "too few edges in the pictures")
+    widths = known.max(axis=1)
+    worst = float(np.max(widths))
+    said = (
+        f"the sharpest edges are {np.median(widths):.1f} px wide, {worst:.1f} px in the worst of {len(widths)} pictures"
+    )
+    if np.median(widths) > 4.5:
+        return bad("sharpness", said, "focus at the flying height and lock it, shorten the exposure or fly slower")
+    if worst > 4.5:
+        return warning("sharpness", said, "take blurred pictures away")
+    return good("sharpness", said)
+
+
+def check_overlap(found: PhotoEvidence) -> CheckResult:
+    """Overlap by positions, height and field of view, and by matching neighbours."""
+    check, height = Check("overlap"), found.height
+    if np.isfinite(height) and height > 0:
+        cover = coverage(found, height)
+        along = float(np.median(cover.along)) if len(cover.along) else float("nan")
+        views = int(np.median(cover.views)) if len(cover.views) else 0
+        check.measured.append(f"{100 * along:.0f} % with the next photo, ground seen by {views} photos (by the tags)")
+        check.judge(
+            (along < 0.6, "take photos closer to each other: two thirds of one must be in the next"),
+            (views < 3, "fly strips closer to each other: a good height needs five views"),
+        )
+    matched = [p.overlap for p in found.pairs if p.matches]
+    if found.pairs:
+        share = f", {100 * np.nanmedian(matched):.0f} % overlap" if np.isfinite(matched).any() else ""
+        check.measured.append(
+            f"{len(matched)} of {len(found.pairs)} pairs of neighbours match{share} (by the pictures)"
+        )
+        check.judge(
+            (
+                2 * len(matched) < len(found.pairs),
+                "photos that do not match give no heights: more overlap, sharper pictures",
+            ),
+        )
+    else:
+        check.incomplete = True
+        check.measured.append("no pair of neighbours could be read")
+    return check.result
+
+
+def check_resolution(found: PhotoEvidence, settings: Settings) -> CheckResult:
+    """Size of a pixel on the ground, and whether it lets the lander's limits exclude obstacles."""
+    height, stages = found.height, settings.stages()
+    enough = pixel_that_settles(read_detection(), stages.lander, stages.hazards)
+    tallest = stages.lander.tallest_obstacle
+    if not np.isfinite(height) or height <= 0:
+        return unknown("resolution", "the height above ground is not known")
+    focal = float(np.median([found.source.rig.cameras[e.camera].camera.fu for e in found.exposures]))
+    pixel = height / focal
+    said = f"a pixel is {100 * pixel:.1f} cm on the ground from {height:.0f} m"
+    need = f"obstacles of {100 * tallest:.0f} cm need {100 * enough:.1f} cm"
+    if pixel <= enough:
+        return good("resolution", f"{said}; {need}")
+    remedy = f"fly at {enough * focal:.0f} m, or land a vehicle whose limits allow more (lander.max_roughness)"
+    return warning("resolution", f"{said}; {need}: bare ground alone will not be surely free of them", remedy)
+
+
+def estimate(found: PhotoEvidence, settings: Settings) -> CheckResult:
+    """Time, memory and disk that a run will take, an estimate by the number of photos and their pixels."""
+    n, cores = len(found.exposures), os.cpu_count() or 1
+    megapixels = sum(e.tags.size[0] * e.tags.size[1] for e in found.exposures) / 1e6
+    minutes = CPU_A_MEGAPIXEL * megapixels / 60
+    memory = 1e-3 * settings.parallax.store_mb + 1.0 + 2 * 8e-9 * (6 * n) ** 2
+    return good(
+        "estimate",
+        f"a run takes about {max(minutes, 1):.0f} min of CPU time ({max(minutes / cores, 1):.0f} on {cores} cores), "
+        f"{memory:.1f} GB of memory and {1e-3 * n:.1f} GB of disk, within a factor of two",
+    )
+
+
+def verdict(results: list[CheckResult]) -> CheckResult:
+    """Whether the photos will do, by all checks."""
+    wrong, doubtful = (
+        list(dict.fromkeys(r.name for r in results if r.verdict is kind)) for kind in (Judged.BAD, Judged.WARNING)
+    )
+    if wrong:
+        return bad("verdict", f"something is wrong or contradicts: {', '.join(wrong)}", "mend these before a run")
+    if doubtful:
+        return warning("verdict", f"the photos will do, with warnings about: {', '.join(doubtful)}", "")
+    return good("verdict", "the photos will do")

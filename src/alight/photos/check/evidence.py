@@ -1,0 +1,214 @@
+"""Evidence about a set of photos: a sample of its pictures, pairs of neighbours that are matched, and its geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from alight.arrays import F64, I64, U8, Mask
+from alight.checks.features import LEAST_FEATURES, downscaled, full_size
+from alight.checks.picture_quality import Brightness, brightness_of, edge_widths
+from alight.geometry import enu_from_flu
+from alight.photos.reading.photo_pose import BODY_FROM_CAM
+from alight.photos.reading.photos import Exposure, Photos
+from alight.spread import robust_sigma
+
+SAMPLE = 8  # pairs of neighbours, spread over the set, whose pictures are read
+MATCHED_PX = 800  # longer side at which they are matched
+NADIR = np.cos(np.radians(15.0))
+
+
+class Pair(NamedTuple):
+    """Two neighbours, as their pictures show them."""
+
+    first: int  # numbers of the exposures
+    other: int
+    matches: int  # features that follow one homography; 0: none was found
+    overlap: float  # share of the first picture that the other one shows; NaN without matches
+    height: float  # metres above ground, by focal length and baseline; NaN: not known
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoEvidence:
+    """Evidence about one set."""
+
+    exposures: list[Exposure]
+    source: Photos
+    brightness: list[Brightness]  # of the sample
+    edges: F64  # (N, 2) px, widths of the sharpest edges of the sample, as `edge_widths`
+    pairs: list[Pair]
+    unread: list[str]  # pictures of the sample that cannot be read, with the reason
+    poses: F64  # (n, 3, 3) world_from_cam by the tags, else looking down along the flight
+    centres: F64  # (n, 3) metres; NaN: not known
+
+    @property
+    def above(self) -> F64:
+        """(n,) metres above the place of take-off, by the tags; NaN: not known."""
+        heights = [e.tags.relative_altitude for e in self.exposures]
+        return np.array([np.nan if h is None else h for h in heights])
+
+    @property
+    def measured(self) -> float:
+        """Height above ground by the matched pairs, metres, their median; NaN: too few, or they disagree."""
+        heights = np.array([p.height for p in self.pairs if np.isfinite(p.height)])
+        if len(heights) < 3:
+            return np.nan
+        middle = float(np.median(heights))
+        return middle if robust_sigma(heights - middle) < 0.1 * middle * np.sqrt(len(heights)) else np.nan
+
+    @property
+    def height(self) -> float:
+        """Height above ground, metres, by the tags, else by the pairs; NaN: not known."""
+        above = self.above
+        return float(np.nanmedian(above)) if np.isfinite(above).any() else self.measured
+
+    @property
+    def down(self) -> F64:
+        """(n,) cosine of the angle between the optical axis and the vertical, by the tags; NaN: they give none."""
+        tagged = np.array([e.nav.world_from_body is not None for e in self.exposures])
+        return np.where(tagged, -self.poses[:, 2, 2], np.nan)
+
+
+def gather(source: Photos, progress: Callable[[float], None]) -> PhotoEvidence:
+    """Read a sample of the pictures, and match each of them with a neighbour."""
+    exposures = source.exposures
+    centres = np.array(
+        [np.full(3, np.nan) if e.nav.position_world is None else e.nav.position_world for e in exposures]
+    )
+    found = PhotoEvidence(exposures, source, [], np.empty((0, 2)), [], [], _poses(exposures, centres), centres)
+    chosen = np.unique(np.linspace(0, len(exposures) - 1, SAMPLE).astype(int))
+    widths, sampled = list[F64](), dict[int, U8 | None]()
+
+    def picture(number: int) -> U8 | None:
+        if number in sampled:
+            return sampled[number]
+        sampled[number] = None
+        try:
+            pixels = source.read(exposures[number].tags)
+        except ValueError as e:
+            found.unread.append(f"{exposures[number].tags.path.name}: {e}")
+            return None
+        found.brightness.append(brightness_of(pixels))
+        widths.append(edge_widths(_middle(pixels)))
+        sampled[number] = downscaled(pixels, MATCHED_PX)[0]
+        return sampled[number]
+
+    for k, first in enumerate(chosen):
+        other, a = _neighbour(int(first), centres), picture(int(first))
+        b = None if other is None else picture(other)
+        if other is not None and a is not None and b is not None:
+            found.pairs.append(_matched(found, (int(first), other), (a, b)))
+        progress((k + 1) / len(chosen))
+    return PhotoEvidence(**{**vars(found), "edges": np.array(widths).reshape(-1, 2)})
+
+
+def _middle(picture: U8, side: int = 1200) -> U8:
+    """The middle of a picture, where its lens is sharpest."""
+    top, left = (max(0, (n - side) // 2) for n in picture.shape[:2])
+    return np.ascontiguousarray(picture[top : top + side, left : left + side])
+
+
+def _neighbour(number: int, centres: F64) -> int | None:
+    """The next photo, or else the one before, unless another one is much nearer."""
+    if len(centres) < 2:
+        return None
+    next_one = number + 1 if number + 1 < len(centres) else number - 1
+    away = np.linalg.norm(centres - centres[number], axis=1)
+    away[number] = np.inf
+    if not np.isfinite(away[next_one]):
+        return next_one
+    nearest = int(np.nanargmin(away))
+    return nearest if away[nearest] < 0.5 * away[next_one] else next_one
+
+
+def _poses(exposures: list[Exposure], centres: F64) -> F64:
+    """(n, 3, 3) world_from_cam by the tags; without them, looking down with the top of the picture along the flight."""
+    out = np.empty((len(exposures), 3, 3))
+    known = np.nan_to_num(centres)
+    for k, exposure in enumerate(exposures):
+        body = exposure.nav.world_from_body
+        if body is None:
+            east, north, _ = known[min(k + 1, len(known) - 1)] - known[max(k - 1, 0)]
+            body = enu_from_flu(float(np.arctan2(east, north)), -np.pi / 2, 0.0)
+        out[k] = body @ BODY_FROM_CAM.rotation
+    return out
+
+
+def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8]) -> Pair:
+    """Match two neighbours by SIFT features that follow one homography."""
+    sift = cv2.SIFT.create(1500)
+    (points, table), (others, its_table) = (sift.detectAndCompute(s, None) for s in small)
+    nothing = Pair(*numbers, 0, np.nan, np.nan)
+    if min(len(points), len(others)) < LEAST_FEATURES:
+        return nothing
+    near = cv2.BFMatcher().knnMatch(table, its_table, 2)
+    good = [a for a, b in near if a.distance < 0.75 * b.distance]
+    if len(good) < LEAST_FEATURES:
+        return nothing
+    lenses = [found.source.rig.cameras[found.exposures[k].camera].camera for k in numbers]
+    factors = [-(-max(lens.width, lens.height) // MATCHED_PX) for lens in lenses]
+    a = full_size(np.array([points[m.queryIdx].pt for m in good]), factors[0])
+    b = full_size(np.array([others[m.trainIdx].pt for m in good]), factors[1])
+    H, inside = cv2.findHomography(a, b, cv2.RANSAC, 4.0 * factors[1])  # relief moves features by pixels
+    if H is None or inside.sum() < LEAST_FEATURES:
+        return nothing
+    lens, its = lenses
+    corners = np.array([[0, 0], [lens.width, 0], [lens.width, lens.height], [0, lens.height]], np.float32)
+    frame = np.array([[0, 0], [its.width, 0], [its.width, its.height], [0, its.height]], np.float32)
+    back = cv2.perspectiveTransform(frame[None], np.linalg.inv(H)).astype(np.float32)
+    shared = cv2.intersectConvexConvex(corners, back[0])[0] if cv2.isContourConvex(back[0]) else np.nan
+    moved = cv2.perspectiveTransform(np.array([[[lens.cu, lens.cv]]]), H)[0, 0] - (its.cu, its.cv)
+    shift = float(np.linalg.norm(moved)) * lens.fu / its.fu
+    return Pair(*numbers, int(inside.sum()), shared / (lens.width * lens.height), _height(found, numbers, shift))
+
+
+def _height(found: PhotoEvidence, numbers: tuple[int, int], shift: float) -> float:
+    """Metres above ground by the shift (px) of what lies below, for cameras that look down; NaN: not known."""
+    baseline = float(np.linalg.norm(np.diff(found.centres[list(numbers), :2], axis=0)))
+    down = np.nan_to_num(found.down[list(numbers)], nan=1.0)
+    if not (down > NADIR).all() or not baseline > 1.0 or shift <= 0:
+        return np.nan
+    return found.source.rig.cameras[found.exposures[numbers[0]].camera].camera.fu * baseline / shift
+
+
+class Coverage(NamedTuple):
+    """How photos overlap on level ground."""
+
+    along: F64  # share of a picture that the next one shows, of photos that have a next one
+    views: I64  # photos that show the ground in the middle of each
+
+
+def coverage(found: PhotoEvidence, height: float) -> Coverage:
+    """Overlap by positions, attitudes and the field of view, over level ground so many metres below each photo."""
+    known = np.flatnonzero(np.isfinite(found.centres).all(axis=1) & (-found.poses[:, 2, 2] > 0.3)).tolist()
+    chosen = known[:: max(1, len(known) // 400)]
+    views, along = list[int](), list[float]()
+    for k in chosen:
+        lens = found.source.rig.cameras[found.exposures[k].camera].camera
+        grid = np.stack(np.meshgrid((np.arange(9) + 0.5) / 9 * lens.width, (np.arange(9) + 0.5) / 9 * lens.height), -1)
+        rays = lens.rays(grid.reshape(-1, 2)) @ found.poses[k].T
+        ground = found.centres[k] - rays * (height / rays[:, 2:])
+        ground = ground[rays[:, 2] < -0.1]
+        middle = found.centres[k] - found.poses[k][:, 2] * (height / found.poses[k][2, 2])
+        views.append(sum(bool(_shows(found, j, middle[None])[0]) for j in known if _near(found, k, j, height)))
+        later = next((j for j in known if j > k), None)
+        if later is not None and len(ground):
+            along.append(float(_shows(found, later, ground).mean()))
+    return Coverage(np.array(along), np.array(views, dtype=np.int64))
+
+
+def _near(found: PhotoEvidence, k: int, j: int, height: float) -> bool:
+    return float(np.abs(found.centres[k, :2] - found.centres[j, :2]).max()) < 4.0 * height
+
+
+def _shows(found: PhotoEvidence, number: int, ground: F64) -> Mask:
+    """True for ground (N, 3) metres that a photo shows."""
+    lens = found.source.rig.cameras[found.exposures[number].camera].camera
+    seen = (ground - found.centres[number]) @ found.poses[number]
+    pixels = lens.project(np.where(seen[:, 2:] > 0, seen, np.nan))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((pixels >= 0) & (pixels < (lens.width, lens.height))).all(axis=1))
