@@ -195,24 +195,25 @@ def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
 def check(
     source: str | Path | Source, *, seconds: float = 10.0, start: float = 0.0, settings: SettingsLike = None
 ) -> list[CheckResult]:
-    """Check the rig of a flight log or a recording: each result has a name, a verdict, the evidence and a remedy.
+    """Check a rig, or whether photos will do: each result has a name, a verdict, the evidence and a remedy.
 
     Args:
-        source: a flight log, a recording (.mcap), an opened source, or a simulated flight.
-        seconds: length of the part that is read.
+        source: a flight log, a recording (.mcap), a folder of photos, an opened source, or a simulated flight.
+        seconds: length of the part of a flight that is read.
         start: s from the first exposure at which to begin.
-        settings: as for `run`; `sources.calibration` counts, and only where `source` is a name.
+        settings: as for `run`; `sources` counts only where `source` is a name.
 
     Raises:
-        InputError: the input cannot be used, is a folder of photos, or has no exposure there.
+        InputError: the input cannot be used, or has no exposure there.
         SettingsError: a setting cannot be used.
     """
-    from alight.checks.checking import check_source
+    from alight.runner.checking import check_opened
     from alight.runner.opening import open_source
 
+    chosen = settings_of(settings)
     with single_threaded_algebra():
-        opened = open_source(source, settings_of(settings)) if isinstance(source, str | Path) else source
-        return check_source(opened, seconds, start)
+        opened = open_source(source, chosen) if isinstance(source, str | Path) else source
+        return check_opened(opened, chosen, seconds, start)
 
 
 def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet, overwrite: bool = False) -> Result:

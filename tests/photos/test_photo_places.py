@@ -16,10 +16,7 @@ from alight.photos.reading.places import places_beside, read_places
 from alight.photos.reading.positions import above_ellipsoid, positions_by_tags, settle_positions
 from alight.records import InputError
 from alight.runner.opening import open_source
-from alight.settings import load_settings
-from alight.settings.user import SourcesKeys
 
-TAGS = SourcesKeys()
 PIX4D = "Image Name,Latitude [deg],Longitude [deg],Altitude [ft],Accuracy Horz [m],Accuracy Vert [m]"
 GEO = "EPSG:4326\nDJI_0000.JPG 7.6 45.0 300.0 0 0 0 0.02 0.03\nDJI_0001.JPG 7.6 45.00003 300.5 0 0 0 0.02 0.03\n"
 TABLE = "name,latitude,longitude,height\nDJI_0000.JPG,45.0,7.6,300.0\nDJI_0001.JPG,45.00003,7.6,300.5\n"
@@ -126,7 +123,7 @@ def test_a_file_beside_the_photos_replaces_their_tags(tmp_path: Path) -> None:
     assert "geo.txt: 1 photo(s) have no row (first: DJI_0002.JPG): the pictures alone place them" in source.warnings
     assert "geo.txt: 1 row(s) name no photo of the set" in source.warnings
     before = source.digest()
-    assert open_source(folder, load_settings("", ["sources.places=tags"])).digest() != before
+    assert open_source(folder, places=Path("tags")).digest() != before
 
 
 def test_one_file_is_chosen(tmp_path: Path) -> None:
@@ -255,8 +252,7 @@ def test_a_geoid_moves_what_is_known_to_count_from_the_sea(
 ) -> None:
     (tmp_path / "places.csv").write_text(TABLE.replace("height", column))
     photos = [PhotoTags(tmp_path / "DJI_0000.JPG", (64, 48), {}, {}, {})]
-    keys = SourcesKeys(places=str(tmp_path / "places.csv"), geoid=str(geoid(tmp_path / "egm.tif")))
-    found = settle_positions(photos, tmp_path, keys)
+    found = settle_positions(photos, tmp_path, tmp_path / "places.csv", geoid(tmp_path / "egm.tif"))
     assert found.photos[0].position == pytest.approx((45.0, 7.6, height))
     assert found.counted_from == counted
     assert any("not known to count from the sea level" in w for w in found.warnings) == warns
@@ -265,7 +261,7 @@ def test_a_geoid_moves_what_is_known_to_count_from_the_sea(
 def test_sigmas_and_fix_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "geo.txt").write_text(GEO)
     photo = PhotoTags(tmp_path / "DJI_0000.JPG", (64, 48), {}, {}, {"dji:RtkFlag": "50"})
-    (found,) = settle_positions([photo], tmp_path, TAGS).photos
+    (found,) = settle_positions([photo], tmp_path).photos
     np.testing.assert_allclose(position_sigma(found), (0.02, 0.02, 0.03))
     assert rtk_fix(found) == "geo.txt"
     assert above_ellipsoid([found], None)[1] == "sea level or ellipsoid: not declared"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ import pytest
 from drawn_photos import CAMERA, draw_photos
 from PIL import Image, PngImagePlugin
 
-from alight.cli import call
 from alight.geometry import enu_from_flu
 from alight.photos.bundle.adjust import adjust
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
@@ -246,14 +244,3 @@ def test_a_row_says_what_became_of_the_tags() -> None:
     lost = PhotoRow(photo, PhotoOutcome(1, left_out="no texture"))
     assert lost.line.endswith("left out: no texture")
     assert lost.as_json()["used"] is False
-
-
-def test_check_of_photos_prints_the_table(photos: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(["check", str(photos)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
-    assert lines[0].startswith("DJI_0000.JPG  64 x 48  DJI FC1  60 px, factory calibration")
-    assert call(["check", str(photos), "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [r["name"] for r in rows] == [f"DJI_000{k}.JPG" for k in range(4)]
-    assert rows[0]["altitude_kind"] == "ellipsoid (RTK fixed)"

@@ -12,7 +12,6 @@ from alight.checks.pictures import check_exposure, check_intrinsics, check_lens,
 from alight.checks.result import CheckResult, Judged, unknown
 from alight.checks.stamps import check_frames, check_rows
 from alight.checks.stereo import check_stereo
-from alight.records import InputError
 from alight.sources import Source
 
 
@@ -27,10 +26,8 @@ def check_source(
         progress: called with the share that is done.
 
     Raises:
-        InputError: photos, or no exposure in that part of the recording.
+        InputError: there is no exposure in that part of the recording.
     """
-    if source.kind == "photos":
-        raise InputError("check: photos have no stream to check; give a flight log or a recording (.mcap)")
     events = source.events()
     found = gather_evidence(source.rig, events, seconds, start, progress)
     promised = tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -109,11 +108,6 @@ class RouteOptions(ResultOptions):
         Path | None,
         typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF): of --home, and of photos above the sea."),
     ] = None
-
-
-def assigned(key: str, value: Path | None) -> list[str]:
-    """The assignment of an option that sets a key; none without it."""
-    return [] if value is None else [f"{key}={json.dumps(str(value))}"]
 
 
 def yaml_text(file: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from alight.cli.terminal import print_answer, print_line, print_stderr, progress
 if TYPE_CHECKING:
     from alight.training.confusion import Confusion
 
+log = logging.getLogger(__name__)
 terrain = typer.Typer(help="Train and test the model of what ground looks like.")
 app.add_typer(terrain, name="terrain")
 SamplingOption = Annotated[
@@ -50,19 +52,12 @@ class RunOptions(options.RouteOptions):
 @options.command_of(RunOptions)
 def run(o: RunOptions) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
-    chosen = o.read_settings(
-        after=[
-            *([f"parallax.quality={o.quality}"] if o.quality else ()),
-            *options.assigned("sources.places", o.places),
-            # a recording is run with the settings of its flight if none are given
-            *options.assigned("sources.geoid", None if o.source.suffix == ".mcap" else o.geoid),
-        ]
-    )
+    chosen = o.read_settings(after=[f"parallax.quality={o.quality}"] if o.quality else ())
     from alight.runner import replay
     from alight.runs import known_home
 
     armed_at = known_home(o.home, o.geoid if o.home else None)
-    wishes = replay.Find(chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at)
+    wishes = replay.Find(chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid)
     with progress_bar() as report:
         result = replay.find(o.source, o.out, wishes, report)
     save_result(result, o.out, o.force)
@@ -81,24 +76,28 @@ class CheckOptions(options.SettingsOptions):
     as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False
 
 
-@app.command("check")
+@app.command()
 @options.command_of(CheckOptions)
-def check_recording(o: CheckOptions) -> None:
+def check(o: CheckOptions) -> None:
     """Find faults of a rig, or whether photos will do; the exit code is 3 if a check is bad.
 
-    With --verbose, the facts in the tags of each photo, one line a photo.
+    With --verbose, the facts in the tags of each photo are logged.
     """
-    chosen = o.read_settings(after=options.assigned("sources.places", o.places))
+    chosen = o.read_settings()
     from alight.checks.result import Judged
-    from alight.runner.checking import check
+    from alight.records import PhotoRow
+    from alight.runner.checking import check_opened
+    from alight.runner.opening import open_source
 
+    recording = open_source(o.source, chosen, places=o.places)
     with progress_bar() as report:
-        found, photos = check(o.source, chosen, o.seconds, o.start, lambda share: report("checking", share))
+        found = check_opened(recording, chosen, o.seconds, o.start, lambda share: report("checking", share))
     records: list[dict[str, Any]] = [asdict(r) for r in found]
-    if photos:
+    if photos := [PhotoRow(p, None) for p in recording.photos]:
         records[-1]["photos"] = [row.as_json() for row in photos]
-    lines = [row.line for row in photos] if o.verbose else []
-    _print_rows([*lines, *(r.line for r in found)], records, o.as_json)
+    for row in photos:
+        log.info("%s", row.line)
+    _print_rows([r.line for r in found], records, o.as_json)
     if any(r.verdict is Judged.BAD for r in found):
         raise typer.Exit(ExitCode.FAULT_FOUND)
 

@@ -17,20 +17,36 @@ VIDEOS = (".mp4", ".mov", ".m4v")
 LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
 
 
-def open_source(path: str | Path, settings: Settings | None = None) -> Source:
+def open_source(
+    path: str | Path,
+    settings: Settings | None = None,
+    *,
+    places: str | Path | None = None,
+    geoid: str | Path | None = None,
+) -> Source:
     """Open a flight log, a recording of a live run, or a folder of photos.
+
+    Args:
+        path: of the recording.
+        settings: of the run; None: the defaults.
+        places: of a folder of photos: file with their places; `tags`: none; None: one that stands beside them.
+        geoid: of a folder of photos: grid of geoid heights, for altitudes that count from the sea level.
 
     Raises:
         InputError: it is none of them, or cannot be used; the message names what was looked for.
     """
     path = Path(path)
     try:
-        return _open(path, settings or Settings())
+        files = (None if file is None else Path(file).expanduser() for file in (places, geoid))
+        source = _open(path, settings or Settings(), *files)
     except OSError as e:
         raise InputError(f"{e.filename or path}: cannot be read ({e.strerror}); check the permissions") from e
+    if places is not None and source.kind != "photos":
+        raise InputError(f"--places {places}: is for photos; run it without")
+    return source
 
 
-def _open(path: Path, settings: Settings) -> Source:
+def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | None) -> Source:
     if not path.exists():
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
     if path.is_file() and path.suffix.lower() == ".mcap":
@@ -53,7 +69,7 @@ def _open(path: Path, settings: Settings) -> Source:
     if (found := find_photos(root)).files:
         from alight.photos.reading.photos import Photos
 
-        return Photos(root, found.files, settings, found.closed)
+        return Photos(root, found.files, settings, found.closed, places=places, geoid=geoid)
     if not any(root.iterdir()):
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
     if inside := sorted(p.parent.name for p in root.glob("*/mav0")):

@@ -133,6 +133,8 @@ class Find:
     prior: Path | None = None  # DEM from another source
     scheduler: str | None = None  # address of a Dask cluster that does the work of photos
     home: Home | None = None  # of the vehicle that is to fly the route
+    places: Path | None = None  # file with the places of photos
+    geoid: Path | None = None  # grid of geoid heights, for altitudes of photos that count from the sea level
 
 
 def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported) -> RunResult:
@@ -144,10 +146,10 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
     Raises:
         AlightError: the input cannot be used, or the output cannot be written.
     """
-    source = open_source(path, how.settings)
+    source = open_source(path, how.settings, places=how.places, geoid=how.geoid)
     settings = settings_for(source, how.settings)
-    if settings.sources.geoid is not None and how.home is None and source.kind != "photos":
-        raise InputError(f"--geoid {settings.sources.geoid}: is for --home and for photos; give the home as well")
+    if how.geoid is not None and how.home is None and source.kind != "photos":
+        raise InputError(f"--geoid {how.geoid}: is for --home and for photos; give the home as well")
     digest = source.digest()
     if not digest and (option := "--resume" if how.resume else how.scheduler and "--scheduler"):
         raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")
@@ -158,7 +160,7 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
         raise InputError(f"--home: {source.name} has no place on Earth; run it without")
     prior = prior_heights(source, settings, how.prior)
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
-    given += [how.prior] if how.prior else []
+    given += [file for file in (how.prior, how.places, how.geoid) if file is not None and file.is_file()]
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
     with closing(FileStore(out)) as tile_store:
         if not digest:

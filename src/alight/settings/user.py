@@ -28,14 +28,6 @@ class SourcesKeys(FrozenModel):
     calibration: str | None = Field(
         None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
     )
-    places: str | None = Field(
-        None,
-        description="File of places that replace the GPS tags of photos: geo.txt of OpenDroneMap, or a table; null: "
-        "one that lies beside them; tags: none",
-    )
-    geoid: str | None = Field(
-        None, description="Grid of geoid heights by which altitudes of photos above sea level become ellipsoidal"
-    )
     skip: int = Field(0, ge=0, le=10**9, description="Number of exposures left out at the start")
     every: int = Field(1, ge=1, le=10**9, description="Use every n-th exposure")
 

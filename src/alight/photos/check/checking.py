@@ -12,7 +12,7 @@ from alight.checks.picture_quality import Brightness
 from alight.checks.result import Check, CheckResult, Judged, bad, good, unknown, warning
 from alight.hazards.detection import read_detection
 from alight.hazards.factors import pixel_that_settles
-from alight.photos.check.evidence import PhotoEvidence, coverage, gather
+from alight.photos.check.evidence import PhotoEvidence, coverage, gather_photos
 from alight.photos.reading.photos import Photos
 from alight.settings import Settings
 
@@ -29,10 +29,10 @@ def check_photos(
         settings: of the run that is planned.
         progress: called with the share that is done.
     """
-    found = gather(source, progress)
+    found = gather_photos(source, progress)
     results = [
-        check_set(found), check_focal(found), check_positions(found), check_heights(found), check_attitude(found),
-        check_exposure(found), check_sharpness(found), check_overlap(found), check_resolution(found, settings),
+        judge_set(found), judge_focal(found), judge_positions(found), judge_heights(found), judge_attitude(found),
+        judge_exposure(found), judge_sharpness(found), judge_overlap(found), judge_resolution(found, settings),
         *_of_reading(source), estimate(found, settings),
     ]  # fmt: skip
     return [*results, verdict(results)]
@@ -45,7 +45,7 @@ def _of_reading(source: Photos) -> Iterator[CheckResult]:
         yield (bad if contradicts else warning)("reading", sentence, "see above" if contradicts else "")
 
 
-def check_set(found: PhotoEvidence) -> CheckResult:
+def judge_set(found: PhotoEvidence) -> CheckResult:
     """Number, size and kind of the pictures, and those that are not used."""
     notes, used = found.source.notes, len(found.exposures)
     left_out = [p for p in found.source.photos if p.left_out]
@@ -64,7 +64,7 @@ def check_set(found: PhotoEvidence) -> CheckResult:
     return check.result
 
 
-def check_focal(found: PhotoEvidence) -> CheckResult:
+def judge_focal(found: PhotoEvidence) -> CheckResult:
     """Focal length and its source; whether the pictures confirm it stands with the heights."""
     notes = found.source.notes
     told = [
@@ -76,7 +76,7 @@ def check_focal(found: PhotoEvidence) -> CheckResult:
     return good("focal length", "; ".join(told))
 
 
-def check_positions(found: PhotoEvidence) -> CheckResult:
+def judge_positions(found: PhotoEvidence) -> CheckResult:
     """Kinds of fix, and their 1-sigma."""
     notes, lack = found.source.notes, int((~np.isfinite(found.centres).all(axis=1)).sum())
     kinds = ", ".join(f"{n} {kind}" for kind, n in notes["gps"].items())
@@ -87,7 +87,7 @@ def check_positions(found: PhotoEvidence) -> CheckResult:
     return good("positions", said)
 
 
-def check_heights(found: PhotoEvidence) -> CheckResult:
+def judge_heights(found: PhotoEvidence) -> CheckResult:
     """What altitudes count from, and height above ground by the tags against that by focal length and baseline."""
     counted, tagged, seen = found.source.notes["heights_count_from"], found.above, found.measured
     check = Check("heights", [f"altitudes count from: {counted}"], incomplete="not declared" in counted)
@@ -110,7 +110,7 @@ def check_heights(found: PhotoEvidence) -> CheckResult:
     return check.result
 
 
-def check_attitude(found: PhotoEvidence) -> CheckResult:
+def judge_attitude(found: PhotoEvidence) -> CheckResult:
     """Source of the attitudes, and where the cameras looked."""
     kinds = ", ".join(f"{n} {kind or 'none'}" for kind, n in found.source.notes["attitude_from"].items())
     if not np.isfinite(found.down).any():
@@ -127,7 +127,7 @@ def check_attitude(found: PhotoEvidence) -> CheckResult:
     return good("attitude", said)
 
 
-def check_exposure(found: PhotoEvidence) -> CheckResult:
+def judge_exposure(found: PhotoEvidence) -> CheckResult:
     """Whether pictures of the sample are saturated, black or flat."""
     if not found.brightness:
         return unknown("exposure", "no picture of the sample can be read")
@@ -144,7 +144,7 @@ def check_exposure(found: PhotoEvidence) -> CheckResult:
     return check.result
 
 
-def check_sharpness(found: PhotoEvidence) -> CheckResult:
+def judge_sharpness(found: PhotoEvidence) -> CheckResult:
     """Focus and motion blur, from the width of the sharpest edges: good pictures have 1.8 to 3 px."""
     known = found.edges[np.isfinite(found.edges).all(axis=1)]
     if len(known) < 3:
@@ -161,7 +161,7 @@ def check_sharpness(found: PhotoEvidence) -> CheckResult:
     return good("sharpness", said)
 
 
-def check_overlap(found: PhotoEvidence) -> CheckResult:
+def judge_overlap(found: PhotoEvidence) -> CheckResult:
     """Overlap by positions, height and field of view, and by matching neighbours."""
     check, height = Check("overlap"), found.height
     if np.isfinite(height) and height > 0:
@@ -191,7 +191,7 @@ def check_overlap(found: PhotoEvidence) -> CheckResult:
     return check.result
 
 
-def check_resolution(found: PhotoEvidence, settings: Settings) -> CheckResult:
+def judge_resolution(found: PhotoEvidence, settings: Settings) -> CheckResult:
     """Size of a pixel on the ground, and whether it lets the lander's limits exclude obstacles."""
     height, stages = found.height, settings.stages()
     enough = pixel_that_settles(read_detection(), stages.lander, stages.hazards)

@@ -14,7 +14,7 @@ from alight.checks.features import LEAST_FEATURES, downscaled, full_size
 from alight.checks.picture_quality import Brightness, brightness_of, edge_widths
 from alight.geometry import enu_from_flu
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
-from alight.photos.reading.photos import Exposure, Photos
+from alight.photos.reading.photos import Photos, UsedPhoto
 from alight.spread import robust_sigma
 
 SAMPLE = 8  # pairs of neighbours, spread over the set, whose pictures are read
@@ -22,7 +22,7 @@ MATCHED_PX = 800  # longer side at which they are matched
 NADIR = np.cos(np.radians(15.0))
 
 
-class Pair(NamedTuple):
+class NeighbourPair(NamedTuple):
     """Two neighbours, as their pictures show them."""
 
     first: int  # numbers of the exposures
@@ -36,11 +36,11 @@ class Pair(NamedTuple):
 class PhotoEvidence:
     """Evidence about one set."""
 
-    exposures: list[Exposure]
+    exposures: list[UsedPhoto]
     source: Photos
     brightness: list[Brightness]  # of the sample
     edges: F64  # (N, 2) px, widths of the sharpest edges of the sample, as `edge_widths`
-    pairs: list[Pair]
+    pairs: list[NeighbourPair]
     unread: list[str]  # pictures of the sample that cannot be read, with the reason
     poses: F64  # (n, 3, 3) world_from_cam by the tags, else looking down along the flight
     centres: F64  # (n, 3) metres; NaN: not known
@@ -73,7 +73,7 @@ class PhotoEvidence:
         return np.where(tagged, -self.poses[:, 2, 2], np.nan)
 
 
-def gather(source: Photos, progress: Callable[[float], None]) -> PhotoEvidence:
+def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvidence:
     """Read a sample of the pictures, and match each of them with a neighbour."""
     exposures = source.exposures
     centres = np.array(
@@ -125,7 +125,7 @@ def _neighbour(number: int, centres: F64) -> int | None:
     return nearest if away[nearest] < 0.5 * away[next_one] else next_one
 
 
-def _poses(exposures: list[Exposure], centres: F64) -> F64:
+def _poses(exposures: list[UsedPhoto], centres: F64) -> F64:
     """(n, 3, 3) world_from_cam by the tags; without them, looking down with the top of the picture along the flight."""
     out = np.empty((len(exposures), 3, 3))
     known = np.nan_to_num(centres)
@@ -138,11 +138,11 @@ def _poses(exposures: list[Exposure], centres: F64) -> F64:
     return out
 
 
-def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8]) -> Pair:
+def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8]) -> NeighbourPair:
     """Match two neighbours by SIFT features that follow one homography."""
     sift = cv2.SIFT.create(1500)
     (points, table), (others, its_table) = (sift.detectAndCompute(s, None) for s in small)
-    nothing = Pair(*numbers, 0, np.nan, np.nan)
+    nothing = NeighbourPair(*numbers, 0, np.nan, np.nan)
     if min(len(points), len(others)) < LEAST_FEATURES:
         return nothing
     near = cv2.BFMatcher().knnMatch(table, its_table, 2)
@@ -163,7 +163,9 @@ def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8
     shared = cv2.intersectConvexConvex(corners, back[0])[0] if cv2.isContourConvex(back[0]) else np.nan
     moved = cv2.perspectiveTransform(np.array([[[lens.cu, lens.cv]]]), H)[0, 0] - (its.cu, its.cv)
     shift = float(np.linalg.norm(moved)) * lens.fu / its.fu
-    return Pair(*numbers, int(inside.sum()), shared / (lens.width * lens.height), _height(found, numbers, shift))
+    return NeighbourPair(
+        *numbers, int(inside.sum()), shared / (lens.width * lens.height), _height(found, numbers, shift)
+    )
 
 
 def _height(found: PhotoEvidence, numbers: tuple[int, int], shift: float) -> float:

@@ -69,22 +69,29 @@ def with_attitudes_settled(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags]
     same, warnings = set[str](), list[str]()
     for pattern in (*GIMBALS, PIX4D, FLIGHT):
         found = {angles for p in photos if (angles := _angles(p, pattern)) is not None}
-        if len(found) == 1 and len(photos) >= 3 and (not any(*found) or _turns(photos)):
-            same.add(pattern)
-            which = pattern.format("").rstrip(":").removesuffix("Degree")
-            what = "are 0" if not any(*found) else "are the same, although the flight turned,"
-            warnings.append(f"the angles {which} {what} in all photos: they are not used")
+        if not found:
+            continue
+        if len(found) > 1 or len(photos) < 3 or (any(*found) and not _turns(photos)):
+            break  # these are used
+        same.add(pattern)
+        which = pattern.format("").rstrip(":").removesuffix("Degree")
+        what = "are the same, although the flight turned," if any(*found) else "are 0"
+        warnings.append(f"the angles {which} {what} in all photos: they are not used")
     return [replace(p, distrusted=frozenset(same)) for p in photos] if same else list(photos), warnings
 
 
 def _turns(photos: Sequence[PhotoTags]) -> bool:
-    """Whether two legs of the flight, each longer than GPS is wrong, differ by more than 45 degrees in direction."""
+    """Whether the directions of some legs, each longer than GPS is wrong, differ by more than 45 degrees from others.
+
+    One leg alone may be an error of GPS.
+    """
     timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
     places = np.array([p.place for p in timed if p.place is not None]).reshape(-1, 2)
     legs = np.diff(places, axis=0) * [111_194.0, 111_194.0 * np.cos(np.radians(places[:1, 0])).sum()]
     long = np.linalg.norm(legs, axis=1)
     ways = legs[long > GPS_SIGMA[0]] / long[long > GPS_SIGMA[0], None]
-    return bool(len(ways)) and bool((ways @ ways.T).min() < math.cos(math.radians(45.0)))
+    others = (ways @ ways.T < math.cos(math.radians(45.0))).sum(axis=1)  # legs in other directions
+    return int((others >= 2).sum()) >= 2
 
 
 def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:

@@ -50,7 +50,7 @@ SECOND = 1_000_000_000  # ns
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
 
 
-class Exposure(NamedTuple):
+class UsedPhoto(NamedTuple):
     """One photo that is used."""
 
     tags: PhotoTags
@@ -66,6 +66,7 @@ class Photos(Source):
         files: its photos.
         closed: sub-folders that may not be read.
         read: the tags of a photo, and their fault, as `read_tags`.
+        places, geoid: files that settle positions, as for `settle_positions`.
 
     Raises:
         InputError: no readable photo, or none with GPS.
@@ -81,6 +82,8 @@ class Photos(Source):
         settings: Settings,
         closed: Sequence[Path] = (),
         read: Callable[[Path], tuple[PhotoTags, str]] = read_tags,
+        places: Path | None = None,
+        geoid: Path | None = None,
     ) -> None:
         super().__init__()
         self._root = root
@@ -98,7 +101,7 @@ class Photos(Source):
         photos = self._without(photos, repeated_photos(photos, self._reader.pixels_of))
         photos = self._without(photos, thermal_photos(photos))
         photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
-        positions = settle_positions(photos, root, settings.sources)
+        positions = settle_positions(photos, root, places, geoid)
         photos, distrusted = with_attitudes_settled(positions.photos)
         self._tags |= {p.path: p for p in photos}
         for warning in positions.warnings + distrusted:
@@ -151,10 +154,10 @@ class Photos(Source):
         return [facts[path] for path in sorted(facts)]
 
     @property
-    def exposures(self) -> list[Exposure]:
+    def exposures(self) -> list[UsedPhoto]:
         """The photos that are used, in order of time."""
         return [
-            Exposure(tags, nav_sample(tags, t_ns, self.local), self._cameras.index(tags.camera))
+            UsedPhoto(tags, nav_sample(tags, t_ns, self.local), self._cameras.index(tags.camera))
             for t_ns, tags in self._photos
         ]
 

@@ -37,7 +37,7 @@ WGS84 = pyproj.CRS.from_epsg(4326)
 UNDECLARED = "sea level or ellipsoid: not declared"
 
 
-class Place(NamedTuple):
+class GivenPlace(NamedTuple):
     """Where a photo was taken."""
 
     latitude: float  # degrees
@@ -50,21 +50,21 @@ class Places(NamedTuple):
     """Places by the name of the photo, as a file gives them."""
 
     file: Path
-    rows: Mapping[str, Place]
+    rows: Mapping[str, GivenPlace]
     datum: str  # surface that heights count from
     settled: str  # coordinate system and columns, in words
 
-    def of(self, names: Sequence[str]) -> dict[str, Place]:
+    def of(self, names: Sequence[str]) -> dict[str, GivenPlace]:
         """Places of photos, by their names within the set; with or without folder, suffix and capitals.
 
         Raises:
             InputError: a row fits several photos.
         """
-        fitting = defaultdict[str, dict[str, Place]](dict)
+        fitting = defaultdict[str, dict[str, GivenPlace]](dict)
         for written, place in self.rows.items():
             for key in _keys(written):
                 fitting[key][written] = place
-        found, taken = dict[str, Place](), dict[str, str]()
+        found, taken = dict[str, GivenPlace](), dict[str, str]()
         for name in names:
             for key in _keys(name):
                 if len(fitting.get(key, ())) == 1:
@@ -162,11 +162,11 @@ def _read_geo(path: Path, lines: Sequence[tuple[int, str]], crs: pyproj.CRS) -> 
         x, y = transformer.transform(*np.array([numbers[:2] for *_, numbers in rows]).T)
     except ProjError as e:
         raise InputError(f"{path}: {crs.name} cannot be turned into latitude and longitude ({e})") from e
-    out = dict[str, Place]()
+    out = dict[str, GivenPlace]()
     for (n, name, numbers), longitude, latitude in zip(rows, x, y, strict=True):
         height = up * numbers[2] if len(numbers) > 2 else math.nan
         sigma = _sigma(*numbers[6:8]) if len(numbers) >= 8 else None
-        _put(out, path, n, name, Place(float(latitude), float(longitude), height, sigma))
+        _put(out, path, n, name, GivenPlace(float(latitude), float(longitude), height, sigma))
     most = counts.most_common(1)[0][0]
     angles = ", angles not used (their convention is not declared)" if most >= 6 else ""
     return Places(
@@ -208,7 +208,7 @@ def _read_table(path: Path, text: str) -> Places:
     roles, mark = _roles(header), max(";\t,", key=text.splitlines()[0].count)
     if "name" not in roles.values():
         raise InputError(f"{path}: its header has no column of names; write name,latitude,longitude,height")
-    out, units = dict[str, Place](), {role: _unit(path, header[k]) for k, role in roles.items()}
+    out, units = dict[str, GivenPlace](), {role: _unit(path, header[k]) for k, role in roles.items()}
     for n, fields in enumerate(csv.reader(io.StringIO(text), delimiter=mark), 1):
         if n == 1 or not any(f.strip() for f in fields) or fields[0].startswith("#"):
             continue
@@ -227,7 +227,9 @@ def _read_table(path: Path, text: str) -> Places:
         across = value.get("across", math.nan)
         sigma = value.get("east", across), value.get("north", across), value.get("up", math.nan)
         known = sigma if all(math.isfinite(s) and s > 0 for s in sigma) else None
-        _put(out, path, n, name, Place(value["latitude"], value["longitude"], value.get("height", math.nan), known))
+        _put(
+            out, path, n, name, GivenPlace(value["latitude"], value["longitude"], value.get("height", math.nan), known)
+        )
     if not out:
         raise InputError(f"{path}: has a header and no rows")
     heights = [header[k] for k, role in roles.items() if role == "height"]
@@ -266,7 +268,7 @@ def _sigma(across: float, up: float) -> tuple[float, float, float] | None:
     return (across, across, up) if 0 < across < math.inf and 0 < up < math.inf else None
 
 
-def _put(rows: dict[str, Place], path: Path, line: int, name: str, place: Place) -> None:
+def _put(rows: dict[str, GivenPlace], path: Path, line: int, name: str, place: GivenPlace) -> None:
     if not (abs(place.latitude) <= 90 and abs(place.longitude) <= 180):
         raise InputError(
             f"{path}: line {line}: latitude {place.latitude:g}, longitude {place.longitude:g} is no place on Earth; "

@@ -16,7 +16,6 @@ from alight.arrays import F64, I64
 from alight.photos.reading.photo_tags import PhotoTags, Position
 from alight.photos.reading.places import Places, places_beside, read_places
 from alight.records import InputError
-from alight.settings.user import SourcesKeys
 
 METRES_A_DEGREE = 111_194.0
 SAME_ALTITUDE = 1.0  # m; two altitudes of a photo that differ by more are two numbers
@@ -33,21 +32,27 @@ class Positions(NamedTuple):
     counted_from: str = ""  # surface that heights count from
 
 
-def settle_positions(photos: Sequence[PhotoTags], root: Path, sources: SourcesKeys) -> Positions:
+def settle_positions(
+    photos: Sequence[PhotoTags], root: Path, places: Path | None = None, geoid: Path | None = None
+) -> Positions:
     """Settle the positions of a set: by the file of places that is named, or stands beside, else by the tags.
+
+    Args:
+        photos: of the set.
+        root: its folder.
+        places: file of places, or `tags`: none is used; None: one that stands beside the photos.
+        geoid: grid of geoid heights, for altitudes that are known to count from the sea level.
 
     Raises:
         InputError: the file, or the geoid, cannot be used.
     """
-    file = sources.places
-    path = places_beside(root) if file is None else None if file == "tags" else Path(file).expanduser()
+    path = places_beside(root) if places is None else places if str(places) != "tags" else None
     if path is not None:
         names = [p.path.relative_to(root).as_posix() for p in photos]
         found = positions_by_file(photos, names, read_places(path))
     else:
         timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
         found = positions_by_tags(timed, flights_of(timed))
-    geoid = None if sources.geoid is None else Path(sources.geoid).expanduser()
     moved, counted_from, warnings = above_ellipsoid(found.photos, geoid)
     return found._replace(photos=moved, counted_from=counted_from, warnings=found.warnings + warnings)
 
