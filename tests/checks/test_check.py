@@ -417,8 +417,6 @@ def test_the_function_takes_a_source_and_a_part_of_it() -> None:
     assert only(found, "time offset").mend.startswith("set motion.filter.time_offset=0.0")
     with pytest.raises(InputError, match="no exposure between"):
         alight.check(Cut(flight().rig, list(events()[:400])), start=500.0)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="photos"):
-        alight.check(Cut(flight().rig, [], kind="photos"))  # type: ignore[arg-type]
 
 
 def test_the_command_prints_a_line_each_and_returns_3(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -183,7 +183,7 @@ def test_a_photo_cut_off_and_another_camera_among_good_ones(run: Run, photos: Pa
 
 def test_two_folders_of_photos(run: Run, tmp_path: Path) -> None:
     write_photos(tmp_path / "survey" / "100MEDIA", 2)
-    write_photos(tmp_path / "survey" / "101MEDIA", 2)
+    write_photos(tmp_path / "survey" / "101MEDIA", 2, seed=2)
     assert run(tmp_path / "survey")[0] == 0
     assert told(tmp_path / "out")["counts"]["exposures"] == 4
 

@@ -206,10 +206,10 @@ def write_photo(
     return path
 
 
-def write_photos(folder: Path, n: int = 4) -> Path:
+def write_photos(folder: Path, n: int = 4, seed: int = 0) -> Path:
     """Write an undamaged folder of n photos, 3 s and about 3 m apart."""
     for k in range(n):
-        write_photo(folder / f"DJI_{k:04d}.JPG", k, second=f"{10 + 3 * k}", place=(45.0 + 3e-5 * k, 7.6, 350.0))
+        write_photo(folder / f"DJI_{k:04d}.JPG", seed + k, second=f"{10 + 3 * k}", place=(45.0 + 3e-5 * k, 7.6, 350.0))
     return folder
 
 
