@@ -209,23 +209,31 @@ def test_each_flight_has_a_take_off_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "xmp", "latitude", "warning"),
+    ("digits", "shift", "xmp_used", "sigma", "warning"),
     [
-        (36.0, "45.01012345", 45.01012345, "XMP are used, which are finer"),
-        (36.44, "45.01012345", 45.01012345, "XMP are used, which are finer"),
-        (36.4444, "45.0101234", 45 + 36.4444 / 3600, ""),
-        (36.0, "45.01", 45.01, ""),
-        (36.0, "45.02012345", 45.01, "those in EXIF are used"),
+        (0, 0.0, True, 3.0, "XMP are used, which are finer"),
+        (1, 0.0, True, 3.0, "XMP are used, which are finer"),
+        (4, 0.0, False, 3.0, ""),
+        (4, 2e-6, False, 3.0, ""),
+        (4, 1e-4, False, 3.0, "places in EXIF and XMP lie up to 11.1 m apart"),
+        (4, None, False, 3.0, ""),
+        (1, None, False, 3.09 / 12**0.5, "places have steps of 3 m"),
+        (0, None, False, 30.9 / 12**0.5, "places have steps of 31 m"),
     ],
 )
-def test_the_finer_place(seconds: float, xmp: str, latitude: float, warning: str) -> None:
-    photos = [tagged(350.0, seconds=k, GpsLatitude=xmp, GpsLongitude="7.60000123") for k in range(3)]
-    for p in photos:
-        assert isinstance(p.gps, dict)
-        p.gps[2] = (45.0, 0.0, seconds)
-    found = positions_by_tags(photos, [0] * 3)
-    assert found.photos[0].place is not None
-    assert found.photos[0].place[0] == pytest.approx(latitude, abs=1e-10)
+def test_the_finer_place(digits: int, shift: float | None, xmp_used: bool, sigma: float, warning: str) -> None:
+    """EXIF with so many digits of a second of arc, XMP with so many degrees beside it, or none."""
+    photos, true = [], [45.0 + 0.00123456 * k for k in range(1, 5)]
+    for k, latitude in enumerate(true):
+        xmp = {} if shift is None else {"GpsLatitude": f"{latitude + shift:.9f}", "GpsLongitude": "7.600000000"}
+        photos.append(tagged(350.0, seconds=k, **xmp))
+        assert isinstance(photos[-1].gps, dict)
+        photos[-1].gps[2] = (45.0, 0.0, round(3600 * (latitude - 45.0), digits))
+    found = positions_by_tags(photos, [0] * 4)
+    for photo, at in zip(found.photos, true, strict=True):
+        assert photo.place is not None
+        assert (abs(photo.place[0] - at) < 1e-9) == xmp_used
+    assert position_sigma(found.photos[0])[0] == pytest.approx(max(sigma, 3.0), rel=0.01)
     assert [warning in w for w in found.warnings + found.contradictions] == ([True] if warning else [])
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from alight.arrays import F64, I64
+from alight.photos.reading.photo_pose import GPS_SIGMA, position_sigma
 from alight.photos.reading.photo_tags import PhotoTags, Position
 from alight.photos.reading.places import Places, places_beside, read_places
 from alight.records import InputError
@@ -127,6 +128,7 @@ def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Po
     for photo, place, altitude in zip(photos, places, altitudes, strict=True):
         known = None if math.isnan(altitude) else altitude
         out.append(replace(photo, settled=Position(place, known, photo.kind_of(known))))
+    out = _by_coarse_places(out, warnings)
     placed = [p for p in out if p.place is not None]
     if placed and not any(p.position is not None for p in placed):
         relative = [p.relative_altitude for p in placed]
@@ -151,20 +153,35 @@ def _finer_places(
     if not both:
         return own
     exif, xmp = (np.array([getattr(photos[k], f"{n}_place") for k in both]) for n in ("exif", "xmp"))
-    step, finer = _step(3600 * exif) / 3600, _step(xmp)
-    off = float(np.abs(exif - xmp).max())
-    if step * METRES_A_DEGREE < 0.05 or finer >= step:
-        return own
-    lost = f"places in EXIF have steps of {step * METRES_A_DEGREE:.2g} m"
-    if off > 1.01 * step:
-        contradictions.append(
-            f"{lost}, and those in XMP lie up to {off * METRES_A_DEGREE:.1f} m away: those in EXIF are used"
-        )
-        return own
-    for k, place in zip(both, xmp.tolist(), strict=True):
-        own[k] = (place[0], place[1])
-    warnings.append(f"{lost}: those in XMP are used, which are finer")
+    step, off = _step_of_places(exif), METRES_A_DEGREE * float(np.abs(exif - xmp).max())
+    if off > max(1.01 * step, GPS_SIGMA[0]):
+        contradictions.append(f"places in EXIF and XMP lie up to {off:.1f} m apart: those in EXIF are used")
+    elif off <= 1.01 * step and METRES_A_DEGREE * _step(xmp) < step and step > 0.05:
+        for k, place in zip(both, xmp.tolist(), strict=True):
+            own[k] = (place[0], place[1])
+        warnings.append(f"places in EXIF have steps of {step:.2g} m: those in XMP are used, which are finer")
     return own
+
+
+def _step_of_places(places: F64) -> float:
+    """Metres from one latitude or longitude (n, 2) that can be written to the next; 0: too few places to know."""
+    few = len(np.unique(places, axis=0)) < 3
+    return 0.0 if few else METRES_A_DEGREE * _step(3600 * places) / 3600  # they are written in seconds
+
+
+def _by_coarse_places(photos: list[PhotoTags], warnings: list[str]) -> list[PhotoTags]:
+    """The photos, with the sigma of places that are written with few digits."""
+    step = _step_of_places(np.array([p.place for p in photos if p.place is not None]).reshape(-1, 2))
+    if not step > GPS_SIGMA[0]:
+        return photos
+    across = step / math.sqrt(12.0)
+    warnings.append(f"places have steps of {step:.0f} m: they count as known to {across:.0f} m")
+    out = list[PhotoTags]()
+    for photo in photos:
+        east, north, up = np.maximum(position_sigma(photo), [across, across, 0.0]).tolist()
+        assert photo.settled is not None
+        out.append(replace(photo, settled=photo.settled._replace(sigma=(east, north, up))))
+    return out
 
 
 def _step(values: F64) -> float:
