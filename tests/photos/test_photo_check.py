@@ -76,7 +76,7 @@ def light(**changes: float) -> list[Brightness]:
         (checking.judge_heights, lambda e: replace(e, pairs=[]), "cannot tell", "do not give the height"),
         (checking.judge_attitude, lambda e: e, "good", "0 degrees from straight down"),
         (checking.judge_attitude, lambda e: replace(e, poses=e.poses @ turned(40)), "warning", "40 degrees"),
-        (checking.judge_attitude, lambda e: replace(e, poses=e.poses @ turned(75)), "bad", "point the camera down"),
+        (checking.judge_attitude, lambda e: replace(e, poses=e.poses @ turned(75)), "warning", "unless the tags"),
         (checking.judge_exposure, lambda e: replace(e, brightness=light()), "good", "mean grey 110"),
         (checking.judge_exposure, lambda e: replace(e, brightness=light(saturated=0.3)), "bad", "over-exposed"),
         (checking.judge_exposure, lambda e: replace(e, brightness=light(black=0.5)), "bad", "under-exposed"),

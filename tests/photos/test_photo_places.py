@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 
+from alight.cli import call
 from alight.photos.reading.photo_pose import position_sigma, rtk_fix
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.photos.reading.places import places_beside, read_places
@@ -139,6 +141,19 @@ def test_one_file_is_chosen(tmp_path: Path) -> None:
         places_beside(folder)
     (folder / "GEO.TXT").write_text(GEO)
     assert places_beside(folder) == folder / "GEO.TXT"
+
+
+def test_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, file = d.write_photos(tmp_path / "card", 2), tmp_path / "elsewhere.csv"
+    file.write_text(TABLE)
+    call(["check", str(folder), "--places", str(file), "--json"])
+    found = {r["name"]: r["evidence"] for r in json.loads(capsys.readouterr().out)}
+    assert "elsewhere.csv (columns name, latitude, longitude, height): 2 of 2 photos" in found["positions"]
+    assert "altitudes count from: sea level or ellipsoid: not declared" in found["heights"]
+    assert call(["check", str(d.write_flight(tmp_path / "flight")), "--places", str(file)]) == 2
+    assert "is for a folder of photos" in capsys.readouterr().err
+    assert call(["check", str(folder), "--places", str(tmp_path / "none.csv")]) == 2
+    assert "none.csv: cannot be read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,8 @@ def open_source(
         source = _open(path, settings or Settings(), *files)
     except OSError as e:
         raise InputError(f"{e.filename or path}: cannot be read ({e.strerror}); check the permissions") from e
-    if places is not None and source.kind != "photos":
-        raise InputError(f"--places {places}: is for photos; run it without")
+    if places is not None and (source.kind != "photos" or path.is_file()):
+        raise InputError(f"--places {places}: is for a folder of photos; run it without")
     return source
 
 

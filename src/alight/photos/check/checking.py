@@ -42,7 +42,7 @@ def _of_reading(source: Photos) -> Iterator[CheckResult]:
     """What was noticed while the tags were read: contradictions are faults."""
     for sentence in source.warnings:
         contradicts = sentence in source.findings.contradictions
-        yield (bad if contradicts else warning)("reading", sentence, "see above" if contradicts else "")
+        yield bad("reading", sentence, "remove the wrong tags") if contradicts else warning("reading", sentence, "")
 
 
 def judge_set(found: PhotoEvidence) -> CheckResult:
@@ -67,13 +67,13 @@ def judge_set(found: PhotoEvidence) -> CheckResult:
 def judge_focal(found: PhotoEvidence) -> CheckResult:
     """Focal length and its source; whether the pictures confirm it stands with the heights."""
     notes = found.source.notes
-    told = [
+    facts = [
         f"{notes['focal_px']:.0f} px, {notes['focal_from']}",
-        *(str(notes[k]) for k in ("focal_note",) if k in notes),
+        *([notes["focal_note"]] if "focal_note" in notes else []),
     ]
     if "guess" in notes["focal_from"]:
-        return warning("focal length", "; ".join(told), "give the camera's calibration")
-    return good("focal length", "; ".join(told))
+        return warning("focal length", "; ".join(facts), "give the camera's calibration")
+    return good("focal length", "; ".join(facts))
 
 
 def judge_positions(found: PhotoEvidence) -> CheckResult:
@@ -81,10 +81,10 @@ def judge_positions(found: PhotoEvidence) -> CheckResult:
     notes, lack = found.source.notes, int((~np.isfinite(found.centres).all(axis=1)).sum())
     kinds = ", ".join(f"{n} {kind}" for kind, n in notes["gps"].items())
     east, north, up = notes["position_sigma"]
-    said = f"{kinds}; 1-sigma {east:g} m east, {north:g} m north, {up:g} m up; by {notes['positions_from']}"
+    evidence = f"{kinds}; 1-sigma {east:g} m east, {north:g} m north, {up:g} m up; by {notes['positions_from']}"
     if lack:
-        return warning("positions", f"{said}; {lack} photos have none", "write their places into geo.txt")
-    return good("positions", said)
+        return warning("positions", f"{evidence}; {lack} photos have none", "write their places into geo.txt")
+    return good("positions", evidence)
 
 
 def judge_heights(found: PhotoEvidence) -> CheckResult:
@@ -116,15 +116,15 @@ def judge_attitude(found: PhotoEvidence) -> CheckResult:
     if not np.isfinite(found.down).any():
         return unknown("attitude", f"{kinds}: whether the cameras looked down follows from the pictures in a run")
     off = np.degrees(np.arccos(np.clip(found.down[np.isfinite(found.down)], -1, 1)))
-    said = (
+    evidence = (
         f"{kinds}; optical axes {np.median(off):.0f} degrees from straight down, one in ten more than "
         f"{np.percentile(off, 90):.0f}"
     )
-    if np.median(off) > 60:
-        return bad("attitude", said, "point the camera down: a site is sought below the aircraft")
-    if np.median(off) > 30:
-        return warning("attitude", said, "point the camera down, or up to 30 degrees off")
-    return good("attitude", said)
+    if np.median(off) > 30:  # no fault: a run drops the tags if the pictures contradict them
+        return warning(
+            "attitude", evidence, "point the camera down, or up to 30 degrees off, unless the tags are wrong"
+        )
+    return good("attitude", evidence)
 
 
 def judge_exposure(found: PhotoEvidence) -> CheckResult:
@@ -151,43 +151,36 @@ def judge_sharpness(found: PhotoEvidence) -> CheckResult:
         return unknown("sharpness", "too few edges in the pictures")
     widths = known.max(axis=1)
     worst = float(np.max(widths))
-    said = (
+    evidence = (
         f"the sharpest edges are {np.median(widths):.1f} px wide, {worst:.1f} px in the worst of {len(widths)} pictures"
     )
     if np.median(widths) > 4.5:
-        return bad("sharpness", said, "focus at the flying height and lock it, shorten the exposure or fly slower")
+        return bad("sharpness", evidence, "focus at the flying height and lock it, shorten the exposure or fly slower")
     if worst > 4.5:
-        return warning("sharpness", said, "take blurred pictures away")
-    return good("sharpness", said)
+        return warning("sharpness", evidence, "take blurred pictures away")
+    return good("sharpness", evidence)
 
 
 def judge_overlap(found: PhotoEvidence) -> CheckResult:
-    """Overlap by positions, height and field of view, and by matching neighbours."""
-    check, height = Check("overlap"), found.height
-    if np.isfinite(height) and height > 0:
-        cover = coverage(found, height)
-        along = float(np.median(cover.along)) if len(cover.along) else float("nan")
-        views = int(np.median(cover.views)) if len(cover.views) else 0
-        check.measured.append(f"{100 * along:.0f} % with the next photo, ground seen by {views} photos (by the tags)")
-        check.judge(
-            (along < 0.6, "take photos closer to each other: two thirds of one must be in the next"),
-            (views < 3, "fly strips closer to each other: a good height needs five views"),
-        )
-    matched = [p.overlap for p in found.pairs if p.matches]
-    if found.pairs:
-        share = f", {100 * np.nanmedian(matched):.0f} % overlap" if np.isfinite(matched).any() else ""
-        check.measured.append(
-            f"{len(matched)} of {len(found.pairs)} pairs of neighbours match{share} (by the pictures)"
-        )
-        check.judge(
-            (
-                2 * len(matched) < len(found.pairs),
-                "photos that do not match give no heights: more overlap, sharper pictures",
-            ),
-        )
-    else:
-        check.incomplete = True
-        check.measured.append("no pair of neighbours could be read")
+    """Overlap by positions, height and field of view, and by matching neighbours, which counts for more."""
+    check, matched = Check("overlap"), [p.overlap for p in found.pairs if p.matches]
+    along = float(np.nanmedian(matched)) if np.isfinite(matched).any() else float("nan")
+    cover = coverage(found, found.height) if found.height > 0 else None
+    if cover is not None and len(cover.along):
+        by_tags, views = float(np.median(cover.along)), int(np.median(cover.views))
+        along = along if np.isfinite(along) else by_tags
+        check.measured.append(f"{100 * by_tags:.0f} % with the next photo, ground seen by {views} photos (by the tags)")
+        check.judge((views < 3, "fly strips closer to each other: a good height needs five views"))
+    share = f", {100 * along:.0f} % overlap" if matched else ""
+    check.measured.append(f"{len(matched)} of {len(found.pairs)} pairs of neighbours match{share} (by the pictures)")
+    check.incomplete = not found.pairs
+    check.judge(
+        (along < 0.6, "take photos closer to each other: two thirds of one must be in the next"),
+        (
+            2 * len(matched) < len(found.pairs),
+            "photos that do not match give no heights: more overlap, sharper pictures",
+        ),
+    )
     return check.result
 
 
@@ -200,12 +193,12 @@ def judge_resolution(found: PhotoEvidence, settings: Settings) -> CheckResult:
         return unknown("resolution", "the height above ground is not known")
     focal = float(np.median([found.source.rig.cameras[e.camera].camera.fu for e in found.exposures]))
     pixel = height / focal
-    said = f"a pixel is {100 * pixel:.1f} cm on the ground from {height:.0f} m"
+    evidence = f"a pixel is {100 * pixel:.1f} cm on the ground from {height:.0f} m"
     need = f"obstacles of {100 * tallest:.0f} cm need {100 * enough:.1f} cm"
     if pixel <= enough:
-        return good("resolution", f"{said}; {need}")
+        return good("resolution", f"{evidence}; {need}")
     remedy = f"fly at {enough * focal:.0f} m, or land a vehicle whose limits allow more (lander.max_roughness)"
-    return warning("resolution", f"{said}; {need}: bare ground alone will not be surely free of them", remedy)
+    return warning("resolution", f"{evidence}; {need}: bare ground alone will not be surely free of them", remedy)
 
 
 def estimate(found: PhotoEvidence, settings: Settings) -> CheckResult:
