@@ -161,20 +161,26 @@ def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8
     frame = np.array([[0, 0], [its.width, 0], [its.width, its.height], [0, its.height]], np.float32)
     back = cv2.perspectiveTransform(frame[None], np.linalg.inv(H)).astype(np.float32)
     shared = cv2.intersectConvexConvex(corners, back[0])[0] if cv2.isContourConvex(back[0]) else np.nan
-    moved = cv2.perspectiveTransform(np.array([[[lens.cu, lens.cv]]]), H)[0, 0] - (its.cu, its.cv)
-    shift = float(np.linalg.norm(moved)) * lens.fu / its.fu
-    return NeighbourPair(
-        *numbers, int(inside.sum()), shared / (lens.width * lens.height), _height(found, numbers, shift)
-    )
+    ray = its.rays(cv2.perspectiveTransform(np.array([[[lens.cu, lens.cv]]]), H)[0])[0]
+    return NeighbourPair(*numbers, int(inside.sum()), shared / (lens.width * lens.height), _height(found, numbers, ray))
 
 
-def _height(found: PhotoEvidence, numbers: tuple[int, int], shift: float) -> float:
-    """Metres above ground by the shift (px) of what lies below, for cameras that look down; NaN: not known."""
-    baseline = float(np.linalg.norm(np.diff(found.centres[list(numbers), :2], axis=0)))
-    down = np.nan_to_num(found.down[list(numbers)], nan=1.0)
-    if not (down > NADIR).all() or not baseline > 1.0 or shift <= 0:
+def _height(found: PhotoEvidence, numbers: tuple[int, int], ray: F64) -> float:
+    """Metres above ground by parallax, for cameras that look down; NaN: not known.
+
+    Args:
+        found: with the poses.
+        numbers: of two exposures.
+        ray: (3,) in the second camera, of the ground on the optical axis of the first.
+    """
+    i, j = numbers
+    down = np.nan_to_num(found.down[[i, j]], nan=1.0)
+    way = (found.centres[i] - found.centres[j]) * [1.0, 1.0, 0.0]  # altitudes are wrong too often
+    if not (down > NADIR).all() or not np.linalg.norm(way) > 1.0:
         return np.nan
-    return found.source.rig.cameras[found.exposures[numbers[0]].camera].camera.fu * baseline / shift
+    axis, base = found.poses[j].T @ (found.poses[i][:, 2] / down[0]), found.poses[j].T @ way
+    turned, moved = (np.linalg.norm(v[:2] - ray[:2] / ray[2] * v[2]) for v in (axis, base))
+    return float(moved / turned) if turned > 0 else np.nan  # a common error of both headings does no harm
 
 
 class Coverage(NamedTuple):
