@@ -1,4 +1,4 @@
-"""Tuning of the mapping lane and of its map (docs/lab/tuning-constants.md)."""
+"""Tuning of the mapping lane and of its map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tuning of planar parallax (docs/lab/tuning-constants.md)."""
+"""Tuning of planar parallax."""
 
 from __future__ import annotations
 
