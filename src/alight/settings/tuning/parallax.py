@@ -101,8 +101,7 @@ class ConsistencyTuning(FrozenModel):
         0.02, description="Least variance of ground that changed or is contradicted, normalised grey^2"
     )
     least_seen: Fraction = Field(0.25, description="Least share of the cells of a block that a pair sees")
-    least_views: int = Field(5, ge=2, description="Least number of views of a cell (recursive)")
-    least_views_batch: int = Field(7, ge=2, description="Least number of views of a cell (batch)")
+    least_views: int = Field(5, ge=2, description="Least number of views of a cell")
     pairs: int = Field(6, ge=1, description="Most pairs of views of one instant (batch)")
 
 
@@ -158,8 +157,6 @@ class PoseRefinementTuning(FrozenModel):
     far_cells: Positive = Field(
         0.5, description="1-sigma of the newest view on the ground from which coarse images come first, cells"
     )
-    near_cells: Positive = Field(0.25, description="The same from which two linearisations are made, cells")
-    least_known: int = Field(200, ge=1, description="Least number of known cells of a map")
     plane_sigma: Triple = Field(
         (0.1, 0.1, 0.1),
         description="1-sigma of the ground's plane before there is a map: offset over height, tilts in rad",
