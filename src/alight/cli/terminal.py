@@ -143,4 +143,9 @@ def save_result(result: RunResult, out: Path, force: bool) -> None:
 
     print_result(result)
     write_run(result, out, force)
+    if result.route is not None and result.home is None and (out / "route.plan").exists():
+        print_stderr(
+            "warning: route.plan counts its heights from the ground of site 1, which is its planned home, with a height "
+            "above the ellipsoid; give --home LAT,LON,ALT_MSL of the place where the vehicle is armed"
+        )
     print_line(f"report: {out / 'report.html'}")
