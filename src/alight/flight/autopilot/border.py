@@ -37,10 +37,15 @@ def frd(vector_body: ArrayLike) -> F64:
     return flu(*np.asarray(vector_body, dtype=np.float64))  # its own inverse
 
 
+def world_from_body_of(ned_from_frd: F64) -> F64:
+    """Return rotations (..., 3, 3) of NED/FRD as those of ENU/FLU."""
+    return np.asarray(ENU_FROM_NED @ ned_from_frd @ FRD_FROM_FLU)
+
+
 def world_from_body_of_quaternion(quaternion: ArrayLike) -> F64 | None:
     """NED-from-FRD quaternion (w, x, y, z) as ENU-from-FLU matrix (3, 3); None: it is no rotation."""
     try:
-        return np.asarray(ENU_FROM_NED @ matrix_from_quaternion(quaternion) @ FRD_FROM_FLU)
+        return world_from_body_of(matrix_from_quaternion(quaternion))
     except ValueError:
         return None
 
