@@ -28,7 +28,9 @@ SamplingOption = Annotated[
 class RunOptions(options.RouteOptions):
     """Options of `alight run`."""
 
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/), photos, or a video with .srt.")]
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A flight log, photos, frames with a log, or a video.")
+    ]
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
     ] = None
@@ -92,6 +94,8 @@ def check(o: CheckOptions) -> None:
         rows = [PhotoRow(p, None) for p in recording.photos]
         _print_rows([row.line for row in rows], [row.as_json() for row in rows], o.as_json)
         return
+    for line in () if o.as_json else recording.notes.get("log", ()):
+        print_line(f"LOG  {line}")
     with progress_bar() as report:
         found = check_source(recording, o.seconds, o.start, lambda share: report("checking", share))
     _print_rows([r.line for r in found], [asdict(r) for r in found], o.as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,10 +12,15 @@ from alight.settings import Settings
 from alight.sources import Source
 
 if TYPE_CHECKING:
+    from alight.sources.calibrated_folder import CalibratedFolder
     from alight.sources.live import LiveSource
 
 VIDEOS = (".mp4", ".mov", ".m4v")
-LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
+LOGS = (".ulg", ".bin", ".tlog")
+LOOKED_FOR = (
+    "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos, frames "
+    "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt"
+)
 
 
 def open_source(path: str | Path, settings: Settings | None = None) -> Source:
@@ -44,10 +50,18 @@ def _open(path: Path, settings: Settings) -> Source:
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
+    log = log_in(root)
     if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
         from alight.sources.flight_log import FlightLog
 
-        return FlightLog(root, settings)
+        flight = FlightLog(root, settings)
+        if log is None or flight.georeferenced:
+            return flight
+        return _with_log(flight, log, settings)
+    if log is not None and not _have_places(root):
+        from alight.sources.frame_folder import FrameFolder
+
+        return _with_log(FrameFolder(root, settings), log, settings)
     from alight.photos.reading.photo_selection import find_photos
 
     if (found := find_photos(root)).files:
@@ -62,6 +76,36 @@ def _open(path: Path, settings: Settings) -> Source:
     raise InputError(
         f"{path}: nothing usable in it{closed}; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
     )
+
+
+def log_in(folder: Path) -> Path | None:
+    """Return the autopilot's log in a folder of frames; None: there is none.
+
+    Raises:
+        InputError: there are several.
+    """
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in LOGS and p.is_file())
+    if len(found) > 1:
+        raise InputError(f"{folder}: holds {len(found)} logs of an autopilot; leave the one of these frames in it")
+    return found[0] if found else None
+
+
+def _have_places(folder: Path) -> bool:
+    """Whether the pictures of a folder are photos with places, by the first that can be read; also without pictures."""
+    from alight.photos.reading.photo_tags import read_tags
+    from alight.sources.frame_folder import frames_in
+    from alight.sources.images import UNREADABLE
+
+    for path in (found := frames_in(folder)):
+        with suppress(*UNREADABLE):
+            return read_tags(path)[0].place is not None
+    return not found
+
+
+def _with_log(frames: CalibratedFolder, log: Path, settings: Settings) -> Source:
+    from alight.flight.logs.logged_frames import LoggedFrames
+
+    return LoggedFrames(frames, log, settings)
 
 
 def open_live(

@@ -63,6 +63,11 @@ def replay(
         InputError: no part of the recording can be used.
     """
     given = given_poses(source, poses)
+    if shifts := source.notes.get("timeshift_cam_imu"):
+        from alight.checks.clock_offset import contradicted_shift
+
+        if why := contradicted_shift(source.rig, source.events(), shifts[0] or 0.0):
+            source.findings.warn(why)
     options = PipelineOptions(
         given, _adjustment(source, settings, jobs) if given is None else None, appearance_of(settings),
         source.imu_noise, prior, None if source.schedule is None else ScheduledPolicy(source.schedule),

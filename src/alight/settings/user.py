@@ -30,6 +30,19 @@ class SourcesKeys(FrozenModel):
     )
     skip: int = Field(0, ge=0, le=10**9, description="Number of exposures left out at the start")
     every: int = Field(1, ge=1, le=10**9, description="Use every n-th exposure")
+    rate: Positive | None = Field(None, description="Frames a second, where frames have no times; null: they have")
+    time_offset: float | None = Field(
+        None,
+        allow_inf_nan=False,
+        description="Time by which the stamps of frames are ahead of the autopilot's log, s; null: found from the "
+        "pictures",
+    )
+    separation: float | None = Field(
+        None,
+        ge=-120.0,  # no geoid is farther from the ellipsoid
+        le=120.0,
+        description="Ellipsoid above sea level, for the heights of an autopilot's log, m; null: the receiver's",
+    )
 
 
 class FilterKeys(FrozenModel):
