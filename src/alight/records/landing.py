@@ -32,7 +32,7 @@ class Hazard(IntFlag):
 def is_site(p_safe: F32, least: float) -> Mask:
     """Whether P(safe) makes a touchdown that no limit refuses a site; else it is a candidate, (R, C).
 
-    This is the one decision by P(safe). Its result is `Hazard.DOUBT`: a place without any reason is a site, one with
+    This alone decides between site and candidate. Its result is `Hazard.DOUBT`: a place without any reason is a site, one with
     this reason alone a candidate. A place that is listed also keeps a margin (`keeps_margin`).
 
     Args:
