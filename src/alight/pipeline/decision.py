@@ -53,12 +53,16 @@ def conclude(
         warnings += judging.memory.warnings
         return Decision(Sites((), found.reason), motions, warnings=warnings, notes=notes, photos=photos)
     progress("judging", 0.2)
-    verdict = judging.judge(found.snapshot).in_world()
-    route = _route(verdict.sites, found.snapshot, settings.route)
+    seen = found.snapshot
+    if trajectory.distrust:
+        seen = replace(seen, elevation=seen.elevation.refused())
+    verdict = judging.judge(seen).in_world()
+    sites = replace(verdict.sites, reason=trajectory.distrust or verdict.sites.reason)
+    route = _route(sites, seen, settings.route)
     progress("judging", 1.0)
     return Decision(
-        verdict.sites, motions, verdict.elevation, verdict.land_cover, verdict.hazards, route,
-        found.snapshot.vehicle.height_above_ground, [*warnings, *judging.memory.warnings, *verdict.warnings],
+        sites, motions, verdict.elevation, verdict.land_cover, verdict.hazards, route,
+        seen.vehicle.height_above_ground, [*warnings, *judging.memory.warnings, *verdict.warnings],
         {**trajectory.notes, **found.notes, **judging.notes(verdict)}, photos,
     )  # fmt: skip
 

@@ -186,6 +186,10 @@ class ElevationMap(Heights):
         trusted: NDArray[np.bool_] = np.isfinite(self.height) & is_trusted(self.flags)
         return trusted
 
+    def refused(self) -> ElevationMap:
+        """The map without any height that may be given out, as where their scale is unknown."""
+        return replace(self, flags=self.flags | np.uint16(Flag.UNSURE))
+
 
 @dataclass(frozen=True, eq=False)
 class TerrainMap:

@@ -28,6 +28,9 @@ class SourcesKeys(FrozenModel):
     calibration: str | None = Field(
         None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
     )
+    focal_px: Positive | None = Field(
+        None, description="Focal length of the photos, pixels, instead of that of their tags; null: that of the tags"
+    )
     skip: int = Field(0, ge=0, le=10**9, description="Number of exposures left out at the start")
     every: int = Field(1, ge=1, le=10**9, description="Use every n-th exposure")
 
@@ -55,6 +58,11 @@ class BundleKeys(FrozenModel):
     )
     lens: Literal["held", "free"] = Field(
         "free", description="Principal point and distortion: held at the calibration, or free (estimated)"
+    )
+    takeoff: Literal["near", "elsewhere"] = Field(
+        "near",
+        description="Place of take-off: about as high as ground of the map, which checks heights above ground, or "
+        "elsewhere",
     )
 
 
