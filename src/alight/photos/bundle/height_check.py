@@ -32,7 +32,7 @@ class FocalScore(NamedTuple):
 
     @property
     def curve(self) -> F64:
-        """Log-likelihood of each of `RATIOS`. One step from a wrong focal length may go a fifth too far, or fall short by half."""
+        """Log-likelihood of each of `RATIOS`: a step from a wrong one may go a fifth too far, or fall short by half."""
         miss = np.log(RATIOS) - self.estimate
         share = np.where(miss * self.estimate > 0.0, 0.5, 0.2)
         return np.asarray(-0.5 * (miss / np.hypot(self.sigma, share * self.estimate)) ** 2)
@@ -141,8 +141,9 @@ def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> Height
     possible, middle = RATIOS[likelihood > 1.0 / LIKELIER], float(likelihood @ log_ratio / likelihood.sum())
     one, best = len(RATIOS) // 2, int(np.argmax(total))
     wrong = likelihood[one] < 1.0 / LIKELIER and abs(middle) > TOLERANCE
-    because = max(curves, key=lambda k: curves[k][best] - curves[k][one]) if wrong else ""
-    return HeightCheck(float(np.exp(middle)), float(possible[0]), float(possible[-1]), because)
+    against = sorted(((curve[best] - curve[one], why) for why, curve in curves.items()), reverse=True)
+    because = " and ".join(why for size, why in against if size >= min(against[0][0], np.log(LIKELIER)))
+    return HeightCheck(float(np.exp(middle)), float(possible[0]), float(possible[-1]), because if wrong else "")
 
 
 def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:

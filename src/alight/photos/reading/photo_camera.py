@@ -10,11 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from PIL import ExifTags
 
-from alight.arrays import F64, Mask
 from alight.geometry import Camera
+from alight.photos.reading.fitted_lens import fisheye_terms, radial_lens
 from alight.photos.reading.photo_tags import PhotoTags, finite
 from alight.records import InputError
 from alight.sources.calibration import why_no_lens
@@ -25,7 +24,6 @@ Found = tuple[Camera, Notes] | None
 
 GUESSED = "a guess: no focal length in the tags"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
-MARGIN = 1.02  # of a fitted lens, over the radius of the image's corner
 
 
 class Claim(NamedTuple):
@@ -65,6 +63,8 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
         raise InputError(f"{tags.path.name}: no focal length in its tags; give one with --set sources.focal_px=PIXELS")
     used = given or _ranked(claims, tags.digital_zoom)
     notes = used.notes | {"focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
+    if len(claims) > 1:
+        notes["focal_sources"] = [c.words for c in claims]
     if rivals := [c for c in claims if not c.agrees(used)]:
         others = ", ".join(c.words for c in rivals)
         notes["focal_warning"] = f"{used.words} is used, but {others}: heights above ground scale with the focal length"
@@ -116,7 +116,9 @@ def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
     chosen = max(claims, key=weight)
     exact = next(c for c in claims if c.agrees(chosen))
     lens = claims[0].camera
-    return exact if lens.model == "none" else exact._replace(camera=_with_focal(lens, exact.camera.fu))
+    if exact is claims[0] or lens.model == "none":
+        return exact
+    return exact._replace(camera=_with_focal(lens, exact.camera.fu))
 
 
 def _with_focal(lens: Camera, focal: float) -> Camera:
@@ -316,49 +318,6 @@ def _from_fisheye(tags: PhotoTags) -> Found:
     return camera, {"focal_from": "factory calibration (Camera tags, fisheye)"}
 
 
-def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 | None:
-    """The focal length in pixels, and it times k1, ..., k4, of the equidistant model nearest to Pix4D's fisheye model.
-
-    Args:
-        scale: pixels, `C` of the affine matrix, in `r = C sum(p[i] t**i)` with `t = 2 angle / pi`. The focal length is
-            `2 C / pi` where the even terms vanish.
-        polynomial: p0 (0), p1 (1), p2, ...
-        radius: pixels from the centre to the image's farthest corner.
-    """
-    t = np.linspace(0.0, 1.0, 401)[1:]
-    r = scale * (t[:, None] ** np.arange(len(polynomial)) @ np.array(polynomial))
-    inside = _within(r, radius * MARGIN)
-    return _odd_terms(0.5 * np.pi * t[inside], r[inside], 5) if inside.sum() >= 20 else None
-
-
-def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[float, float, float]:
-    """k1, k2, k3 nearest to a rational model, `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
-
-    Args:
-        radius: of the image's farthest corner, in focal lengths.
-    """
-    r = np.linspace(0.0, np.tan(np.radians(75.0)), 401)[1:]
-    even = r[:, None] ** np.array([2, 4, 6])
-    distorted = r * (1 + even @ np.array(above)) / (1 + even @ np.array(below))
-    inside = _within(distorted, radius * MARGIN)
-    k1, k2, k3 = _odd_terms(r[inside], distorted[inside] - r[inside], 4, start=3)[:3]
-    return float(k1), float(k2), float(k3)
-
-
-def _within(rising: F64, limit: float) -> Mask:
-    """Samples up to a limit, as long as they rise."""
-    fine = np.diff(rising, prepend=0.0) > 0
-    return np.asarray(np.logical_and.accumulate(fine & (rising <= limit)))
-
-
-def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
-    """Coefficients of x**start, x**(start + 2), ... by least squares."""
-    powers = np.arange(start, 2 * last, 2)
-    size = x.max()
-    found = np.linalg.lstsq((x[:, None] / size) ** powers, y, rcond=None)[0]
-    return np.asarray(found / size**powers, dtype=np.float64)
-
-
 # -- nominal focal lengths
 
 
@@ -373,7 +332,7 @@ def _from_sensor(tags: PhotoTags) -> Found:
 
 
 def _from_film(tags: PhotoTags) -> Found:
-    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)")
+    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm")
 
 
 def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
