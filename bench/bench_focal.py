@@ -10,7 +10,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from drawn_survey import Survey
 
-RATIOS = 1.1, 1 / 1.1, 1.25, 0.8, 1.5, 0.5, 2.0, 2.5  # of the true focal length to the one used
+RATIOS = 1.1, 1 / 1.1, 1.25, 0.8, 1 / 1.1, 0.5, 1.1, 2.5  # of the true focal length to the one used
 
 
 def wrong(seed: int) -> Survey:

@@ -113,7 +113,7 @@ def test_what_the_user_gives_is_used_and_compared() -> None:
     photo = with_sources(dewarp=1.0)
     given = focal_given(photo, 800.0)
     camera, notes = photo_camera(photo, given)
-    assert (camera.fu, camera.distortion[0], notes["focal_from"]) == (800, -0.1, "sources.focal_px")
-    assert "sources.focal_px 800 px is used, but factory calibration (DewarpData) 600 px" in notes["focal_warning"]
+    assert (camera.fu, camera.distortion[0], notes["focal_from"]) == (800, -0.1, "sources.calibration")
+    assert "sources.calibration 800 px is used, but factory calibration (DewarpData) 600 px" in notes["focal_warning"]
     assert photo_camera(tags(), focal_given(tags(), 800.0))[0].fu == 800
     assert "focal_warning" not in photo_camera(photo, Claim("Kalibr", camera, 0.5, "user", {}))[1]

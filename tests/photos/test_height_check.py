@@ -61,7 +61,7 @@ def test_evidence_is_weighed(case: dict[str, Any], ratio: float | None) -> None:
         assert check.low < ratio < check.high
         reason = check.reason(1000.0)
         assert reason.startswith("heights are not to be trusted, by a factor of about ")
-        assert "--set sources.focal_px=" in reason
+        assert "--set sources.calibration=" in reason
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_the_outcome_is_noted(check: HeightCheck, note: str) -> None:
 
 
 def test_a_vague_ratio_gives_no_number_to_set() -> None:
-    assert HeightCheck(2.0, 1.0, 4.0, "of tags").reason(1000.0).endswith("sources.focal_px=PIXELS")
+    assert HeightCheck(2.0, 1.0, 4.0, "of tags").reason(1000.0).endswith("sources.calibration=PIXELS")
     assert HeightCheck(1.0, 0.9, 1.1).reason(1000.0) == ""
 
 
@@ -107,11 +107,11 @@ def test_a_run_whose_heights_are_not_to_be_trusted_finds_nothing_safe(
     pytest.importorskip("pycolmap")
     photos, out = draw_photos(tmp_path / "survey", lines=2, per_line=3), tmp_path / "out"
     focal = CAMERA.fu / 1.3
-    assert call(["run", str(photos), "--out", str(out), "--set", f"sources.focal_px={focal}", *SMALL]) == 0
+    assert call(["run", str(photos), "--out", str(out), "--set", f"sources.calibration={focal}", *SMALL]) == 0
     printed = capsys.readouterr()
     assert "NO SITE  heights are not to be trusted, by a factor of about 1.3" in printed.out
-    assert re.search(r"warning: .*sources\.focal_px 331 px is used, but CalibratedFocalLength 430 px", printed.err)
-    told = re.search(r"--set sources\.focal_px=(\d+)", printed.out)
+    assert re.search(r"warning: .*sources\.calibration 331 px is used, but CalibratedFocalLength 430 px", printed.err)
+    told = re.search(r"--set sources\.calibration=(\d+)", printed.out)
     assert told is not None
     assert float(told.group(1)) == pytest.approx(CAMERA.fu, rel=0.05)
     with rasterio.open(out / "safe.tif") as safe:

@@ -85,7 +85,7 @@ def adjust(
     if solved is None or not len(solved.registered):
         return Trajectory((), rig, (why_no_motion(features, tagged),), {"registered": 0}, attitude=attitude)
     priors = replace(levelled(tagged) if solved.first.climbs else tagged, velocity=solved.priors.velocity)
-    if above is None or settings.takeoff == "elsewhere" or solved.first.climbs:
+    if above is None or solved.first.climbs:
         above = np.full(len(frames), np.nan)
     survey = Survey(frames, features, tagged, priors, solved, above)
     return replace(_trajectory(survey, rig, settings), attitude=attitude)
@@ -203,7 +203,7 @@ def _trajectory(survey: Survey, rig: Rig, settings: BundleSettings) -> Trajector
     depth = float(np.median(up) - np.median(points[:, 2])) if len(points) else 0.0
     sure = points[confirmed(points, np.bincount(kept.point), depth)]
     heights = check_heights(solved.score, up, survey.above[solved.registered], sure)
-    distrust = heights.reason(lenses.cameras[0].fv)
+    distrust = "" if settings.focal == "trusted" else heights.reason(lenses.cameras[0].fv)
     return Trajectory(
         tuple(motions),
         Rig(tuple(replace(c, camera=lens) for c, lens in zip(rig.cameras, lenses.cameras, strict=True))),

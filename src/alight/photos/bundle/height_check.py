@@ -68,7 +68,7 @@ class HeightCheck(NamedTuple):
         return (
             f"heights are not to be trusted, by a factor of about {factor:.{2 if factor < 1.5 else 1}f}, because "
             f"{self.because}; the focal length is {focal_px:.0f} px, and about {likely} px would fit: give the true "
-            f"one with --set sources.focal_px={value}"
+            f"one with --set sources.calibration={value}"
         )
 
 
@@ -133,8 +133,8 @@ def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> Height
             depth = high - float(np.median(ground[:, 2]))
             curves[
                 f"the cameras are {relative:.1f} m above take-off by their tags and {depth:.1f} m above the "
-                "ground by the pictures (or else take-off was far above or below this ground: --set "
-                "motion.bundle.takeoff=elsewhere)"
+                "ground by the pictures (if take-off was far above or below this ground: --set "
+                "motion.bundle.focal=trusted)"
             ] = np.log(_take_off(relative, np.hypot(ALTITUDE_SIGMA, relative * score.baseline_sigma), ground, high))
     total = np.sum(list(curves.values()), axis=0)
     likelihood = np.exp(total - total.max())

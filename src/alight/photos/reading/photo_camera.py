@@ -60,7 +60,7 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
     """
     claims = _claims(tags)
     if given is None and not claims:
-        raise InputError(f"{tags.path.name}: no focal length in its tags; give one with --set sources.focal_px=PIXELS")
+        raise InputError(f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=PIXELS")
     used = given or _ranked(claims, tags.digital_zoom)
     notes = used.notes | {"focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
     if len(claims) > 1:
@@ -76,10 +76,16 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
 
 
 def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
-    """The focal length that the user gives, pixels, with the lens of the best source."""
+    """The focal length that the user gives, pixels, with the lens of the best source.
+
+    Raises:
+        InputError: it is no focal length.
+    """
     claims = _claims(tags)
     camera = _with_focal(claims[0].camera, focal_px) if claims else _camera(tags, focal_px)
-    return Claim("sources.focal_px", camera, 0.03, "user", {})
+    if why := why_no_lens(camera):
+        raise InputError(f"sources.calibration={focal_px:g}: {why}; give a focal length in pixels, or a camchain.yaml")
+    return Claim("sources.calibration", camera, 0.03, "user", {})
 
 
 def _claims(tags: PhotoTags) -> list[Claim]:

@@ -37,7 +37,7 @@ from alight.photos.reading.photo_pose import (
     with_supposed_altitudes,
 )
 from alight.photos.reading.photo_selection import band_to_use, thermal_photos
-from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
+from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, finite, read_tags
 from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import Settings
 from alight.sources.calibration import read_camchain
@@ -202,7 +202,7 @@ class Photos(Source):
         out = dict[object, str]()
         for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
             first = next(p for p in photos if p.camera == camera)
-            if settings.sources.calibration or settings.sources.focal_px:
+            if settings.sources.calibration:
                 out[camera] = "the focal length that is given is of another camera"
             elif count < LEAST_OF_A_CAMERA:
                 out[camera] = f"fewer than {LEAST_OF_A_CAMERA} photos of its camera"
@@ -229,9 +229,8 @@ class Photos(Source):
 
     def _calibrate(self, settings: Settings) -> Rig:
         """The rig, of a lens a camera; the notes get the source of its numbers."""
-        if settings.sources.calibration:
-            if settings.sources.focal_px:
-                raise InputError("sources.calibration and sources.focal_px both give a focal length: set one of them")
+        focal_px = finite(settings.sources.calibration)
+        if settings.sources.calibration and focal_px is None:
             path = Path(settings.sources.calibration).expanduser()
             blank = RigCamera("cam0", Camera(*self._photos[0][1].size, 1, 1, 0, 0), BODY_FROM_CAM)
             lens = read_camchain(path, Rig((blank,)), BODY_FROM_CAM).cameras[0].camera
@@ -241,7 +240,7 @@ class Photos(Source):
         cameras, notes = list[RigCamera](), list[Notes]()
         for k, camera in enumerate(self._cameras):
             its = [p for _, p in self._photos if p.camera == camera]
-            lens, its_notes = self._lens(camera, its, settings.sources.focal_px)
+            lens, its_notes = self._lens(camera, its, focal_px)
             readout = Counter(photo_readout(p) for p in its).most_common(1)[0][0]
             cameras.append(RigCamera(f"cam{k}", lens, BODY_FROM_CAM, readout))
             notes.append(its_notes)
@@ -273,8 +272,8 @@ class Photos(Source):
             lens, notes = guessed_camera(chosen)
             self.findings.warn(
                 f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
-                "quarter, and heights above ground scale with it; give the true one with --set sources.focal_px=PIXELS "
-                "or sources.calibration=camchain.yaml"
+                "quarter, and heights above ground scale with it; give the true one with --set "
+                "sources.calibration=PIXELS, or camchain.yaml"
             )
             return lens, notes
 
