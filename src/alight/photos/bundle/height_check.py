@@ -149,6 +149,9 @@ def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> Height
 def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:
     """Likelihood of each of `RATIOS`, 1/m: take-off is as high as some of the ground, or as its slope leads to.
 
+    All heights of the relief count alike, by three quarters, and by how much of the ground they have: a few trees are
+    no likely place.
+
     Args:
         relative, sigma: metres, height of the cameras above the place of take-off.
         ground: (m, 3) metres, points of the ground.
@@ -157,6 +160,7 @@ def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:
     flat = ground[:, :2] - ground[:, :2].mean(axis=0)
     slope = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), ground[:, 2], rcond=None)[0][:2]
     reach = np.abs(slope) @ np.ptp(flat, axis=0) / 2.0  # as far again beside the map
-    low, top = np.quantile(ground[:, 2], [0.02, 0.98])
-    misfit = (relative - RATIOS[:, None] * (high - np.linspace(low - reach, top + reach, 201))) / sigma
+    most = np.quantile(ground[:, 2], np.linspace(0.02, 0.98, 67))
+    places = np.concatenate([most, np.linspace(most[0] - reach, most[-1] + reach, 201)])
+    misfit = (relative - RATIOS[:, None] * (high - places)) / sigma
     return np.asarray(np.exp(-0.5 * misfit**2).mean(axis=1) / (np.sqrt(2.0 * np.pi) * sigma) + ELSEWHERE)

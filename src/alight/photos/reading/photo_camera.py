@@ -60,7 +60,9 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
     """
     claims = _claims(tags)
     if given is None and not claims:
-        raise InputError(f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=PIXELS")
+        raise InputError(
+            f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=PIXELS"
+        )
     used = given or _ranked(claims, tags.digital_zoom)
     notes = used.notes | {"focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
     if len(claims) > 1:
