@@ -99,7 +99,8 @@ def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> Naviga
         return None
     from alight.photos.bundle.adjust import BundleLane
 
-    return BundleLane(source.rig, settings.stages(source.imu_noise).motion.bundle, jobs or InTurn())
+    above = {p.t_ns: p.above_takeoff for p in source.photos if p.t_ns is not None and p.above_takeoff is not None}
+    return BundleLane(source.rig, settings.stages(source.imu_noise).motion.bundle, jobs or InTurn(), above)
 
 
 def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:

@@ -26,7 +26,10 @@ class SourcesKeys(FrozenModel):
     """Reading of the recording."""
 
     calibration: str | None = Field(
-        None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
+        None,
+        coerce_numbers_to_str=True,
+        description="Kalibr camchain.yaml that replaces the calibration of the recording, or the focal length of its "
+        "photos, pixels; null: none",
     )
     skip: int = Field(0, ge=0, le=10**9, description="Number of exposures left out at the start")
     every: int = Field(1, ge=1, le=10**9, description="Use every n-th exposure")
@@ -62,9 +65,10 @@ class FilterKeys(FrozenModel):
 class BundleKeys(FrozenModel):
     """Calibration of the camera, for photos."""
 
-    focal: Literal["held", "free"] = Field(
+    focal: Literal["held", "trusted", "free"] = Field(
         "held",
-        description="Focal length: held at the calibration, or free (estimated; needs photos from several heights)",
+        description="Focal length: held at the calibration, trusted (held, although heights above take-off contradict "
+        "it), or free (estimated; needs photos from several heights)",
     )
     lens: Literal["held", "free"] = Field(
         "free", description="Principal point and distortion: held at the calibration, or free (estimated)"

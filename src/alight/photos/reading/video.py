@@ -176,8 +176,17 @@ def _apart(a: Subtitle, b: Subtitle) -> float:
     return math.hypot(east, north, b.place[2] - a.place[2])
 
 
+def digital_zoom(row: Subtitle) -> float:
+    """Factor of the digital zoom; some models write it in ten thousandths."""
+    zoom = row.values.get("dzoom_ratio", 1.0)
+    return max(zoom / 10_000 if zoom >= 1000 else zoom, 1.0)
+
+
 def focal_px(row: Subtitle, width: float) -> float | None:
-    """Focal length in pixels from the 35 mm equivalent (DJI's 4:3 sensors, whose whole width is filmed)."""
+    """Focal length in pixels, without a digital zoom, from the 35 mm equivalent.
+
+    DJI's sensors are 4:3, and their whole width is filmed.
+    """
     film = row.values.get("focal_len")
     if not film or film <= 0:
         return None
@@ -190,7 +199,9 @@ def _step(row: Subtitle, film: Any) -> float:
     """Distance in metres from one frame to the next, for the overlap `OVERLAP`; usual values where none is known."""
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     focal = focal_px(row, width)
-    field = 0.56 if focal is None else height / focal  # ground of a frame's height over the distance
+    field = (
+        0.56 if focal is None else height / (focal * digital_zoom(row))
+    )  # ground of a frame's height over the distance
     return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
@@ -200,7 +211,8 @@ def _tags(path: Path, size: tuple[int, int], row: Subtitle, seconds: float) -> P
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
     exif: dict[int, str] = {
         Base.Make: "video", Base.Model: "with telemetry", Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
-        Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
+        Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}", Base.DigitalZoomRatio: f"{digital_zoom(row):g}",
+        Base.FocalLength: str(row.values.get("focal_len", "")),
     }  # fmt: skip
     xmp = {
         "dji:GpsLatitude": row.place[0], "dji:GpsLongitude": row.place[1], "dji:AbsoluteAltitude": row.altitude,
