@@ -13,10 +13,9 @@ class PointsTuning(FrozenModel):
     """Points triangulated before the ground is known."""
 
     features: int = Field(1500, ge=100, description="SIFT features in each view")
-    contrast: Positive = Field(
-        0.005,
-        description="Least contrast of a feature, as OpenCV's SIFT counts it; of more features the strongest stay",
-    )
+    contrast: Positive = Field(0.04, description="Least contrast of a feature, as OpenCV's SIFT counts it")
+    faint_share: Fraction = Field(0.125, description="Share of it that will do where a view has too few features")
+    enough_features: int = Field(300, ge=2, description="Features in a view from which no fainter ones are sought")
     longest_px: int = Field(960, ge=100, description="Longest side of the images on which features are found, px")
     least_angle: Positive = Field(0.02, description="Least angle between the rays of a point, rad")
     most_pairs: int = Field(40, ge=1, description="Most pairs of views")
