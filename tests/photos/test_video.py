@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import pytest
 from drawn_photos import CAMERA, PLACE, UP, look, texture
 
 from alight.geometry import enu_from_flu
+from alight.photos.reading.film_frames import FilmFrames
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.photos.reading.subtitles import read_subtitles
 from alight.photos.reading.video import focal_px
@@ -120,6 +122,29 @@ def test_a_video_with_heights_above_take_off_alone_says_so(video: Path) -> None:
     for sample in nav:
         assert sample.position_world is not None
         assert sample.position_world[2] == pytest.approx(UP, abs=0.01)
+
+
+def test_frames_are_stored_as_filmed_with_their_own_times(video: Path) -> None:
+    """A film that is shown turned by 90 degrees; then twice as fast."""
+    data = bytearray(video.read_bytes())
+    turned = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, CAMERA.height << 16, 0, 1 << 30)
+    matrix = data.index(b"tkhd") + 44
+    data[matrix : matrix + 36] = turned
+    times = data.index(b"stts") + 8
+    count, entries, step = struct.unpack(">3I", data[times : times + 12])
+    assert (count, entries) == (1, FRAMES)
+    video.write_bytes(data)
+    with FilmFrames(video) as frames:
+        assert (frames.size, frames.orientation) == ((CAMERA.width, CAMERA.height), 6)
+        assert list(frames) == pytest.approx(np.arange(FRAMES) / RATE, abs=1e-3)
+        assert frames.seconds == pytest.approx(FRAMES / RATE)
+    source = open_source(video)
+    assert source.rig.cameras[0].camera.fu == pytest.approx(CAMERA.fu, rel=1e-3)
+    assert source.notes["attitude_from"] == {"not used: EXIF orientation 6": source.length}
+    data[times + 8 : times + 12] = struct.pack(">I", step // 2)
+    video.write_bytes(data)
+    with FilmFrames(video) as frames:
+        assert list(frames)[-1] == pytest.approx((FRAMES - 1) / RATE / 2, abs=1e-3)
 
 
 def test_a_video_that_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
