@@ -9,16 +9,16 @@ import pytest
 from drawn_films import RATE, draw_film, rows_of, winding_flight
 
 from alight.photos.reading.film_clock import PicturePath, film_offset, picture_path
-from alight.photos.reading.telemetry import Telemetry, TelemetryRow
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 from alight.photos.reading.video import film_clock
 from alight.records import InputError
 
 LEAD, SECONDS = 12.0, 34.0  # s of flight before the film, and of film
 
 
-def telemetry(rows: list[tuple[float, float, float]], of_film: bool = True, every: int = 1) -> Telemetry:
+def telemetry(rows: list[tuple[float, float, float]], of_film: bool = True, every: int = 1) -> FilmTelemetry:
     values = [TelemetryRow(t, {"latitude": a, "longitude": o, "rel_alt": 30.0}) for t, a, o in rows[::every]]
-    return Telemetry.of(values, "track", of_film=of_film)
+    return FilmTelemetry.of(values, "track", of_film=of_film)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from alight.sources import Source
 from alight.sources.source import Findings
 
 if TYPE_CHECKING:
-    from alight.photos.reading.telemetry import Telemetry
+    from alight.photos.reading.film_telemetry import FilmTelemetry
     from alight.sources.calibrated_folder import CalibratedFolder
     from alight.sources.live import LiveSource
 
@@ -92,7 +92,7 @@ def log_in(folder: Path) -> Path | None:
     return found[0] if found else None
 
 
-def _telemetry_of_log(film: Path, settings: Settings) -> Telemetry | None:
+def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
     """The places in the autopilot's log of a film's name, else in the only one of its folder."""
     own = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and p.suffix.lower() in LOGS)
     log = next(own, None) or log_in(film.parent)
@@ -100,10 +100,10 @@ def _telemetry_of_log(film: Path, settings: Settings) -> Telemetry | None:
         return None
     from alight.flight.logs.logged import streams_of
     from alight.flight.logs.logged_frames import read_log
-    from alight.photos.reading.telemetry import Telemetry, TelemetryRow
+    from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 
     nav = streams_of(read_log(log), str(log), settings.sources.separation, Findings()).nav
-    return Telemetry.of(
+    return FilmTelemetry.of(
         (TelemetryRow(1e-9 * (t - nav.t_ns[0]), dict(zip(("latitude", "longitude", "abs_alt"), place, strict=True)))
          for t, place in zip(nav.t_ns.tolist(), nav.values[:, :3].tolist(), strict=True)),
         str(log), of_film=False,

@@ -22,7 +22,7 @@ from alight.checks.clock_offset import LOBE, STEP, ClockOffset, clearest
 from alight.checks.features import downscaled, picture_flow
 from alight.geometry import Camera
 from alight.photos.reading.film_frames import FilmFrames
-from alight.photos.reading.telemetry import Telemetry
+from alight.photos.reading.film_telemetry import FilmTelemetry
 
 BETWEEN = 0.2  # s between two pictures that are compared
 LONGEST = 120.0  # s of film that are compared
@@ -73,7 +73,7 @@ def _motion(then: U8, now: U8, factor: int) -> tuple[complex, complex] | None:
     return complex(-H[0, 2], H[1, 2]), complex(math.cos(half), math.sin(half))
 
 
-def film_offset(pictures: PicturePath, telemetry: Telemetry) -> ClockOffset:
+def film_offset(pictures: PicturePath, telemetry: FilmTelemetry) -> ClockOffset:
     """Find the time of the telemetry at which the film begins.
 
     Returns:
@@ -92,7 +92,7 @@ def film_offset(pictures: PicturePath, telemetry: Telemetry) -> ClockOffset:
     tried = common >= (short if short * STEP < PARTLY else 2 * short / 3)
     if short * STEP < SPAN or tried.sum() * STEP < 4.0 * LOBE:
         return ClockOffset(0.0, math.inf, "they are too short")
-    return clearest((s0 - t0 + STEP * first)[tried], np.asarray(left[tried], np.float64))
+    return clearest(np.asarray(s0 - t0 + STEP * first[tried]), np.asarray(left[tried], np.float64))
 
 
 def _velocity(seconds: F64, path: F64) -> tuple[float, F64]:

@@ -9,15 +9,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from alight.documents import LARGEST_JSON, DocumentError, read_bytes
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 from alight.photos.reading.gpmf import read_gpmf
 from alight.photos.reading.subtitles import read_subtitles
-from alight.photos.reading.telemetry import Telemetry, TelemetryRow
 from alight.records import InputError
 
 SUBTITLES = (".srt", ".ass", ".vtt")
 
 
-def telemetry_beside(film: Path) -> Telemetry | None:
+def telemetry_beside(film: Path) -> FilmTelemetry | None:
     """The telemetry in subtitles or in a GPX track of the film's name; None: there is no such file.
 
     Raises:
@@ -41,7 +41,7 @@ def telemetry_beside(film: Path) -> Telemetry | None:
     return None
 
 
-def read_gpx(text: str, source: str) -> Telemetry:
+def read_gpx(text: str, source: str) -> FilmTelemetry:
     """The track of a GPX file; its clock begins with its first point.
 
     Raises:
@@ -58,7 +58,7 @@ def read_gpx(text: str, source: str) -> Telemetry:
         raise InputError(f"{source}: no GPX track: {e}") from e
     if not rows:
         raise InputError(f"{source}: no point of a track (trkpt) has a time; export the track with times")
-    return Telemetry.of(rows, source, of_film=False)
+    return FilmTelemetry.of(rows, source, of_film=False)
 
 
 def _values(point: ET.Element) -> dict[str, float]:
@@ -67,7 +67,7 @@ def _values(point: ET.Element) -> dict[str, float]:
     return {name: float(text) for name, text in written.items() if text}
 
 
-def telemetry_inside(film: Path, seconds: float) -> Telemetry | None:
+def telemetry_inside(film: Path, seconds: float) -> FilmTelemetry | None:
     """The telemetry in a track of a film; None: there is none that can be read.
 
     Args:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from alight.arrays import F64, Mask
-from alight.photos.reading.telemetry import Telemetry, TelemetryRow
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 
 FIX_3D = 3
 WORST_DOP = 10.0  # dilution of precision: beyond, places are off by tens of metres
@@ -16,7 +16,7 @@ _NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4"
             "J": ">u8"}  # fmt: skip
 
 
-def read_gpmf(payloads: Sequence[tuple[float, bytes]], source: str) -> Telemetry:
+def read_gpmf(payloads: Sequence[tuple[float, bytes]], source: str) -> FilmTelemetry:
     """Read GPS5 or GPS9 from the payloads of a track, each with its time in seconds; they are a second apart.
 
     Samples without a 3D fix or with a large dilution of precision are left out.
@@ -31,7 +31,7 @@ def read_gpmf(payloads: Sequence[tuple[float, bytes]], source: str) -> Telemetry
                              dict(zip(("latitude", "longitude", "abs_alt"), map(float, row[:3]), strict=True)))
                 for k, row in enumerate(samples) if good[k]
             ]  # fmt: skip
-    return Telemetry.of(rows, source, f"{poor} of {poor + len(rows)} places left out: a poor fix" if poor else "")
+    return FilmTelemetry.of(rows, source, f"{poor} of {poor + len(rows)} places left out: a poor fix" if poor else "")
 
 
 def _samples(payload: bytes) -> Iterator[tuple[F64, Mask]]:

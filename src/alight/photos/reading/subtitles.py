@@ -15,7 +15,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from alight.arrays import F64
-from alight.photos.reading.telemetry import Telemetry, TelemetryRow, apart
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow, apart
 from alight.records import InputError
 
 NAMES = {  # of each value, the most specific one first
@@ -68,7 +68,7 @@ class _Cue:
         return replace(self.row, values=self.row.values | _place(self.gps, latitude_first))
 
 
-def read_subtitles(text: str, source: str) -> Telemetry:
+def read_subtitles(text: str, source: str) -> FilmTelemetry:
     """The telemetry of subtitles; without rows if there is no place in them.
 
     Args:
@@ -82,7 +82,7 @@ def read_subtitles(text: str, source: str) -> Telemetry:
         cues = _timed_by_date(cues)
     bracketed = [c for c in cues if len(c.gps) >= 2]
     if not bracketed:
-        return Telemetry.of((c.row for c in cues), source)
+        return FilmTelemetry.of((c.row for c in cues), source)
     latitude_first, why = _order(bracketed)
     if latitude_first is None:
         raise InputError(
@@ -93,7 +93,7 @@ def read_subtitles(text: str, source: str) -> Telemetry:
     if _is_altitude(bracketed):
         rows = [replace(r, values={"abs_alt": c.gps[2].value} | r.values) if len(c.gps) > 2 else r
                 for c, r in zip(bracketed, rows, strict=True)]  # fmt: skip
-    return Telemetry.of(
+    return FilmTelemetry.of(
         rows, source, f"GPS({'latitude, longitude' if latitude_first else 'longitude, latitude'}): {why}"
     )
 

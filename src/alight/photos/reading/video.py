@@ -15,11 +15,11 @@ from PIL import ExifTags, Image
 
 from alight.photos.reading.film_clock import film_offset, picture_path
 from alight.photos.reading.film_frames import FilmFrames
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow, apart
 from alight.photos.reading.film_tracks import telemetry_beside, telemetry_inside
 from alight.photos.reading.photo_camera import film_focal_px
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.photos.reading.photos import Photos
-from alight.photos.reading.telemetry import Telemetry, TelemetryRow, apart
 from alight.records import InputError
 from alight.settings import Settings
 
@@ -39,7 +39,7 @@ class FilmClock:
     accuracy: float = 0.0  # m, of the places, where it may be wrong; 0: it is not
 
 
-def open_video(path: Path, settings: Settings, log: Callable[[], Telemetry | None] = lambda: None) -> Photos:
+def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry | None] = lambda: None) -> Photos:
     """Extract frames from a film and open them as photos, in a temporary folder that lives as long as the source.
 
     Args:
@@ -80,7 +80,7 @@ def open_video(path: Path, settings: Settings, log: Callable[[], Telemetry | Non
     return source
 
 
-def film_clock(path: Path, seconds: float, telemetry: Telemetry, given: float | None) -> FilmClock:
+def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: float | None) -> FilmClock:
     """Settle the time between a film and its telemetry.
 
     Args:
@@ -120,7 +120,7 @@ def _earlier(offset: float) -> str:
     return f"telemetry begins {abs(offset):.1f} s {'earlier' if offset >= 0 else 'later'} than the film"
 
 
-def _write_frames(path: Path, telemetry: Telemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
+def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
     """Save the frames that are chosen; those without telemetry are left out."""
     last: TelemetryRow | None = None
     with FilmFrames(path) as frames:

@@ -35,7 +35,7 @@ class TelemetryRow:
 
 
 @dataclass(frozen=True)
-class Telemetry:
+class FilmTelemetry:
     """Rows with a place, in order of time."""
 
     rows: tuple[TelemetryRow, ...]
@@ -44,7 +44,7 @@ class Telemetry:
     of_film: bool = True  # its clock begins with the film, unless the film was cut
 
     @classmethod
-    def of(cls, rows: Iterable[TelemetryRow], source: str, found: str = "", of_film: bool = True) -> Telemetry:
+    def of(cls, rows: Iterable[TelemetryRow], source: str, found: str = "", of_film: bool = True) -> FilmTelemetry:
         """Sort the rows that have a place; of several at one time the first counts."""
         by_time = {r.seconds: r for r in reversed(list(rows)) if r.place is not None}
         return cls(tuple(by_time[t] for t in sorted(by_time)), source, found, of_film)
