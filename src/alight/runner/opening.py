@@ -102,11 +102,12 @@ def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
     from alight.flight.logs.logged_frames import read_log
     from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 
-    nav = streams_of(read_log(log), str(log), settings.sources.separation, Findings()).nav
+    flight = streams_of(read_log(log), str(log), settings.sources.separation, Findings())
+    nav = flight.nav
     return FilmTelemetry.of(
         (TelemetryRow(1e-9 * (t - nav.t_ns[0]), dict(zip(("latitude", "longitude", "abs_alt"), place, strict=True)))
          for t, place in zip(nav.t_ns.tolist(), nav.values[:, :3].tolist(), strict=True)),
-        str(log), of_film=False,
+        str(log), flight.found[-1], of_film=False,
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def test_the_log_of_a_films_name_or_the_only_one_gives_its_places(tmp_path: Path
         flown = places[first + number]
         np.testing.assert_allclose(found, [flown.real, flown.imag, HEIGHT], atol=0.8)  # 0.15 s
     assert len(samples) > 5
-    assert "00000042.BIN: 485 places; the telemetry begins 5" in source.notes["telemetry"]
+    assert "00000042.BIN: 485 places; ellipsoid above sea level: +46.5 m" in source.notes["telemetry"]
     (tmp_path / "b.BIN").write_bytes(b"")
     with pytest.raises(InputError, match="holds 2 logs of an autopilot"):
         open_source(tmp_path / "a.mp4")

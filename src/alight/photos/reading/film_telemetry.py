@@ -11,8 +11,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-
-from alight.arrays import F64
+from numpy.typing import NDArray
 
 BETWEEN = ("latitude", "longitude", "abs_alt", "rel_alt")  # values that are interpolated
 
@@ -93,7 +92,7 @@ class FilmTelemetry:
         taken = None if first.taken is None else first.taken + timedelta(seconds=seconds - first.seconds)
         return replace(row, seconds=seconds, taken=taken)
 
-    def path(self) -> F64:
+    def path(self) -> NDArray[np.complex128]:
         """(N,) metres east + 1j north from the first row, divided by the height above take-off where all rows have it.
 
         So divided, it is the path that the picture of level ground moves by, in focal lengths.
@@ -102,7 +101,7 @@ class FilmTelemetry:
                  for a, b in pairwise(self.rows)]  # fmt: skip
         relative = all(height > 1.0 for _, height in steps)
         path = np.cumsum([0.0, *(move / (height if relative else 1.0) for move, height in steps)])
-        return np.asarray(path)
+        return np.asarray(path, np.complex128)
 
 
 def apart(a: TelemetryRow, b: TelemetryRow) -> complex:

@@ -77,9 +77,8 @@ def read_subtitles(text: str, source: str) -> FilmTelemetry:
     Raises:
         InputError: nothing shows whether latitude or longitude comes first in `GPS(...)`.
     """
-    cues = [_cue(at, body) for at, body in _subtitles(text)]
-    if cues and all(math.isnan(c.row.seconds) for c in cues):
-        cues = _timed_by_date(cues)
+    found = [_cue(at, body) for at, body in _subtitles(text)]
+    cues = [c for c in found if math.isfinite(c.row.seconds)] or _timed_by_date(found)
     bracketed = [c for c in cues if len(c.gps) >= 2]
     if not bracketed:
         return FilmTelemetry.of((c.row for c in cues), source)
@@ -93,9 +92,8 @@ def read_subtitles(text: str, source: str) -> FilmTelemetry:
     if _is_altitude(bracketed):
         rows = [replace(r, values={"abs_alt": c.gps[2].value} | r.values) if len(c.gps) > 2 else r
                 for c, r in zip(bracketed, rows, strict=True)]  # fmt: skip
-    return FilmTelemetry.of(
-        rows, source, f"GPS({'latitude, longitude' if latitude_first else 'longitude, latitude'}): {why}"
-    )
+    order = "latitude, longitude" if latitude_first else "longitude, latitude"
+    return FilmTelemetry.of(rows, source, f"GPS({order}): {why}")
 
 
 def _subtitles(text: str) -> Iterator[tuple[float, str]]:

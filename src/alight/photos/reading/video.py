@@ -105,7 +105,7 @@ def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: floa
             )
         return FilmClock(found.seconds, line)
     longer = telemetry.length - seconds
-    cut = abs(longer) > 1.0 + telemetry.step
+    cut = seconds > 0 and abs(longer) > 1.0 + telemetry.step  # 0: the header does not give the length
     warnings = [f"the telemetry lasts {telemetry.length:.1f} s, the film {seconds:.1f} s"] if cut else []
     if found.unclear:
         line = f"whether film and telemetry are in step is not clear from the pictures: {found.unclear}"
