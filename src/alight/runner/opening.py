@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
+from alight.sources.source import Findings
 
 if TYPE_CHECKING:
+    from alight.photos.reading.film_telemetry import FilmTelemetry
     from alight.sources.calibrated_folder import CalibratedFolder
     from alight.sources.live import LiveSource
 
@@ -19,7 +21,7 @@ VIDEOS = (".mp4", ".mov", ".m4v")
 LOGS = (".ulg", ".bin", ".tlog")
 LOOKED_FOR = (
     "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos, frames "
-    "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt"
+    "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
 )
 
 
@@ -46,7 +48,7 @@ def _open(path: Path, settings: Settings) -> Source:
     if path.is_file() and path.suffix.lower() in VIDEOS:
         from alight.photos.reading.video import open_video
 
-        return open_video(path, settings)
+        return open_video(path, settings, lambda: _telemetry_of_log(path, settings))
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
@@ -88,6 +90,25 @@ def log_in(folder: Path) -> Path | None:
     if len(found) > 1:
         raise InputError(f"{folder}: holds {len(found)} logs of an autopilot; leave the one of these frames in it")
     return found[0] if found else None
+
+
+def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
+    """The places in the autopilot's log of a film's name, else in the only one of its folder."""
+    own = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and p.suffix.lower() in LOGS)
+    log = next(own, None) or log_in(film.parent)
+    if log is None:
+        return None
+    from alight.flight.logs.logged import streams_of
+    from alight.flight.logs.logged_frames import read_log
+    from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
+
+    flight = streams_of(read_log(log), str(log), settings.sources.separation, Findings())
+    nav = flight.nav
+    return FilmTelemetry.of(
+        (TelemetryRow(1e-9 * (t - nav.t_ns[0]), dict(zip(("latitude", "longitude", "abs_alt"), place, strict=True)))
+         for t, place in zip(nav.t_ns.tolist(), nav.values[:, :3].tolist(), strict=True)),
+        str(log), flight.found[-1], of_film=False,
+    )  # fmt: skip
 
 
 def _have_places(folder: Path) -> bool:

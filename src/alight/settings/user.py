@@ -37,8 +37,8 @@ class SourcesKeys(FrozenModel):
     time_offset: float | None = Field(
         None,
         allow_inf_nan=False,
-        description="Time by which the stamps of frames are ahead of the autopilot's log, s; null: found from the "
-        "pictures",
+        description="Time by which the stamps of frames are ahead of the autopilot's log, or of a film's "
+        "telemetry, s; null: found from the pictures",
     )
     separation: float | None = Field(
         None,
