@@ -2,7 +2,7 @@
 
     python bench/constants.py                        # all; hours of CPU, kept between runs (out/bench-heights)
     python bench/constants.py parallax.sweep sites   # some groups
-    python bench/constants.py --jobs 2 --write       # and write the table (docs/lab/tuning-effects.json)
+    python bench/constants.py --jobs 2 --write       # and write the effects (settings/tuning/effects.yaml)
 
 The flights are small (320 x 240, 21 exposures). Motion and heights are measured by mapping them again, the judgement
 of the ground on the maps of the unchanged constants. An effect is a change of a quantity, averaged over the flights,
@@ -19,10 +19,12 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
+from multiprocessing import get_context
 from time import process_time
 from typing import Any
 
 import numpy as np
+import yaml
 from ground_domains import LEVELS, row_of
 from ground_maps import Judgeable, finished, shifted
 from ladder import rung
@@ -43,7 +45,7 @@ from alight_sim.scene_world import build
 from alight_sim.steered.flight import sized_rig
 
 FLIGHTS = {  # rungs that take part in tuning, and how each is mapped
-    "meadow/30m/tuning-66": "batch", "car_park/20m/tuning-407": "recursive", "village/20m/tuning-406": "batch",
+    "village/20m/tuning-406": "batch", "car_park/20m/tuning-407": "recursive", "meadow/30m/tuning-66": "batch",
     "gravel/40-8m/tuning-3-quick": "recursive", "lakes/20m/tuning-420": "recursive",
     "canal/12m/tuning-35": "recursive", "car_park/12m/tuning-419": "batch", "concrete/12m/tuning-404": "batch",
     "depot/12m/tuning-34": "recursive", "farmland/12m/tuning-405": "batch", "forest/12m/tuning-422": "recursive",
@@ -51,7 +53,7 @@ FLIGHTS = {  # rungs that take part in tuning, and how each is mapped
     "marsh/12m/tuning-53": "recursive", "meadow/12m/tuning-400": "recursive", "pasture/12m/tuning-2": "batch",
     "quarry/12m/tuning-402": "recursive", "village/12m/tuning-418": "recursive",
 }  # fmt: skip
-FLOWN = 5  # of them are mapped again with each constant, the others are judged
+FLOWN = 2  # of them are mapped again with each constant, the others are judged
 EXPOSURES, SIZE = 21, (320, 240)
 SHARE = 0.3  # by which a constant is moved
 GROUND = ("terrain", "hazards", "sites")  # stages that are judged on kept maps
@@ -61,7 +63,7 @@ COUNTS = {
     "log position": 0.05, "log path": 0.05, "log turn": 0.05, "log NEES": 0.1, "log CPU": 0.15, "known %": 1.0,
     "log NMAD": 0.05, "wrong %": 0.3, "within 95 %": 1.0, "found %": 1.0, "false %": 0.3, "true places %": 4.0,
 }  # fmt: skip
-TABLE = ROOT / "docs" / "lab" / "tuning-effects.json"
+TABLE = ROOT / "src" / "alight" / "settings" / "tuning" / "effects.yaml"
 Quantities = dict[str, float]
 
 
@@ -240,8 +242,9 @@ def main() -> None:
     keys = {k: f.default for k, f in walk(Tuning) if f.default is not None and not k.startswith(skipped)}
     keys = {k: v for k, v in keys.items() if not options.groups or k.startswith(tuple(options.groups))}
     wanted = {k: changes(k, v) for k, v in keys.items()}
-    base, rows = kept_measure(""), []
-    with ProcessPoolExecutor(options.jobs) as pool:
+    rows = []
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:  # threads of loops do not survive a fork
+        base = pool.submit(kept_measure, "").result()
         jobs = {k: [pool.submit(kept_measure, c) for c in wanted[k]] for k in keys}
         for k, v in keys.items():
             r = row(k, v, base, [j.result() for j in jobs[k]])
@@ -249,7 +252,13 @@ def main() -> None:
             mark = "same" if r["same"] else f"{r['effect']:.2f} {r['quantity']}"
             print(f"{k:44s} {v!s:>24s}  {mark:28s} CPU {r['cpu']:.2f}", flush=True)
     if options.write:
-        TABLE.write_text(json.dumps(rows, indent=1) + "\n")
+        known = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+        for r in rows:
+            known[r["key"]] = known.get(r["key"], {}) | {
+                "effect": r["effect"],
+                "on": "" if r["same"] else r["quantity"],
+            }
+        TABLE.write_text(yaml.safe_dump(known, width=10_000))
 
 
 if __name__ == "__main__":

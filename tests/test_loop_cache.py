@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import runpy
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numba
 import pytest
 from length import first
 
@@ -206,27 +204,19 @@ def test_a_folder_of_another_user_is_never_read(folder: Path, caplog: pytest.Log
 @pytest.mark.parametrize(
     "damage", first(1, [b"cos\nsystem\n(S'touch planted'\ntR.", b"\x80\x04garbage", b"", bytes(5000)])
 )
-def test_damaged_files_are_compiled_anew(
-    loop: Path, folder: Path, damage: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(compiled, "CACHE", folder)
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
-
-    def is_loaded() -> bool:
-        return bool(runpy.run_path(str(loop))["loaded"])
-
-    assert not is_loaded()
+def test_damaged_files_are_compiled_anew(loop: Path, damage: bytes) -> None:
+    folder = folder_of(run(loop)[0])
     for path in folder.rglob("*.nbi"):
         path.write_bytes(damage)
-    assert not is_loaded()
-    assert is_loaded()  # the file is repaired
-    forms = [path for path in folder.rglob("*.nbc") if path.parent != folder]
-    assert forms
-    for path in forms:
+    assert run(loop)[0].endswith(" compiled")
+    assert run(loop)[0].endswith(" loaded")  # the file is repaired
+    compiled = list(folder.rglob("*.nbc"))
+    assert compiled
+    for path in compiled:
         data = path.read_bytes()
         path.write_bytes(damage + data[len(damage) : -100])
-    assert not is_loaded()
-    assert is_loaded()
+    assert run(loop)[0].endswith(" compiled")
+    assert run(loop)[0].endswith(" loaded")
 
 
 def test_no_home_to_write_to(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:

@@ -14,6 +14,7 @@ from rasterio.transform import Affine
 from some_run import LOCAL, route, some_run
 
 from alight import cli
+from alight.cli.terminal import save_result
 from alight.records import Home, InputError, Place, Telemetry
 from alight.records.telemetry import GpsQuality
 from alight.runner import replay
@@ -178,6 +179,12 @@ def test_a_home_above_the_sea_alone_is_not_used_and_said() -> None:
 
 
 # -- the whole way
+
+
+def test_a_plan_without_a_home_warns_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for result, warned in ((some_run(), True), (with_home(some_run(), Home.parse(f"{NEAR},47")), False)):
+        save_result(result, tmp_path / str(warned), False)
+        assert ("--home" in capsys.readouterr().err) == warned
 
 
 def test_the_command_writes_a_plan_above_the_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

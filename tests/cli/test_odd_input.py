@@ -235,7 +235,7 @@ def test_a_raster_of_a_run_that_is_a_pipe(done: Path, flight: Path, capsys: Told
     os.mkfifo(done / "dem.tif")
     (flight / "truth").mkdir()
     assert evaluated(done, flight) == 2
-    refused(capsys, "dem.tif: not a plain file; run again to write it anew")
+    refused(capsys, "dem.tif: missing, or not a plain file; run again to write it anew")
 
 
 def test_a_site_beyond_the_frame(done: Path, flight: Path, capsys: Told) -> None:

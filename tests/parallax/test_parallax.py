@@ -389,7 +389,7 @@ def test_plain_ground_has_faint_points() -> None:
     found = find_points(faint, PointsTuning())
     assert len(found) > 300
     assert np.percentile(np.abs(found[:, 2]), 90) < 0.5
-    assert len(find_points(faint, PointsTuning(contrast=0.04))) == 0
+    assert len(find_points(faint, PointsTuning(faint_share=1.0))) == 0
 
 
 def test_the_range_of_a_place_is_that_of_its_own_points() -> None:

@@ -1,9 +1,10 @@
-"""A video with DJI's telemetry as photos: frames by distance, with their places."""
+"""A video with telemetry as photos: frames by distance, with their places."""
 
 from __future__ import annotations
 
 import re
 import shutil
+import struct
 from pathlib import Path
 
 import cv2
@@ -12,8 +13,10 @@ import pytest
 from drawn_photos import CAMERA, PLACE, UP, look, texture
 
 from alight.geometry import enu_from_flu
+from alight.photos.reading.film_frames import FilmFrames
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
-from alight.photos.reading.video import focal_px, read_srt
+from alight.photos.reading.subtitles import read_subtitles
+from alight.photos.reading.video import focal_px
 from alight.records import Frame, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.sources import Source
@@ -21,61 +24,18 @@ from alight.sources import Source
 RATE, SPEED, FRAMES = 10.0, 4.0, 60  # Hz, m/s
 FILM = CAMERA.fu * 0.8 / CAMERA.width * 43.2666  # mm of 35 mm film
 
-NEW = """1
+ROW = """1
 00:00:00,000 --> 00:00:00,033
-<font size="28">FrameCnt: 1, DiffTime: 33ms
-2024-05-01 10:20:30.250
-[iso: 100] [shutter: 1/1000.0] [fnum: 2.8] [ev: 0] [focal_len: 24.00] [latitude: 45.123456] [longitude: -7.654321] \
-[rel_alt: 30.100 abs_alt: 330.200] [ct: 5500] [gb_yaw: 12.5 gb_pitch: -89.9 gb_roll: 0.0] </font>
+[focal_len: 24.00] [latitude: 45.123456] [longitude: -7.654321] [rel_alt: 30.100 abs_alt: 330.200]
 """
-OLD = """7
-00:01:02,500 --> 00:01:02,533
-<font size="36">SrtCnt : 7, DiffTime : 33ms
-2019-09-25 01:22:35,118,697
-[iso : 110] [shutter : 1/200.0] [fnum : 280] [latitude : 37.5] [longtitude : 126.75] [altitude: 55.0] </font>
-"""
-
-
-def test_subtitles_of_two_generations_are_read() -> None:
-    new, old = read_srt(NEW + "\n" + OLD.replace("\n", "\r\n"))
-    assert (new.seconds, new.place) == (0.0, (45.123456, -7.654321, 330.2))
-    assert {k: new.values[k] for k in ("rel_alt", "focal_len", "gb_yaw", "gb_pitch")} == {
-        "rel_alt": 30.1, "focal_len": 24.0, "gb_yaw": 12.5, "gb_pitch": -89.9,
-    }  # fmt: skip
-    assert new.taken is not None
-    assert f"{new.taken:%Y-%m-%d %H:%M:%S.%f}" == "2024-05-01 10:20:30.250000"
-    assert (old.seconds, old.place) == (62.5, (37.5, 126.75, 55.0))
-    assert read_srt("no subtitles") == []
 
 
 @pytest.mark.parametrize(
-    ("said", "film"), [("24.00", 24), ("240", 24), ("162", 162), ("162.0", 162), ("480", 48), ("0", None)]
+    ("written", "film"), [("24.00", 24), ("240", 24), ("162", 162), ("162.0", 162), ("480", 48), ("0", None)]
 )
-def test_a_focal_length_in_tenths_is_told_from_a_tele_lens(said: str, film: float | None) -> None:
-    (row,) = read_srt(NEW.replace("24.00", said))
+def test_a_focal_length_in_tenths_is_recognised_beside_a_tele_lens(written: str, film: float | None) -> None:
+    (row,) = read_subtitles(ROW.replace("24.00", written), "a.srt").rows
     assert focal_px(row, 1920) == (None if film is None else pytest.approx(film * 1920 / 0.8 / np.hypot(36, 24)))
-
-
-@pytest.mark.parametrize(
-    ("line", "place", "coarse"),
-    [
-        ("HOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) BAROMETER:1.9",
-         (-20.2533, 149.0251, 1.9), True),
-        ("2021.09.18 21:23:30\nGPS(-44.3266,170.5650,0.0M) BAROMETER:363.3M", (-44.3266, 170.565, 363.3), True),
-        ("GPS(36.6146, -6.1120, 0.0M) BAROMETER: 79.8M", (36.6146, -6.112, 79.8), True),
-        ("GPS(39.906217,116.391305,69.800) BAROMETER(91.2)", (39.906217, 116.391305, 91.2), False),
-        ("F/5.6, SS 400, ISO 100, EV 0, GPS (-122.369912, 37.816633, 15), D 3.5m, H 10.2m, H.S 1m/s",
-         (37.816633, -122.369912, 10.2), False),
-        ("GPS(149.0251,-20.2533,16)", None, True),
-        ("GPS(200.0,95.0,70) BAROMETER:1.9", None, False),
-    ],
-)  # fmt: skip
-def test_subtitles_with_the_place_in_brackets(
-    line: str, place: tuple[float, float, float] | None, coarse: bool
-) -> None:
-    """Longitude comes first, unless the altitude has a unit or the latitude would be invalid; height is barometric."""
-    (row,) = read_srt(f"1\n00:00:01,000 --> 00:00:02,000\n{line}\n")
-    assert (row.place, row.coarse) == (place, coarse)
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +113,8 @@ def test_a_video_with_heights_above_take_off_alone_says_so(video: Path) -> None:
     telemetry.write_text(re.sub(r" abs_alt: [-\d.]+", "", telemetry.read_text()))
     source = open_source(video)
     assert source.warnings == [
-        "no photo says its altitude: the height above take-off is used, heights above the sea are not known"
+        "no photo says its altitude: the height above take-off is used, heights above the sea are not known",
+        "whether film and telemetry are in step is not clear from the pictures: they are too short",
     ]
     assert {p.altitude_kind for p in source.photos} == {"not given"}
     nav, frames = events(source)
@@ -163,14 +124,37 @@ def test_a_video_with_heights_above_take_off_alone_says_so(video: Path) -> None:
         assert sample.position_world[2] == pytest.approx(UP, abs=0.01)
 
 
+def test_frames_are_stored_as_filmed_with_their_own_times(video: Path) -> None:
+    """A film that is shown turned by 90 degrees; then twice as fast."""
+    data = bytearray(video.read_bytes())
+    turned = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, CAMERA.height << 16, 0, 1 << 30)
+    matrix = data.index(b"tkhd") + 44
+    data[matrix : matrix + 36] = turned
+    times = data.index(b"stts") + 8
+    count, entries, step = struct.unpack(">3I", data[times : times + 12])
+    assert (count, entries) == (1, FRAMES)
+    video.write_bytes(data)
+    with FilmFrames(video) as frames:
+        assert (frames.size, frames.orientation) == ((CAMERA.width, CAMERA.height), 6)
+        assert list(frames) == pytest.approx(np.arange(FRAMES) / RATE, abs=1e-3)
+        assert frames.seconds == pytest.approx(FRAMES / RATE)
+    source = open_source(video)
+    assert source.rig.cameras[0].camera.fu == pytest.approx(CAMERA.fu, rel=1e-3)
+    assert source.notes["attitude_from"] == {"not used: EXIF orientation 6": source.length}
+    data[times + 8 : times + 12] = struct.pack(">I", step // 2)
+    video.write_bytes(data)
+    with FilmFrames(video) as frames:
+        assert list(frames)[-1] == pytest.approx((FRAMES - 1) / RATE / 2, abs=1e-3)
+
+
 def test_a_video_that_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(b"no film")
-    with pytest.raises(InputError, match=r"has no telemetry; put a\.srt beside it"):
+    with pytest.raises(InputError, match=r"has no telemetry; put a\.srt or a\.gpx beside it"):
         open_source(path)
     path.with_suffix(".srt").write_text("1\n00:00:00,000 --> 00:00:01,000\n[iso: 100]\n")
     with pytest.raises(InputError, match="no place in it"):
         open_source(path)
-    path.with_suffix(".srt").write_text(NEW)
+    path.with_suffix(".srt").write_text(ROW)
     with pytest.raises(InputError, match="not one frame could be decoded"):
         open_source(path)

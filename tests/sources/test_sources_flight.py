@@ -416,6 +416,47 @@ def test_camchain_with_imu_gives_the_mounting(flight: Path) -> None:
     np.testing.assert_allclose(left.body_from_cam.matrix, np.linalg.inv(cam_from_imu), atol=1e-12)
 
 
+def shifted(flight: Path, shifts: tuple[Any, Any], *assignments: str) -> Source:
+    tree = camchain()
+    for cam, shift in zip(("cam0", "cam1"), shifts, strict=True):
+        tree[cam] = tree[cam] | ({} if shift is None else {"timeshift_cam_imu": shift})
+    d.write_yaml(flight / "camchain.yaml", tree)
+    return opened(flight, f"sources.calibration={flight / 'camchain.yaml'}", *assignments)
+
+
+@pytest.mark.parametrize(
+    ("shifts", "given", "late", "warned"),
+    [
+        ((-0.08, -0.08), 0.0, (0.08, 0.08), 0),  # Kalibr: t_imu = t_cam + timeshift
+        ((0.0123456, 0.0123456), 0.0, (-0.0123456, -0.0123456), 0),
+        ((-0.08, -0.2), 0.0, (0.08, 0.2), 0),  # exposed together, stamped apart
+        ((-0.08, None), 0.0, (0.08, 0.0), 0),
+        ((None, None), 0.07, (0.0, 0.0), 0),
+        ((-0.08, -0.08), 0.07, (0.0, 0.0), 1),  # the filter subtracts the user's offset: not twice
+        ((-0.08, -0.2), 0.07, (0.0, 0.12), 1),
+    ],
+)
+def test_the_time_shift_of_a_camchain_is_used_once(
+    flight: Path, shifts: tuple[Any, Any], given: float, late: tuple[float, float], warned: int
+) -> None:
+    for cam, seconds in zip(("cam0", "cam1"), late, strict=True):
+        table = flight / "mav0" / cam / "data.csv"
+        head, *rows = table.read_text().splitlines()
+        stamped = [f"{int(r.split(',')[0]) + round(1e9 * seconds)},{r.split(',')[1]}" for r in rows]
+        table.write_text("\n".join([head, *stamped]) + "\n")
+    source = shifted(flight, shifts, f"motion.filter.time_offset={given}")
+    found = of_kind(source, Frame)
+    assert [f.t_ns for f in found] == [d.T0 + k * d.STEP for k in range(6)]
+    assert all(image is not None for f in found for image in f.images)
+    assert sum("timeshift_cam_imu" in w for w in source.warnings) == warned
+
+
+@pytest.mark.parametrize("shift", ["late", [0.1, 0.2], float("nan")])
+def test_a_time_shift_that_is_no_number_is_refused(flight: Path, shift: Any) -> None:
+    with pytest.raises(InputError, match=r"cam1\.timeshift_cam_imu"):
+        shifted(flight, (0.0, shift))
+
+
 def test_camchain_of_larger_images_is_scaled(flight: Path) -> None:
     tree = camchain()
     for cam in ("cam0", "cam1"):

@@ -31,7 +31,8 @@ def check_source(
     events = source.events()
     found = gather_evidence(source.rig, events, seconds, start, progress)
     promised = tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
-    return check_evidence(replace(found, warnings=tuple(source.warnings), promised=promised))
+    ahead = -((source.notes.get("timeshift_cam_imu") or [0.0])[0] or 0.0)
+    return check_evidence(replace(found, warnings=tuple(source.warnings), promised=promised, ahead=ahead))
 
 
 def check_evidence(evidence: RigEvidence) -> list[CheckResult]:

@@ -142,6 +142,7 @@ class RigEvidence:
     cameras: tuple[CameraEvidence, ...]
     warnings: tuple[str, ...] = ()  # of the source
     promised: tuple[str, ...] = ()  # streams that the source's notes list
+    ahead: float = 0.0  # s that a calibration has taken off the stamps of camera 0
 
     @property
     def by_camera(self) -> list[tuple[RigCamera, CameraEvidence]]:

@@ -51,7 +51,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
     if left > UNEXPLAINED:
         why = f"{100 * left:.0f} % of the flow is left: the pictures do not show level ground that stands still"
         return cannot_tell(why, mounting)
-    results = [_tilt(mounting, fits), _offset(list(fits.values()), motion.turned_by), _focal(fits)]
+    results = [_tilt(mounting, fits), _offset(list(fits.values()), motion.turned_by, evidence.ahead), _focal(fits)]
     return results, fits.get(evidence.rig.cameras[0].name)
 
 
@@ -121,8 +121,11 @@ def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
     return found.result
 
 
-def _offset(fits: list[FlowFit], turned_by: str) -> CheckResult:
-    """Check the mean time offset of the cameras: they share most of their errors, so more of them do not reduce it."""
+def _offset(fits: list[FlowFit], turned_by: str, ahead: float) -> CheckResult:
+    """Check the mean time offset of the cameras: they share most of their errors, so more of them do not reduce it.
+
+    A time offset that is set replaces the one of the calibration, `ahead` (s).
+    """
     name = CHECKS[1]
     offsets, sigmas = np.array([f.parameters[OFFSET] for f in fits]), np.array([f.sigma[OFFSET] for f in fits])
     w = 1.0 / sigmas**2
@@ -137,7 +140,7 @@ def _offset(fits: list[FlowFit], turned_by: str) -> CheckResult:
         return unknown(name, f"{evidence}: at the border of what is searched")
     limit = 0.02 if turned_by == "gyroscope" else 0.03  # s
     if abs(offset) > max(limit, 4.0 * sigma):
-        mend = f"set motion.filter.time_offset={offset:.3f}, or stamp the middle of the exposure on one clock"
+        mend = f"set motion.filter.time_offset={offset + ahead:.3f}, or stamp the middle of the exposure on one clock"
         return bad(name, evidence, mend)
     return good(name, evidence)
 

@@ -30,7 +30,9 @@ SamplingOption = Annotated[
 class RunOptions(options.RouteOptions):
     """Options of `alight run`."""
 
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/), photos, or a video with .srt.")]
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A flight log, photos, frames with a log, or a video.")
+    ]
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
     ] = None
@@ -90,6 +92,8 @@ def check(o: CheckOptions) -> None:
     from alight.runner.opening import open_source
 
     recording = open_source(o.source, chosen, places=o.places)
+    for line in () if o.as_json else recording.notes.get("log", ()):
+        print_line(f"LOG  {line}")
     with progress_bar() as report:
         found = check_opened(recording, chosen, o.seconds, o.start, lambda share: report("checking", share))
     records: list[dict[str, Any]] = [asdict(r) for r in found]

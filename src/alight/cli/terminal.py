@@ -133,6 +133,9 @@ def print_result(result: RunResult) -> None:
     for w in warnings(result):
         print_stderr(f"warning: {w}")
     print_answer(result.sites, place)
+    if isinstance(found := result.notes.get("log"), list):
+        for line in found:
+            print_line(f"LOG  {line}")
     if "prior_dem" in result.notes:
         print_line(f"PRIOR DEM  {result.notes['prior_dem']}")
 
@@ -143,4 +146,9 @@ def save_result(result: RunResult, out: Path, force: bool) -> None:
 
     print_result(result)
     write_run(result, out, force)
+    if result.route is not None and result.home is None and (out / "route.plan").exists():
+        print_stderr(
+            "warning: route.plan counts its heights from the ground of site 1, its planned home (whose own height is "
+            "above the ellipsoid); give --home LAT,LON,ALT_MSL of the place where the vehicle is armed"
+        )
     print_line(f"report: {out / 'report.html'}")

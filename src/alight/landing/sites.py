@@ -154,7 +154,7 @@ class _Choice:
         e = self.elevation
         for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
             rows, cols, disc = _footprint(e.grid, east, north, reach)
-            height, sigma = e.height[rows, cols], e.sigma[rows, cols].astype(np.float64)
+            height, sigma = e.height[rows, cols], e.relative_sigma[rows, cols].astype(np.float64)
             known = disc & np.isfinite(height)
             if known.any():
                 break

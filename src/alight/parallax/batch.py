@@ -133,7 +133,7 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: Consi
     if not len(some):
         return np.zeros(fit.grid.shape, np.uint16)
     samples = stack([images.get(int(i)) for i in some.ravel()], fit.grid, fit.height)
-    return witness.moving(samples, np.arange(some.size).reshape(-1, 2), fit, tuning.least_views_batch, tuning)
+    return witness.moving(samples, np.arange(some.size).reshape(-1, 2), fit, tuning.least_views, tuning)
 
 
 def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8) -> U8:

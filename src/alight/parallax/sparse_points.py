@@ -31,12 +31,17 @@ class ViewFeatures(NamedTuple):
 
     @classmethod
     def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
-        """Detect the strongest features of a view: weak ones where there are no others, as on gravel from far."""
+        """Detect the features of a view; on plain ground, as gravel from far, weak ones too."""
         grey = grey_levels(view.image)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        sift = cv2.SIFT_create(tuning.features, contrastThreshold=tuning.contrast)  # type: ignore[attr-defined]
-        found, descriptors = sift.detectAndCompute(small, None)
+        contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
+        while True:  # faint features beside strong ones spoil their matches: few heights of small pictures are left
+            sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
+            found, descriptors = sift.detectAndCompute(small, None)
+            if len(found) >= tuning.enough_features or contrast <= least:
+                break
+            contrast = max(0.5 * contrast, least)
         pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
         rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
         return cls(view.centre, rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors)

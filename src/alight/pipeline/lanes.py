@@ -94,12 +94,16 @@ def conclude(
         notes = {**trajectory.notes, **reserve_notes(judging.memory.reserve.sites)}
         return replace(moved, sites=Sites((), found.reason), notes=notes)
     progress("judging", 0.2)
-    verdict = judging.judge(found.snapshot).in_world()
-    route = _route(verdict.sites, found.snapshot, settings.route)
+    seen = found.snapshot
+    if trajectory.distrust:
+        seen = replace(seen, elevation=seen.elevation.refused())
+    verdict = judging.judge(seen).in_world()
+    sites = replace(verdict.sites, reason=trajectory.distrust or verdict.sites.reason)
+    route = _route(sites, seen, settings.route)
     progress("judging", 1.0)
     return replace(
-        moved, sites=verdict.sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
-        route=route, height_above_ground=found.snapshot.height_above_ground,
+        moved, sites=sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
+        route=route, height_above_ground=seen.height_above_ground,
         notes={**trajectory.notes, **found.notes, **judging.notes(verdict)},
         warnings=[*warnings, *judging.memory.warnings, *verdict.warnings],
     )  # fmt: skip

@@ -32,7 +32,7 @@ class Hazard(IntFlag):
 def is_site(p_safe: F32, least: float) -> Mask:
     """Whether P(safe) makes a touchdown that no limit refuses a site; else it is a candidate, (R, C).
 
-    This is the one decision by P(safe). Its result is `Hazard.DOUBT`: a place without any reason is a site, one with
+    This alone decides between the two. Its result is `Hazard.DOUBT`: a place without any reason is a site, one with
     this reason alone a candidate. A place that is listed also keeps a margin (`keeps_margin`).
 
     Args:
@@ -62,7 +62,7 @@ class HazardMap(OnGrid):
     roughness: F32  # (R, C) metres, largest deviation from that plane
     step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
     clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
-    p_safe: F32  # (R, C) probability that a touchdown here meets every limit: the product of the three factors
+    p_safe: F32  # (R, C) probability of a touchdown within every limit: product of the three factors; 0 if refused
     p_relief: F32  # (R, C) probability that slope and relief keep their limits, by the heights
     p_obstacle: F32  # (R, C) probability that no obstacle stands there that heights and pictures are too coarse to show
     p_ground: F32  # (R, C) probability that the ground bears and is dry

@@ -19,6 +19,7 @@ class PhotoFacts:
     position_from: str = ""  # kind of fix
     altitude: float | None = None  # metres, as the maker counts them
     altitude_kind: str = ""
+    above_takeoff: float | None = None  # metres
     attitude_from: str = ""  # tags that hold the camera's attitude
     taken: str = ""  # time of capture
     group: str = ""  # flight and camera

@@ -172,6 +172,10 @@ class ElevationMap(Heights):
         """(R, C): cells whose height may be given out."""
         return np.asarray(np.isfinite(self.height) & is_trusted(self.flags))
 
+    def refused(self) -> ElevationMap:
+        """The map without any height that may be given out, as where their scale is unknown."""
+        return replace(self, flags=self.flags | np.uint16(Flag.UNSURE))
+
 
 @dataclass(frozen=True, eq=False)
 class OnGrid:

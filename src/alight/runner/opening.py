@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
+from alight.sources.source import Findings
 
 if TYPE_CHECKING:
+    from alight.photos.reading.film_telemetry import FilmTelemetry
+    from alight.sources.calibrated_folder import CalibratedFolder
     from alight.sources.live import LiveSource
 
 VIDEOS = (".mp4", ".mov", ".m4v")
-LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
+LOGS = (".ulg", ".bin", ".tlog")
+LOOKED_FOR = (
+    "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos, frames "
+    "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
+)
 
 
 def open_source(
@@ -56,14 +64,22 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
     if path.is_file() and path.suffix.lower() in VIDEOS:
         from alight.photos.reading.video import open_video
 
-        return open_video(path, settings)
+        return open_video(path, settings, lambda: _telemetry_of_log(path, settings))
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
+    log = log_in(root)
     if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
         from alight.sources.flight_log import FlightLog
 
-        return FlightLog(root, settings)
+        flight = FlightLog(root, settings)
+        if log is None or flight.georeferenced:
+            return flight
+        return _with_log(flight, log, settings)
+    if log is not None and not _have_places(root):
+        from alight.sources.frame_folder import FrameFolder
+
+        return _with_log(FrameFolder(root, settings), log, settings)
     from alight.photos.reading.photo_selection import find_photos
 
     if (found := find_photos(root)).files:
@@ -78,6 +94,55 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
     raise InputError(
         f"{path}: nothing usable in it{closed}; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
     )
+
+
+def log_in(folder: Path) -> Path | None:
+    """Return the autopilot's log in a folder of frames; None: there is none.
+
+    Raises:
+        InputError: there are several.
+    """
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in LOGS and p.is_file())
+    if len(found) > 1:
+        raise InputError(f"{folder}: holds {len(found)} logs of an autopilot; leave the one of these frames in it")
+    return found[0] if found else None
+
+
+def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
+    """The places in the autopilot's log of a film's name, else in the only one of its folder."""
+    own = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and p.suffix.lower() in LOGS)
+    log = next(own, None) or log_in(film.parent)
+    if log is None:
+        return None
+    from alight.flight.logs.logged import streams_of
+    from alight.flight.logs.logged_frames import read_log
+    from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
+
+    flight = streams_of(read_log(log), str(log), settings.sources.separation, Findings())
+    nav = flight.nav
+    return FilmTelemetry.of(
+        (TelemetryRow(1e-9 * (t - nav.t_ns[0]), dict(zip(("latitude", "longitude", "abs_alt"), place, strict=True)))
+         for t, place in zip(nav.t_ns.tolist(), nav.values[:, :3].tolist(), strict=True)),
+        str(log), flight.found[-1], of_film=False,
+    )  # fmt: skip
+
+
+def _have_places(folder: Path) -> bool:
+    """Whether the pictures of a folder are photos with places, by the first that can be read; also without pictures."""
+    from alight.photos.reading.photo_tags import read_tags
+    from alight.sources.frame_folder import frames_in
+    from alight.sources.images import UNREADABLE
+
+    for path in (found := frames_in(folder)):
+        with suppress(*UNREADABLE):
+            return read_tags(path)[0].place is not None
+    return not found
+
+
+def _with_log(frames: CalibratedFolder, log: Path, settings: Settings) -> Source:
+    from alight.flight.logs.logged_frames import LoggedFrames
+
+    return LoggedFrames(frames, log, settings)
 
 
 def open_live(

@@ -63,6 +63,11 @@ def replay(
         InputError: no part of the recording can be used.
     """
     given = given_poses(source, poses)
+    if shifts := source.notes.get("timeshift_cam_imu"):
+        from alight.checks.clock_offset import contradicted_shift
+
+        if why := contradicted_shift(source.rig, source.events(), shifts[0] or 0.0):
+            source.findings.warn(why)
     options = PipelineOptions(
         given, _adjustment(source, settings, jobs) if given is None else None, appearance_of(settings),
         source.imu_noise, prior, None if source.schedule is None else ScheduledPolicy(source.schedule),
@@ -94,7 +99,8 @@ def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> Naviga
         return None
     from alight.photos.bundle.adjust import BundleLane
 
-    return BundleLane(source.rig, settings.stages(source.imu_noise).motion.bundle, jobs or InTurn())
+    above = {p.t_ns: p.above_takeoff for p in source.photos if p.t_ns is not None and p.above_takeoff is not None}
+    return BundleLane(source.rig, settings.stages(source.imu_noise).motion.bundle, jobs or InTurn(), above)
 
 
 def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:

@@ -26,10 +26,26 @@ class SourcesKeys(FrozenModel):
     """Reading of the recording."""
 
     calibration: str | None = Field(
-        None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
+        None,
+        coerce_numbers_to_str=True,
+        description="Kalibr camchain.yaml that replaces the calibration of the recording, or the focal length of its "
+        "photos, pixels; null: none",
     )
     skip: int = Field(0, ge=0, le=10**9, description="Number of exposures left out at the start")
     every: int = Field(1, ge=1, le=10**9, description="Use every n-th exposure")
+    rate: Positive | None = Field(None, description="Frames a second, where frames have no times; null: they have")
+    time_offset: float | None = Field(
+        None,
+        allow_inf_nan=False,
+        description="Time by which the stamps of frames are ahead of the autopilot's log, or of a film's "
+        "telemetry, s; null: found from the pictures",
+    )
+    separation: float | None = Field(
+        None,
+        ge=-120.0,  # no geoid is farther from the ellipsoid
+        le=120.0,
+        description="Ellipsoid above sea level, for the heights of an autopilot's log, m; null: the receiver's",
+    )
 
 
 class FilterKeys(FrozenModel):
@@ -49,9 +65,10 @@ class FilterKeys(FrozenModel):
 class BundleKeys(FrozenModel):
     """Calibration of the camera, for photos."""
 
-    focal: Literal["held", "free"] = Field(
+    focal: Literal["held", "trusted", "free"] = Field(
         "held",
-        description="Focal length: held at the calibration, or free (estimated; needs photos from several heights)",
+        description="Focal length: held at the calibration, trusted (held, although heights above take-off contradict "
+        "it), or free (estimated; needs photos from several heights)",
     )
     lens: Literal["held", "free"] = Field(
         "free", description="Principal point and distortion: held at the calibration, or free (estimated)"

@@ -12,7 +12,15 @@ from alight.arrays import U8
 from alight.geometry import LocalFrame, Pose
 from alight.records import InputError, Rig
 from alight.settings import ImuNoise, Settings
-from alight.sources.calibration import body_from_sensor, load_yaml, numbers, origin, read_camchain, rig_camera
+from alight.sources.calibration import (
+    body_from_sensor,
+    load_yaml,
+    numbers,
+    origin,
+    read_camchain,
+    read_time_shifts,
+    rig_camera,
+)
 from alight.sources.images import read_image
 from alight.sources.source import Source
 
@@ -34,6 +42,7 @@ class CalibratedFolder(Source):
         self.local = origin(self._root / "nav0/sensor.yaml") if self.georeferenced else LocalFrame(0.0, 0.0, 0.0)
         self._body_from_imu = self._read_imu_pose()
         self.rig = self._read_rig(settings)
+        self._ahead_ns = self._read_time_shifts(settings)  # stamps of each camera, ahead of the IMU's clock
 
     def locate(self, local: LocalFrame) -> None:
         """Set the world's origin from GPS/INS of another source."""
@@ -92,6 +101,24 @@ class CalibratedFolder(Source):
         if (arm := float(np.linalg.norm(pose.translation))) > 0.02:
             self.findings.warn(f"imu0 sits {arm:.2f} m from the body's origin: its accelerations are taken as if there")
         return pose
+
+    def _read_time_shifts(self, settings: Settings) -> list[int]:
+        """Take over Kalibr's `timeshift_cam_imu`; a time offset in the settings replaces that of the first camera."""
+        cameras, given = len(self.rig.cameras), settings.motion.filter.time_offset
+        path = settings.sources.calibration
+        shifts = read_time_shifts(Path(path).expanduser(), cameras) if path else []
+        if all(shift is None for shift in shifts):
+            return [0] * cameras
+        ahead = [-(shift or 0.0) for shift in shifts]
+        if given:
+            self.findings.warn(
+                f"motion.filter.time_offset={given:g} is used instead of timeshift_cam_imu, by which cam0 is "
+                f"{ahead[0]:+.4f} s ahead; set it to 0 to use the calibration's"
+            )
+            ahead = [a - ahead[0] for a in ahead]
+        else:
+            self.notes["timeshift_cam_imu"] = shifts
+        return [round(1e9 * a) for a in ahead]
 
     def _read_rig(self, settings: Settings) -> Rig:
         numbered = (p for p in self._root.glob("cam*") if re.fullmatch("cam[0-9]+", p.name))

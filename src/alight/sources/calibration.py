@@ -163,6 +163,21 @@ def origin(path: Path) -> LocalFrame:
         raise InputError(f"{path}: origin is missing or malformed ({given!r}); {want}") from e
 
 
+def read_time_shifts(path: Path, cameras: int) -> list[float | None]:
+    """Kalibr's `timeshift_cam_imu` of each camera, s: what is added to its stamps for the time of the IMU; None: none.
+
+    Raises:
+        InputError: one is no finite number.
+    """
+    entries, shifts = load_yaml(path), list[float | None]()
+    for name in (f"cam{n}" for n in range(cameras)):
+        given = (entries.get(name) or {}).get("timeshift_cam_imu")
+        where = f"{path}: {name}."
+        key = "timeshift_cam_imu"
+        shifts.append(None if given is None else float(numbers({key: [given]}, key, (1,), where)[0]))
+    return shifts
+
+
 def read_camchain(path: Path, rig: Rig, body_from_imu: Pose) -> Rig:
     """Replace a rig's lenses, and the mountings that Kalibr's file holds.
 

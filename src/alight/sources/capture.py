@@ -115,6 +115,11 @@ class Cameras(CalibratedFolder):
             raise InputError(
                 f"{len(names)} camera(s) named, but {rig} has the calibration of {len(self.rig.cameras)}; name as many"
             )
+        if any(self._ahead_ns):
+            self.findings.warn(
+                "timeshift_cam_imu is not used: live cameras are stamped by the clock of this machine; set "
+                "motion.filter.time_offset where they are late"
+            )
         self.name = ",".join(names)
         self._names = names
         self._note(False, False)

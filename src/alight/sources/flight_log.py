@@ -98,7 +98,8 @@ class FlightLog(CalibratedFolder):
         return imu
 
     def _read_exposures(self) -> list[Exposure]:
-        streams = [self._images(c.name) for c in self.rig.cameras]
+        ahead = zip(self.rig.cameras, self._ahead_ns, strict=True)
+        streams = [[(t_ns - late, name) for t_ns, name in self._images(c.name)] for c, late in ahead]
         if not streams[0]:
             why = self.findings.loss("cam0 images") or "it has no row"
             raise InputError(

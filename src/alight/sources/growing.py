@@ -153,7 +153,7 @@ class GrowingLog(CalibratedFolder):
             group = f"{self.rig.cameras[k].name} images"
             for row in rows_of(table.new_lines(), (2,), group, self.findings):
                 if names_file(row, group, self.findings):
-                    self._waiting.add(k, row.t_ns, row.fields[0], now)
+                    self._waiting.add(k, row.t_ns - self._ahead_ns[k], row.fields[0], now)
         for t_ns, names, waited in self._waiting.ready(now):
             if (images := self._images(names, waited > WRITTEN)) is None:
                 return

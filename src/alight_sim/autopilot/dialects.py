@@ -31,6 +31,7 @@ class Dialect:
     lacks: tuple[str, ...]  # messages that it does not send
     modes: Mapping[Doing, tuple[int, int]]  # second and third parameter of MAV_CMD_DO_SET_MODE; the last one counts
     mode_shift: int  # bits, of the first of these in a heartbeat's custom mode
+    reports_changes: bool  # sends a heartbeat at once when its mode changes, else every second alone
     needs_setpoints: bool  # leaves guided flight when they stop
     turns_to_course: bool  # turns the nose along the course where no heading is commanded
     speeds_by_command: bool  # guided flight obeys DO_CHANGE_SPEED until its controller starts anew
@@ -62,6 +63,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
             Doing.RETURN: (mavlink.COPTER_MODE_RTL, 0),
         },
         mode_shift=0,
+        reports_changes=True,
         needs_setpoints=False,
         turns_to_course=True,
         speeds_by_command=True,
@@ -82,6 +84,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
             Doing.LAND: (4, 6),
         },
         mode_shift=16,
+        reports_changes=False,
         needs_setpoints=True,
         turns_to_course=False,
         speeds_by_command=False,

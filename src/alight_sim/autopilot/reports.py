@@ -31,7 +31,7 @@ class Reports:
     def __init__(self, lacks: Iterable[str]) -> None:
         self.intervals: dict[str, float] = {}  # s, by message
         self._due: dict[str, float] = {}
-        self._heartbeat = 0.0
+        self._heartbeat, self._mode = 0.0, 0  # s, when the next one is due; custom mode of the last one
         self.sticks = [1500, 1500, 1100, 1500]
         self.lacks = set(lacks)  # messages that this build cannot send
         self.silent: set[str] = set()  # messages that it could send but has no data for
@@ -49,8 +49,9 @@ class Reports:
 
     def step(self, t: float, now: SimulatedAutopilot) -> None:
         """Send the messages that are due at time `t`, seconds."""
-        if t >= self._heartbeat:
-            self._heartbeat = t + 1.0
+        mode = now.dialect.number(now.logic.doing)
+        if t >= self._heartbeat or (now.dialect.reports_changes and mode != self._mode):
+            self._heartbeat, self._mode = t + 1.0, mode
             now.send(_heartbeat(now))
         for name, interval in self.intervals.items():
             if name not in self.silent and interval > 0 and t >= self._due[name] - 1e-9:

@@ -66,6 +66,18 @@ def heard(firmware: Firmware, *messages: object) -> Telemetry:
     return state.telemetry(0)
 
 
+@pytest.mark.parametrize(
+    ("msl_mm", "ellipsoid_mm", "separation"),
+    [(512000, 558000, 46.0), (-50000, -20000, 30.0), (512000, 0, math.nan), (0, 0, math.nan),
+     (512000, 512000, math.nan), (512000, 12000, math.nan), (0, 121000, math.nan), (0, -106000, -106.0)],
+)  # fmt: skip
+def test_the_receivers_heights_give_a_separation_only_where_they_are_two(
+    msl_mm: int, ellipsoid_mm: int, separation: float
+) -> None:
+    message = mavlink.MAVLink_gps_raw_int_message(0, 3, 0, 0, msl_mm, 0, 0, 0, 0, 9, alt_ellipsoid=ellipsoid_mm)
+    assert heard(ArduPilotFirmware(), message).gps.separation == pytest.approx(separation, nan_ok=True)
+
+
 def test_telemetry_by_hand() -> None:
     got = heard(
         ArduPilotFirmware(),

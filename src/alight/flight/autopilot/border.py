@@ -12,6 +12,7 @@ from alight.arrays import F64
 from alight.geometry import LocalFrame, enu_from_flu, matrix_from_quaternion
 from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
 from alight.records import Place
+from alight.records.telemetry import FARTHEST_FROM_SEA
 
 METRES_PER_DEGREE = 111_132.0  # of latitude
 
@@ -36,10 +37,15 @@ def frd(vector_body: ArrayLike) -> F64:
     return flu(*np.asarray(vector_body, dtype=np.float64))  # its own inverse
 
 
+def world_from_body_of(ned_from_frd: F64) -> F64:
+    """Return rotations (..., 3, 3) of NED/FRD as those of ENU/FLU."""
+    return np.asarray(ENU_FROM_NED @ ned_from_frd @ FRD_FROM_FLU)
+
+
 def world_from_body_of_quaternion(quaternion: ArrayLike) -> F64 | None:
     """NED-from-FRD quaternion (w, x, y, z) as ENU-from-FLU matrix (3, 3); None: it is no rotation."""
     try:
-        return np.asarray(ENU_FROM_NED @ matrix_from_quaternion(quaternion) @ FRD_FROM_FLU)
+        return world_from_body_of(matrix_from_quaternion(quaternion))
     except ValueError:
         return None
 
@@ -47,6 +53,15 @@ def world_from_body_of_quaternion(quaternion: ArrayLike) -> F64 | None:
 def world_from_body_of_angles(roll: float, pitch: float, yaw: float) -> F64 | None:
     """Roll, pitch, yaw of NED/FRD in radians as ENU-from-FLU matrix (3, 3); None: one is not finite."""
     return enu_from_flu(yaw, pitch, roll) if np.isfinite([roll, pitch, yaw]).all() else None
+
+
+def separation_of(ellipsoid: float, msl: float) -> float:
+    """Ellipsoid minus sea level from both heights of a receiver, metres; NaN where they are no two measurements.
+
+    Receivers that know one height report it twice, or leave the other one unfilled.
+    """
+    separation = ellipsoid - msl
+    return separation if 0.0 < abs(separation) <= FARTHEST_FROM_SEA else math.nan
 
 
 def metres_per_degree_east(place: Place) -> float:

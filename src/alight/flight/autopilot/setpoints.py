@@ -121,7 +121,7 @@ class Guidance:
         self._refused = False
 
     def aim(self, target: Target, here: Place | None, now_ns: int) -> None:
-        """Send a set-point near the vehicle towards a target; the target itself while its place is unknown."""
+        """Send a set-point near the vehicle towards a target; without its place, the last one again, or the target."""
         if self.target is None:
             self.since_ns, self._ahead = now_ns, None
         elif (target.place is None) is not (self.target.place is None):

@@ -20,7 +20,7 @@ from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, is_absolute
 
 _GAP_NS = 300_000_000  # between two attitudes, at most, to turn from one to the other
 _REACH_NS = 100_000_000  # from an attitude, at most, to turn on at its rate
-_IMU = {  # units of the rates, rad/s, and of the force, m/s^2; the best first
+IMU_UNITS = {  # units of the rates, rad/s, and of the force, m/s^2; the best first
     "HIGHRES_IMU": (1.0, 1.0),
     "RAW_IMU": (milli, milli * g),
     "SCALED_IMU": (milli, milli * g),
@@ -60,7 +60,7 @@ class TelemetryEvents:
         self.starts = starts  # number of the autopilot's start that these events belong to
         self._gps: GpsQuality | None = None
         self._flags: int | None = None
-        self._imu_rank = len(_IMU)  # of the best kind that has come
+        self._imu_rank = len(IMU_UNITS)  # of the best kind that has come
         self._attitudes.clear()
         self._waiting.clear()
 
@@ -72,7 +72,7 @@ class TelemetryEvents:
         if self._flags is not None and not is_absolute(self._flags):
             return "the autopilot's estimator has no absolute position"
         if not math.isfinite(self._separation):
-            return "height above the ellipsoid: GPS_RAW_INT has no alt_ellipsoid; give the geoid's separation"
+            return "height above the ellipsoid: GPS_RAW_INT has no credible alt_ellipsoid; give the geoid's separation"
         return ""
 
     @property
@@ -101,12 +101,12 @@ class TelemetryEvents:
 
     def _imu(self, name: str, m: Any, clock: VehicleClock) -> list[ImuSample]:
         """The sample of a message, if it is one of the best kind that comes."""
-        rank = list(_IMU).index(name) if name in _IMU else len(_IMU)
-        if rank == len(_IMU) or rank > self._imu_rank:
+        rank = list(IMU_UNITS).index(name) if name in IMU_UNITS else len(IMU_UNITS)
+        if rank == len(IMU_UNITS) or rank > self._imu_rank:
             return []
         self._imu_rank = rank
         boot_ns = m.time_boot_ms * 1_000_000 if name == "SCALED_IMU" else m.time_usec * 1000
-        rate_unit, force_unit = _IMU[name]
+        rate_unit, force_unit = IMU_UNITS[name]
         rates, force = border.flu(m.xgyro, m.ygyro, m.zgyro), border.flu(m.xacc, m.yacc, m.zacc)
         if not (clock.known and np.isfinite(rates).all() and np.isfinite(force).all()):
             return []

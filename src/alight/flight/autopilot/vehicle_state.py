@@ -39,7 +39,7 @@ def gps_quality(m: Any) -> GpsQuality:
         _measured(m.h_acc, 1e-3, 0),
         _measured(m.v_acc, 1e-3, 0),
         _measured(m.vel_acc, 1e-3, 0),
-        math.nan if m.alt_ellipsoid == 0 else (m.alt_ellipsoid - m.alt) * 1e-3,
+        math.nan if m.alt_ellipsoid == 0 else border.separation_of(m.alt_ellipsoid * 1e-3, m.alt * 1e-3),
     )
 
 

@@ -93,7 +93,7 @@ class Descent:
 
     def _has_enough_verdicts(self, left: float) -> bool:
         """True if enough verdicts to break the landing off have come, or will come on the way down."""
-        waits = left - self._keys.degraded_height < 2.0 and not is_near_ground(left, self._keys)
+        waits = left - self._keys.degraded_height < self._keys.unchecked and not is_near_ground(left, self._keys)
         return not (waits and self._keys.look_again) or len(self._p) == self._p.maxlen
 
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:

@@ -171,7 +171,7 @@ class Alignment:
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
-        self.mapped = self.mapped or int(ok.sum()) >= self.tuning.least_known
+        self.mapped = self.mapped or bool(ok.any())
         free = (self.tuning.free if self.mapped else self.tuning.flat) * drop
         level = np.float32(np.median(height[ok]) if ok.any() else ground)
         kappa = np.where(ok, 1 / (self.tuning.hold * np.maximum(np.nan_to_num(sigma, nan=1.0), 1e-3)) ** 2, 1 / free**2)
@@ -203,7 +203,7 @@ def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseR
     sigma = float(np.sqrt(0.5 * (v[0] + v[1]) + 0.5 * (v[3] + v[4]) * drop**2)) / cell  # on the ground
     if sigma > tuning.far_cells:
         return 1, 1, 0, 0
-    return (0, 0) if sigma > tuning.near_cells else (0,)
+    return (0,)
 
 
 def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:

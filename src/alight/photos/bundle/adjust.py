@@ -5,7 +5,7 @@ Method and equation numbers: docs/method/bundle.md. Needs pycolmap (extra `photo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -17,6 +17,7 @@ from alight.geometry import Pose, skew
 from alight.jobs import InTurn, Jobs, Task
 from alight.photos.bundle.exposure import exposure_gains
 from alight.photos.bundle.features import PhotoFeatures, colmap, extract_all, taken_by
+from alight.photos.bundle.height_check import check_heights, score_focal
 from alight.photos.bundle.matching import BundleObservations, Pair, match_pairs, neighbours, tracks
 from alight.photos.bundle.orientation import first_poses
 from alight.photos.bundle.patch_matching import refine_observations
@@ -40,6 +41,7 @@ from alight.settings import BundleSettings
 from alight.spread import robust_sigma
 
 _TIGHT = 4.0, 2.0  # px: cut, and Cauchy scale of the triangulation, about the last adjustment
+_LAST_LOSS = 2.0  # sigmas, Cauchy scale of the last adjustment
 
 
 def adjust(
@@ -49,12 +51,14 @@ def adjust(
     settings: BundleSettings,
     progress: Callable[[float], None] = lambda _: None,
     jobs: Jobs | None = None,
+    above: F64 | None = None,
 ) -> Trajectory:
     """Find the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
 
     `nav[i]` belongs to `frames[i]`: position in metres, attitude body to world, their sigmas; None is 'not
     measured'. Of each frame the first camera with a picture is used. Photos that cannot be registered have no motion,
-    but a warning. `jobs` finds features and matches pairs; None: this process.
+    but a warning. `jobs` finds features and matches pairs; None: this process. `above[i]` is the height of a photo
+    above the place of take-off, m, NaN if not measured: heights above ground are checked by it.
 
     Raises:
         MissingExtraError: pycolmap is not installed.
@@ -82,7 +86,10 @@ def adjust(
     if solved is None or not len(solved.registered):
         return Trajectory((), rig, (why_no_motion(features, tagged),), {"registered": 0}, attitude=attitude)
     priors = replace(levelled(tagged) if solved.first.climbs else tagged, velocity=solved.priors.velocity)
-    return replace(_trajectory(Survey(frames, features, tagged, priors, solved), rig, settings), attitude=attitude)
+    if above is None or solved.first.climbs:
+        above = np.full(len(frames), np.nan)
+    survey = Survey(frames, features, tagged, priors, solved, above)
+    return replace(_trajectory(survey, rig, settings), attitude=attitude)
 
 
 def solve_bundle(
@@ -127,9 +134,10 @@ def solve_bundle(
     finer = refine_observations(at, finer, priors, frames) if frames else finer
     state, used = retriangulate(state, finer, priors, *_TIGHT)
     progress(0.85)
-    last = Adjustment(used, priors, _pixel_sigmas(residuals(state, used, priors), used.by_patch), 2.0)
+    sigmas = _pixel_sigmas(residuals(state, used, priors), used.by_patch)
+    last = Adjustment(used, priors, sigmas, _LAST_LOSS)
     state = last.solve(state, 30)
-    joint = last.covariance(state)
+    joint, score = last.covariance(state), score_focal(used, priors, sigmas, _LAST_LOSS, state)
     if first.climbs:
         joint = _of_no_height(joint, tagged.centres[:, 2])
     state, every = retriangulate(state, finer, priors, *_TIGHT)
@@ -137,7 +145,7 @@ def solve_bundle(
     registered = np.intersect1d(photos, np.flatnonzero(enough & fixed_attitudes(joint, len(priors.centres))))
     free = priors.sigma_lens > 0
     free[priors.lenses.readout_numbers] = False
-    return Solved(state, registered, every, joint, first, placed, free, priors)
+    return Solved(state, registered, every, joint, first, placed, free, priors, score)
 
 
 def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
@@ -192,15 +200,20 @@ def _trajectory(survey: Survey, rig: Rig, settings: BundleSettings) -> Trajector
         )  # fmt: skip
     kept, old = obs.keep(np.isin(obs.photo, solved.registered))
     points = state.points[old]
-    above = float(np.median(state.centres[solved.registered, 2]) - np.median(points[:, 2])) if len(points) else 0.0
+    up = state.centres[solved.registered, 2]
+    depth = float(np.median(up) - np.median(points[:, 2])) if len(points) else 0.0
+    sure = points[confirmed(points, np.bincount(kept.point), depth)]
+    heights = check_heights(solved.score, up, survey.above[solved.registered], sure)
+    distrust = "" if settings.focal == "trusted" else heights.reason(lenses.cameras[0].fv)
     return Trajectory(
         tuple(motions),
         Rig(tuple(replace(c, camera=lens) for c, lens in zip(rig.cameras, lenses.cameras, strict=True))),
-        tuple(bundle_warnings(survey)),
-        notes_of(survey, replace(state, points=points), kept, settings),
+        (*bundle_warnings(survey), *([distrust] if distrust else [])),
+        {**notes_of(survey, replace(state, points=points), kept, settings), "heights": heights.note},
         joint_of(motions, priors, solved),
         outcomes_of(survey),
-        points=points[confirmed(points, np.bincount(kept.point), above)],
+        points=sure,
+        distrust=distrust,
     )
 
 
@@ -261,11 +274,12 @@ class BundleLane:
 
     Args:
         jobs: finds features and matches pairs.
+        above: metres above the place of take-off, of photos by their time; as far as they have it.
     """
 
-    def __init__(self, rig: Rig, settings: BundleSettings, jobs: Jobs) -> None:
+    def __init__(self, rig: Rig, settings: BundleSettings, jobs: Jobs, above: Mapping[int, float]) -> None:
         colmap()  # if it is missing, fail before the photos are read
-        self._rig, self._settings, self._jobs = rig, settings, jobs
+        self._rig, self._settings, self._jobs, self._above = rig, settings, jobs, above
         self._frames: list[Frame] = []
         self._nav: list[NavSample | None] = []
         self._last: NavSample | None = None
@@ -283,6 +297,7 @@ class BundleLane:
     def finish(self, progress: Progress) -> Trajectory:
         """Adjust; the photos that could not be registered are in the warnings."""
         of = " ".join(str(f.t_ns) for f in self._frames)
-        arguments = self._frames, self._nav, self._rig, self._settings, progress, self._jobs
+        above = np.array([self._above.get(f.t_ns, np.nan) for f in self._frames])
+        arguments = self._frames, self._nav, self._rig, self._settings, progress, self._jobs, above
         (found,) = self._jobs.run([Task("motion", adjust, arguments, of, here=True)])
         return cast(Trajectory, found)

@@ -9,6 +9,7 @@ import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.photos.bundle.features import PhotoFeatures
+from alight.photos.bundle.height_check import FocalScore
 from alight.photos.bundle.matching import BundleObservations
 from alight.photos.bundle.orientation import FirstPoses
 from alight.photos.bundle.solver import BundleState, Priors, residuals
@@ -31,6 +32,7 @@ class Solved:
     placed: I64  # photos whose GPS was ignored and which were placed by resection
     free: Mask  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are left out
     priors: Priors  # as the images corrected them
+    score: FocalScore
 
     @property
     def covariance(self) -> F64:
@@ -49,6 +51,7 @@ class Survey:
     tagged: Priors  # by the tags as they are
     priors: Priors  # the same, or at one height where the altitude tags are ignored
     solved: Solved
+    above: F64  # (n,) metres above the place of take-off, by the tags; NaN: not known or not to be compared
 
     def names(self, which: Sequence[int] | I64) -> str:
         """The first names of some photos."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 from PIL import ExifTags
 
-from alight.arrays import F64, Mask
 from alight.geometry import Camera
+from alight.photos.reading.fitted_lens import fisheye_terms, radial_lens
 from alight.photos.reading.photo_tags import PhotoTags, finite
 from alight.records import InputError
 from alight.sources.calibration import why_no_lens
@@ -23,29 +24,115 @@ Found = tuple[Camera, Notes] | None
 
 GUESSED = "a guess: no focal length in the tags"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
-MARGIN = 1.02  # of a fitted lens, over the radius of the image's corner
 
 
-def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
+class Claim(NamedTuple):
+    """The camera of a photo by one source."""
+
+    name: str
+    camera: Camera
+    tolerance: float  # relative error that its focal length may have
+    family: str  # sources of one family go wrong together: `pixels` by resizing, all but `film` by a digital zoom
+    notes: Notes
+
+    @property
+    def words(self) -> str:
+        """The source and its focal length."""
+        return f"{self.name} {self.camera.fu:.0f} px"
+
+    def agrees(self, other: Claim) -> bool:
+        """True if two focal lengths differ by no more than both may be off."""
+        return abs(math.log(self.camera.fu / other.camera.fu)) <= self.tolerance + other.tolerance
+
+
+def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, Notes]:
     """Return the camera of a photo, and notes on the source of its numbers.
+
+    All sources are compared. One that most families agree with is chosen, and of those that agree with it the most
+    exact one is used. `focal_warning` among the notes names those that disagree.
+
+    Args:
+        tags: of the photo.
+        given: by the user, which is used whatever the tags are; None: nothing.
 
     Raises:
         InputError: the photo carries no focal length in any form.
     """
-    best_first = (
-        _from_dewarp, _from_skydio, _from_pix4d, _from_fisheye, _from_calibrated, _from_sensor, _from_film, _from_model,
-    )  # fmt: skip
-    for read in best_first:
+    claims = _claims(tags)
+    if given is None and not claims:
+        raise InputError(
+            f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=PIXELS"
+        )
+    used = given or _ranked(claims, tags.digital_zoom)
+    notes = used.notes | {"focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
+    if len(claims) > 1:
+        notes["focal_sources"] = [c.words for c in claims]
+    if rivals := [c for c in claims if not c.agrees(used)]:
+        others = ", ".join(c.words for c in rivals)
+        notes["focal_warning"] = f"{used.words} is used, but {others}: heights above ground scale with the focal length"
+    elif given is None and tags.digital_zoom > 1 and len({c.family for c in claims}) == 1:
+        notes["focal_warning"] = (
+            f"{used.words} is used, a digital zoom of {tags.digital_zoom:g} counted in: unconfirmed"
+        )
+    return used.camera, notes
+
+
+def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
+    """The focal length that the user gives, pixels, with the lens of the best source.
+
+    Raises:
+        InputError: it is no focal length.
+    """
+    claims = _claims(tags)
+    camera = _with_focal(claims[0].camera, focal_px) if claims else _camera(tags, focal_px)
+    if why := why_no_lens(camera):
+        raise InputError(f"sources.calibration={focal_px:g}: {why}; give a focal length in pixels, or a camchain.yaml")
+    return Claim("sources.calibration", camera, 0.03, "user", {})
+
+
+def _claims(tags: PhotoTags) -> list[Claim]:
+    """The cameras by all sources that the photo carries, the most exact one first."""
+    out = []
+    for read, tolerance, family in (
+        (_from_dewarp, 0.03, "pixels"), (_from_skydio, 0.03, "pixels"), (_from_pix4d, 0.03, "pixels"),
+        (_from_fisheye, 0.06, "pixels"), (_from_calibrated, 0.03, "pixels"), (_from_sensor, 0.03, "pixels"),
+        (_from_film, 0.06, "film"), (_from_model, 0.06, "model"),
+    ):  # fmt: skip
         try:
             found = read(tags)
-        except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
+        except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's
             continue
         if found is not None and why_no_lens(found[0]) is None:
             camera, notes = found
-            return camera, notes | {"focal_px": round(camera.fu, 2)}
-    raise InputError(
-        f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=camchain.yaml"
-    )
+            out.append(Claim(str(notes["focal_from"]), camera, tolerance, family, notes))
+    return out
+
+
+def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
+    """The best of some claims.
+
+    Where as many families speak for either side, the 35 mm equivalent counts most: resizing leaves it right. Where it
+    is longer than all others and no tag names a digital zoom, it contains one that the others lack.
+    """
+
+    def weight(c: Claim) -> tuple[bool, int, bool]:
+        families = {other.family for other in claims if other.agrees(c)}
+        is_film = "film" in families and zoom == 1
+        zoomed = is_film and all(c.agrees(o) or c.camera.fu > o.camera.fu for o in claims)
+        return zoomed, len(families), is_film
+
+    chosen = max(claims, key=weight)
+    exact = next(c for c in claims if c.agrees(chosen))
+    lens = claims[0].camera
+    if exact is claims[0] or lens.model == "none":
+        return exact
+    return exact._replace(camera=_with_focal(lens, exact.camera.fu))
+
+
+def _with_focal(lens: Camera, focal: float) -> Camera:
+    """A lens with another focal length: the picture was resized or zoomed, and its principal point moved alike."""
+    u, v, k = 0.5 * (lens.width - 1), 0.5 * (lens.height - 1), focal / lens.fu
+    return replace(lens, fu=focal, fv=k * lens.fv, cu=u + k * (lens.cu - u), cv=v + k * (lens.cv - v))
 
 
 def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
@@ -88,12 +175,18 @@ def _camera(
 
 
 def _calibrated_width(tags: PhotoTags) -> float:
-    """Width in pixels of the image that the factory calibration is for: photos may have been resized since."""
-    width = tags.number(Base.ExifImageWidth) or tags.size[0]
+    """Width in pixels of the image that the factory calibration is for: photos may have been resized or turned since.
+
+    A picture that has another shape than in its tags was cut; its wider scale counts.
+    """
+    (w, h), width = tags.size, tags.number(Base.ExifImageWidth) or tags.size[0]
+    height = tags.number(Base.ExifImageHeight) or width * h / w
+    if (w > h) != (width > height):
+        width, height = height, width
     centre = tags.xmp_number("dji:CalibratedOpticalCenterX") or tags.xmp_number("skydio:CalibratedOpticalCenterX")
     if centre and abs(2 * centre / width - 1) > 0.1:  # a tool that resized and rewrote the EXIF size
         return 2 * centre
-    return width
+    return min(width, height * w / h)
 
 
 def _scale(tags: PhotoTags) -> float:
@@ -103,7 +196,7 @@ def _scale(tags: PhotoTags) -> float:
 
 def _pixels_a_millimetre(tags: PhotoTags) -> float | None:
     """Pixels of the photo a millimetre of the sensor, a digital zoom included; None without the tags."""
-    resolution = tags.number(Base.FocalPlaneXResolution)
+    resolution = tags.number(Base.FocalPlaneXResolution) or tags.number(Base.FocalPlaneYResolution)
     unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
     return None if not resolution or unit is None else resolution / unit * _scale(tags)
 
@@ -233,49 +326,6 @@ def _from_fisheye(tags: PhotoTags) -> Found:
     return camera, {"focal_from": "factory calibration (Camera tags, fisheye)"}
 
 
-def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 | None:
-    """The focal length in pixels, and it times k1, ..., k4, of the equidistant model nearest to Pix4D's fisheye model.
-
-    Args:
-        scale: pixels, `C` of the affine matrix, in `r = C sum(p[i] t**i)` with `t = 2 angle / pi`. The focal length is
-            `2 C / pi` where the even terms vanish.
-        polynomial: p0 (0), p1 (1), p2, ...
-        radius: pixels from the centre to the image's farthest corner.
-    """
-    t = np.linspace(0.0, 1.0, 401)[1:]
-    r = scale * (t[:, None] ** np.arange(len(polynomial)) @ np.array(polynomial))
-    inside = _within(r, radius * MARGIN)
-    return _odd_terms(0.5 * np.pi * t[inside], r[inside], 5) if inside.sum() >= 20 else None
-
-
-def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[float, float, float]:
-    """k1, k2, k3 nearest to a rational model, `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
-
-    Args:
-        radius: of the image's farthest corner, in focal lengths.
-    """
-    r = np.linspace(0.0, np.tan(np.radians(75.0)), 401)[1:]
-    even = r[:, None] ** np.array([2, 4, 6])
-    distorted = r * (1 + even @ np.array(above)) / (1 + even @ np.array(below))
-    inside = _within(distorted, radius * MARGIN)
-    k1, k2, k3 = _odd_terms(r[inside], distorted[inside] - r[inside], 4, start=3)[:3]
-    return float(k1), float(k2), float(k3)
-
-
-def _within(rising: F64, limit: float) -> Mask:
-    """Samples up to a limit, as long as they rise."""
-    fine = np.diff(rising, prepend=0.0) > 0
-    return np.asarray(np.logical_and.accumulate(fine & (rising <= limit)))
-
-
-def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
-    """Coefficients of x**start, x**(start + 2), ... by least squares."""
-    powers = np.arange(start, 2 * last, 2)
-    size = x.max()
-    found = np.linalg.lstsq((x[:, None] / size) ** powers, y, rcond=None)[0]
-    return np.asarray(found / size**powers, dtype=np.float64)
-
-
 # -- nominal focal lengths
 
 
@@ -290,7 +340,7 @@ def _from_sensor(tags: PhotoTags) -> Found:
 
 
 def _from_film(tags: PhotoTags) -> Found:
-    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)")
+    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm")
 
 
 def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:

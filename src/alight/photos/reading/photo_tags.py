@@ -26,6 +26,7 @@ class PhotoCamera(NamedTuple):
     size: tuple[int, int]  # width, height
     focal: float | None  # mm, a digital zoom counted in
     band: str = ""  # of a camera of several bands; empty: colour
+    film: float | None = None  # mm, 35 mm equivalent
 
     @property
     def title(self) -> str:
@@ -78,7 +79,8 @@ class PhotoTags:
         """The camera of the photo."""
         focal = self.number(Base.FocalLength)
         zoomed = None if focal is None else round(focal * self.digital_zoom, 2)
-        return PhotoCamera(self.text(Base.Make), self.text(Base.Model), self.size, zoomed, self.band)
+        film = self.number(Base.FocalLengthIn35mmFilm)
+        return PhotoCamera(self.text(Base.Make), self.text(Base.Model), self.size, zoomed, self.band, film)
 
     @property
     def band(self) -> str:

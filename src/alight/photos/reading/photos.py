@@ -20,8 +20,10 @@ from alight.arrays import U8
 from alight.geometry import Camera
 from alight.photos.reading.photo_camera import (
     GUESSED,
+    Claim,
     Notes,
     dewarp_text,
+    focal_given,
     guessed_camera,
     photo_camera,
     photo_readout,
@@ -37,7 +39,7 @@ from alight.photos.reading.photo_pose import (
     with_attitudes_settled,
 )
 from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_photos, without_extra
-from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, read_tags
+from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, finite, read_tags
 from alight.photos.reading.positions import flights_of, settle_positions
 from alight.photos.reading.repeated import repeated_photos
 from alight.records import Event, Frame, InputError, NavSample, PhotoFacts, Rig, RigCamera
@@ -141,7 +143,8 @@ class Photos(Source):
     def photos(self) -> list[PhotoFacts]:
         """Facts about each photo, unused ones included; complete after `events`."""
         facts = {path: facts_of(tags) for path, tags in self._tags.items()}
-        by_user = str(self.notes["focal_from"]) if "Kalibr" in str(self.notes["focal_from"]) else ""
+        source = str(self.notes["focal_from"])
+        by_user = source if source.startswith(("Kalibr", "sources.")) else ""
         for (t_ns, tags), name, flight in zip(self._photos, self._names, self._flights, strict=True):
             own, focal_from = self._cameras.index(tags.camera), facts[tags.path].focal_from
             facts[tags.path] = replace(
@@ -224,7 +227,7 @@ class Photos(Source):
         for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
             first = next(p for p in photos if p.camera == camera)
             if settings.sources.calibration:
-                out[camera] = "sources.calibration is of another camera"
+                out[camera] = "the focal length that is given is of another camera"
             elif count < LEAST_OF_A_CAMERA:
                 out[camera] = f"fewer than {LEAST_OF_A_CAMERA} photos of its camera"
             elif facts_of(first).focal_px is None:
@@ -250,16 +253,18 @@ class Photos(Source):
 
     def _calibrate(self, settings: Settings) -> Rig:
         """The rig, of a lens a camera; the notes get the source of its numbers."""
-        if settings.sources.calibration:
+        focal_px = finite(settings.sources.calibration)
+        if settings.sources.calibration and focal_px is None:
             path = Path(settings.sources.calibration).expanduser()
             blank = RigCamera("cam0", Camera(*self._photos[0][1].size, 1, 1, 0, 0), BODY_FROM_CAM)
             lens = read_camchain(path, Rig((blank,)), BODY_FROM_CAM).cameras[0].camera
-            self.notes |= {"focal_from": f"Kalibr {path.name}", "focal_px": lens.fu}
+            given = Claim(f"Kalibr {path.name}", lens, 0.03, "user", {})
+            self.notes |= self._settled(photo_camera(self._photos[0][1], given)[1], self._cameras[0])
             return Rig((replace(blank, camera=lens),))
         cameras, notes = list[RigCamera](), list[Notes]()
         for k, camera in enumerate(self._cameras):
             its = [p for _, p in self._photos if p.camera == camera]
-            lens, its_notes = self._lens(camera, its)
+            lens, its_notes = self._lens(camera, its, focal_px)
             readout = Counter(photo_readout(p) for p in its).most_common(1)[0][0]
             cameras.append(RigCamera(f"cam{k}", lens, BODY_FROM_CAM, readout))
             notes.append(its_notes)
@@ -270,7 +275,13 @@ class Photos(Source):
             ]
         return Rig(tuple(cameras))
 
-    def _lens(self, camera: PhotoCamera, photos: list[PhotoTags]) -> tuple[Camera, Notes]:
+    def _settled(self, notes: Notes, camera: PhotoCamera) -> Notes:
+        """The notes on a focal length, of which a disagreement becomes a warning."""
+        if warning := notes.pop("focal_warning", ""):
+            self.findings.contradict(f"focal length of {camera.title}: {warning}")
+        return notes
+
+    def _lens(self, camera: PhotoCamera, photos: list[PhotoTags], focal_px: float | None) -> tuple[Camera, Notes]:
         """The lens of one camera, from the most frequent calibration that its photos carry."""
         dewarp = Counter(dewarp_text(p) for p in photos).most_common()
         chosen = next(p for p in photos if dewarp_text(p) == dewarp[0][0])
@@ -279,13 +290,14 @@ class Photos(Source):
                 f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"
             )
         try:
-            return photo_camera(chosen)
+            lens, notes = photo_camera(chosen, None if focal_px is None else focal_given(chosen, focal_px))
+            return lens, self._settled(notes, camera)
         except InputError:
             lens, notes = guessed_camera(chosen)
             self.findings.warn(
                 f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
                 "quarter, and heights above ground scale with it; give the true one with --set "
-                "sources.calibration=camchain.yaml"
+                "sources.calibration=PIXELS, or camchain.yaml"
             )
             return lens, notes
 
@@ -340,7 +352,7 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
     return PhotoFacts(
         tags.path.name, size, f"{make or 'unknown'} {model or 'camera'}", focal, focal_from,
         None if place is None else place[:2], "" if place is None else fix, None if place is None else place[2],
-        "" if place is None else tags.altitude_kind, photo_attitude(tags)[1],
+        "" if place is None else tags.altitude_kind, tags.relative_altitude, photo_attitude(tags)[1],
         "" if t_ns is None else f"{datetime.fromtimestamp(t_ns // SECOND, UTC):%Y-%m-%d %H:%M:%S}",
     )  # fmt: skip
 

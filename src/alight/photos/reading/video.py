@@ -1,24 +1,22 @@
-"""A video with telemetry (`.srt`, in the dialects of DJI) as photos: frames by distance, with tags for `Photos`."""
+"""A film with telemetry as photos: frames by distance, with tags for `Photos`."""
 
 from __future__ import annotations
 
-import itertools
 import math
-import os
-import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
-import cv2
-import numpy as np
 from PIL import ExifTags, Image
 
+from alight.photos.reading.film_clock import film_offset, picture_path
+from alight.photos.reading.film_frames import FilmFrames
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow, apart
+from alight.photos.reading.film_tracks import telemetry_beside, telemetry_inside
 from alight.photos.reading.photo_camera import film_focal_px
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.photos.reading.photos import Photos
@@ -28,184 +26,162 @@ from alight.settings import Settings
 Base = ExifTags.Base
 
 OVERLAP = 0.8  # of one frame with the next, along the flight
-_TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
-_STAMP = re.compile(r"(\d{4})[-.](\d\d)[-.](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
-_NUMBER = r"([-+]?\d+(?:\.\d+)?)"
-_PAIR = re.compile(rf"\b([a-z_]+)\s*:\s*{_NUMBER}", re.IGNORECASE)
-_GPS = re.compile(rf"\bGPS\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*(?:,\s*{_NUMBER}\s*(M?)\s*)?\)", re.IGNORECASE)
-_UP = re.compile(rf"\bBAROMETER\s*[:(]\s*{_NUMBER}|,\s*H\s+{_NUMBER}\s*m\b", re.IGNORECASE)
+IN_STEP = 0.3  # s between film and telemetry that are not corrected: the pictures show the offset no better
 
 
 @dataclass(frozen=True)
-class Subtitle:
-    """Content of one subtitle."""
+class FilmClock:
+    """The time between a film and its telemetry."""
 
-    seconds: float  # from the start of the video
-    taken: datetime | None
-    values: dict[str, float]  # latitude, longitude, abs_alt, rel_alt, focal_len, gb_yaw, ...
-    coarse: bool = False  # latitude or longitude has few decimals
-
-    @property
-    def place(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude (degrees), and the altitude, else the height above take-off (m); None without a fix."""
-        latitude, longitude = self.values.get("latitude"), self.values.get("longitude")
-        up = self.values.get("rel_alt") if self.altitude is None else self.altitude
-        if latitude is None or longitude is None or up is None or (latitude, longitude) == (0, 0):
-            return None
-        return latitude, longitude, up
-
-    @property
-    def altitude(self) -> float | None:
-        """Metres above the maker's datum; None where at most the height above take-off is given."""
-        return next((self.values[k] for k in ("abs_alt", "altitude") if k in self.values), None)
+    offset: float  # s, to be added to the film's time
+    found: str
+    warning: str = ""
+    accuracy: float = 0.0  # m, of the places, where it may be wrong; 0: it is not
 
 
-def read_srt(text: str) -> list[Subtitle]:
-    """The telemetry of subtitles.
+def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry | None] = lambda: None) -> Photos:
+    """Extract frames from a film and open them as photos, in a temporary folder that lives as long as the source.
 
-    Either each number has its name, as in `[latitude: 45.1]`, or a line is `GPS(149.0251,-20.2533,16) BAROMETER:1.9`.
-    """
-    out = []
-    for block in re.split(r"\n\s*\n", text.replace("\r", "")):
-        if (at := _TIME.search(block)) is None:
-            continue
-        h, m, s, ms = (int(v) for v in at.groups())
-        written = {k.lower().replace("longtitude", "longitude"): v for k, v in _PAIR.findall(block[at.end() :])}
-        written |= _bracketed(block[at.end() :])
-        seconds = 3600 * h + 60 * m + s + ms / 10 ** len(at.group(4))
-        decimals = [len(written[k].partition(".")[2]) for k in ("latitude", "longitude") if k in written]
-        coarse = bool(decimals) and max(decimals) <= 4  # of a degree: 11 m
-        out.append(Subtitle(seconds, _stamp(block), {k: float(v) for k, v in written.items()}, coarse))
-    return out
-
-
-def _bracketed(block: str) -> dict[str, str]:
-    """Place and height above take-off of the older dialects, as they are written; empty in the others.
-
-    With a unit (`0.0M`, Matrice 300) latitude comes first, without one (Mavic Pro, Phantom 4) longitude, unless that is
-    no place on Earth. The third number is a count of satellites or nothing, the height is the barometer's.
-    """
-    found = _GPS.search(block)
-    if found is None:
-        return {}
-    first, second, _, unit = found.groups()
-    latitude, longitude = (first, second) if unit else (second, first)
-    if abs(float(latitude)) > 90:
-        latitude, longitude = longitude, latitude
-    if abs(float(latitude)) > 90 or abs(float(longitude)) > 180:
-        return {}
-    up = _UP.search(block)
-    height = {} if up is None else {"rel_alt": up.group(1) or up.group(2)}
-    return {"latitude": latitude, "longitude": longitude} | height
-
-
-def _stamp(block: str) -> datetime | None:
-    if (found := _STAMP.search(block)) is None:
-        return None
-    *whole, fraction = found.groups()
-    try:
-        at = datetime(*(int(v) for v in whole), tzinfo=UTC)  # type: ignore[arg-type, misc]
-    except ValueError:
-        return None
-    return at + timedelta(milliseconds=int((fraction or "0").ljust(3, "0")))
-
-
-def open_video(path: Path, settings: Settings) -> Photos:
-    """Extract frames from a video and open them as photos, in a temporary folder that lives as long as the source.
+    Args:
+        path: of the film.
+        settings: all of them.
+        log: gives the telemetry of an autopilot's log, if there is one; used where none is beside the film.
 
     Raises:
-        InputError: it cannot be decoded, or there is no telemetry with a place.
+        InputError: it cannot be decoded, there is no telemetry with a place, or its clock is not clear.
     """
-    subtitles = next((p for suffix in (".srt", ".SRT") if (p := path.with_suffix(suffix)).is_file()), None)
-    if subtitles is None:
-        raise InputError(
-            f"{path}: has no telemetry; put {path.stem}.srt beside it (subtitles in the video: ffmpeg -i {path.name} "
-            f"{path.stem}.srt)"
-        )
-    rows = [t for t in read_srt(subtitles.read_text(encoding="utf-8", errors="replace")) if t.place is not None]
-    if not rows:
-        raise InputError(
-            f"{subtitles}: no place in it; needs subtitles with [latitude: ...] [longitude: ...] [abs_alt: ...], or "
-            "with GPS(...) and BAROMETER:..."
-        )
+    with FilmFrames(path) as frames:
+        seconds = frames.seconds
+    telemetry = telemetry_beside(path) or log() or telemetry_inside(path, seconds)
+    if telemetry is None:
+        raise InputError(f"{path}: has no telemetry; put {path.stem}.srt or {path.stem}.gpx beside it")
     folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
     try:
+        clock = film_clock(path, seconds, telemetry, settings.sources.time_offset)
         root = folder / path.stem
         root.mkdir()
-        tags = {t.path: t for t in _write_frames(path, rows, root)}
+        tags = {t.path: t for t in _write_frames(path, telemetry, clock, root)}
         if not tags:
             raise InputError(
-                f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
+                f"{path}: not one frame could be decoded within the time of its telemetry; convert it: ffmpeg -i "
+                f"{path.name} -c:v libx264 OUT.mp4"
             )
         source = Photos(root, list(tags), settings, read=lambda path: (tags[path], ""))
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     source.notes["video"] = f"{len(tags)} frames of {path.name}, chosen by the distance flown"
+    source.notes["telemetry"] = "; ".join(
+        part for part in (f"{telemetry.source}: {len(telemetry.rows)} places", telemetry.found, clock.found) if part
+    )
+    if clock.warning:
+        source.findings.warn(clock.warning)
     weakref.finalize(source, shutil.rmtree, folder, True)
     return source
 
 
-def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[PhotoTags]:
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder repeats our own messages on stderr
-    film = cv2.VideoCapture(str(path))
-    try:
-        rate = film.get(cv2.CAP_PROP_FPS) or 30.0
-        at, last = np.array([t.seconds for t in rows]), None
-        for number in itertools.takewhile(lambda _: film.grab(), itertools.count()):
-            row = rows[max(int(np.searchsorted(at, number / rate, side="right")) - 1, 0)]
-            if last is not None and _apart(last, row) < _step(row, film):
+def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: float | None) -> FilmClock:
+    """Settle the time between a film and its telemetry.
+
+    Args:
+        path: of the film.
+        seconds: its length.
+        telemetry: its places.
+        given: `sources.time_offset`, the telemetry's zero on the film's clock; None: found from the pictures.
+
+    Raises:
+        InputError: it is not clear, for telemetry with a clock of its own.
+    """
+    if given is not None:
+        return FilmClock(-given, f"the {_earlier(-given)}, by sources.time_offset")
+    found = film_offset(picture_path(path), telemetry)
+    line = f"the {_earlier(found.seconds)}, by the pictures"
+    if not telemetry.of_film:
+        if found.unclear:
+            raise InputError(
+                f"{telemetry.source}: the time between it and the film is not clear from the pictures: "
+                f"{found.unclear}; set sources.time_offset=SECONDS from the film's first frame to the track's first "
+                "place (negative: the place comes first)"
+            )
+        return FilmClock(found.seconds, line)
+    longer = telemetry.length - seconds
+    cut = seconds > 0 and abs(longer) > 1.0 + telemetry.step  # 0: the header does not give the length
+    warnings = [f"the telemetry lasts {telemetry.length:.1f} s, the film {seconds:.1f} s"] if cut else []
+    if found.unclear:
+        line = f"whether film and telemetry are in step is not clear from the pictures: {found.unclear}"
+        accuracy = abs(longer) * telemetry.speed if cut else 0.0
+        return FilmClock(0.0, line, ": ".join([*warnings, line]), accuracy)
+    if abs(found.seconds) < IN_STEP:
+        return FilmClock(0.0, "in step with the pictures", "".join(warnings))
+    return FilmClock(found.seconds, line, "; ".join([*warnings, f"{line}: places are corrected"]))
+
+
+def _earlier(offset: float) -> str:
+    return f"telemetry begins {abs(offset):.1f} s {'earlier' if offset >= 0 else 'later'} than the film"
+
+
+def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
+    """Save the frames that are chosen; those without telemetry are left out."""
+    last: TelemetryRow | None = None
+    with FilmFrames(path) as frames:
+        for t in frames:
+            row = telemetry.at(t + clock.offset)
+            if row is None or (last is not None and _distance(last, row) < _step(last, frames.size)):
                 continue
-            fine, frame = film.retrieve()
-            if not fine:
+            if (image := frames.image()) is None:
                 continue
             last = row
-            file = root / f"frame_{number:06d}.jpg"
-            Image.fromarray(np.ascontiguousarray(frame[..., ::-1])).save(file, "JPEG", quality=95)
-            yield _tags(file, (frame.shape[1], frame.shape[0]), row, number / rate)
-    finally:
-        film.release()
+            file = root / f"frame_{frames.number:06d}.jpg"
+            Image.fromarray(image).save(file, "JPEG", quality=95)
+            yield _tags(file, frames, row, max(11.0 * row.coarse, clock.accuracy))
 
 
-def _apart(a: Subtitle, b: Subtitle) -> float:
-    """Distance in metres between the places of two subtitles."""
-    assert a.place is not None
-    assert b.place is not None
-    north = 111_194.0 * (b.place[0] - a.place[0])
-    east = 111_194.0 * math.cos(math.radians(a.place[0])) * (b.place[1] - a.place[1])
-    return math.hypot(east, north, b.place[2] - a.place[2])
+def _distance(a: TelemetryRow, b: TelemetryRow) -> float:
+    """Distance in metres between the places of two rows."""
+    up = (next((r.values[k] for k in ("abs_alt", "rel_alt") if k in r.values), 0.0) for r in (a, b))
+    return math.hypot(abs(apart(a, b)), next(up) - next(up))
 
 
-def focal_px(row: Subtitle, width: float) -> float | None:
-    """Focal length in pixels from the 35 mm equivalent (DJI's 4:3 sensors, whose whole width is filmed)."""
+def digital_zoom(row: TelemetryRow) -> float:
+    """Factor of the digital zoom; some models write it in ten thousandths."""
+    zoom = row.values.get("dzoom_ratio", 1.0)
+    return max(zoom / 10_000 if zoom >= 1000 else zoom, 1.0)
+
+
+def focal_px(row: TelemetryRow, longer: float) -> float | None:
+    """Focal length in pixels, without a digital zoom, from the 35 mm equivalent.
+
+    DJI's sensors are 4:3, and their whole longer side is filmed.
+    """
     film = row.values.get("focal_len")
     if not film or film <= 0:
         return None
     if film > 200 and film == int(film):  # mm; larger whole numbers are tenths of a millimetre
         film /= 10
-    return film_focal_px(film, width, 4 / 3)
+    return film_focal_px(film, longer, 4 / 3)
 
 
-def _step(row: Subtitle, film: Any) -> float:
+def _step(row: TelemetryRow, size: tuple[int, int]) -> float:
     """Distance in metres from one frame to the next, for the overlap `OVERLAP`; usual values where none is known."""
-    width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
-    focal = focal_px(row, width)
-    field = 0.56 if focal is None else height / focal  # ground of a frame's height over the distance
+    focal = focal_px(row, max(size))
+    field = 0.56 if focal is None else min(size) / (focal * digital_zoom(row))  # ground of a frame over the distance
     return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
-def _tags(path: Path, size: tuple[int, int], row: Subtitle, seconds: float) -> PhotoTags:
+def _tags(path: Path, frames: FilmFrames, row: TelemetryRow, accuracy: float) -> PhotoTags:
     """The tags that a photo of the same drone would have; no altitude where it is not known."""
     assert row.place is not None
-    taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
+    taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=row.seconds)
     exif: dict[int, str] = {
         Base.Make: "video", Base.Model: "with telemetry", Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}",
-        Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}",
+        Base.SubsecTimeOriginal: f"{taken.microsecond // 1000:03d}", Base.DigitalZoomRatio: f"{digital_zoom(row):g}",
+        Base.FocalLength: str(row.values.get("focal_len", "")), Base.Orientation: str(frames.orientation),
     }  # fmt: skip
     xmp = {
-        "dji:GpsLatitude": row.place[0], "dji:GpsLongitude": row.place[1], "dji:AbsoluteAltitude": row.altitude,
-        "dji:RelativeAltitude": row.values.get("rel_alt"), "dji:CalibratedFocalLength": focal_px(row, size[0]),
+        "dji:GpsLatitude": row.place[0], "dji:GpsLongitude": row.place[1],
+        "dji:AbsoluteAltitude": row.values.get("abs_alt"), "dji:RelativeAltitude": row.values.get("rel_alt"),
+        "dji:CalibratedFocalLength": focal_px(row, max(frames.size)),
         "dji:GimbalYawDegree": row.values.get("gb_yaw"), "dji:GimbalPitchDegree": row.values.get("gb_pitch"),
-        "dji:GimbalRollDegree": row.values.get("gb_roll"), "camera:GPSXYAccuracy": 11.0 if row.coarse else None,
+        "dji:GimbalRollDegree": row.values.get("gb_roll"), "camera:GPSXYAccuracy": accuracy or None,
     }  # fmt: skip
-    return PhotoTags(path, size, exif, {}, {k: str(v) for k, v in xmp.items() if v is not None})
+    return PhotoTags(path, frames.size, exif, {}, {k: str(v) for k, v in xmp.items() if v is not None})

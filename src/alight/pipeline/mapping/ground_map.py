@@ -123,7 +123,7 @@ class GroundMap:
             self.reason = NO_PARALLAX
             return False
         tuning = self.settings.parallax.points
-        if len(points) < self.settings.mapping.enough_points:
+        if len(points) < self.settings.mapping.least_known:
             points = find_points(down, tuning)
         else:
             points = supported(points, float(np.median([v.centre[2] for v in down])), tuning)
@@ -135,8 +135,7 @@ class GroundMap:
         if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
             self.reason = "the aircraft hardly moved for its height, so no height can be measured"
             return False
-        self.points = below[:: -(-len(below) // self.settings.mapping.most_points)]
-        self.ground = float(np.median(self.points[:, 2]))
+        self.points, self.ground = below, float(np.median(below[:, 2]))
         if self.elevation is None:
             size = float(np.median([cell_size(v, self.ground, self.settings, self.by_quality) for v in down]))
             self.elevation = self._empty(self.settings.parallax.cell or nice_cell(size))

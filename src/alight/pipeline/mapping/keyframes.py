@@ -21,7 +21,7 @@ ENOUGH = 40  # points or cells, least to estimate a height from
 def is_keyframe(
     motion: Motion, last: Motion | None, ground: float | None, first_step: float, settings: StageSettings
 ) -> bool:
-    """Whether an exposure is a keyframe of the map: its camera moved far enough since the last one, or turned.
+    """Whether an exposure is a keyframe of the map: its camera moved far enough since the last one.
 
     Args:
         motion: of the exposure.
@@ -34,10 +34,8 @@ def is_keyframe(
     if ground is not None:
         above = motion.world_from_body.translation[2] - ground
         step = settings.parallax.keyframe_baseline * max(above, 1.0)
-    a, b = last.world_from_cams[0], motion.world_from_cams[0]
-    axis = float(np.clip(a.rotation[:, 2] @ b.rotation[:, 2], -1, 1))
-    moved = np.linalg.norm(a.translation - b.translation) >= step
-    return bool(moved or np.arccos(axis) >= settings.mapping.turn)
+    moved = motion.world_from_cams[0].translation - last.world_from_cams[0].translation
+    return bool(np.linalg.norm(moved) >= step)
 
 
 class Keyframe(NamedTuple):

@@ -53,6 +53,7 @@ class Trajectory:
     photos: tuple[PhotoOutcome, ...] = ()  # outcome of the tags of each photo
     attitude: bool = True  # one was measured, or the poses are given
     points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, points of the adjustment
+    distrust: str = ""  # why no height above ground may be used; empty: they may
 
     @property
     def usable(self) -> dict[int, Motion]:

@@ -1,4 +1,4 @@
-"""Tuning of the executive (docs/lab/tuning-constants.md)."""
+"""Tuning of the executive."""
 
 from __future__ import annotations
 

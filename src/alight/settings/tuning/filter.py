@@ -1,4 +1,4 @@
-"""Tuning of the filter and its smoother, and of the bundle adjustment of photos (docs/lab/tuning-constants.md)."""
+"""Tuning of the filter and its smoother, and of the bundle adjustment of photos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tuning of the hazard judgement (docs/lab/tuning-constants.md)."""
+"""Tuning of the hazard judgement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tuning of the mapping lane and of its map (docs/lab/tuning-constants.md)."""
+"""Tuning of the mapping lane and of its map."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ class MappingTuning(FrozenModel):
     """Keyframes, search for the ground, size of the cells, and limits of the heights that are given out."""
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
-    turn: Positive = Field(0.15, description="Turn of the optical axis that makes a keyframe without a step, rad")
     find_every: int = Field(8, ge=1, description="Keyframes from one search for the ground to the next")
     find_baseline: Positive = Field(0.08, description="Baseline over height that this search needs in flight")
     kept_by_ring: int = Field(16, ge=3, description="Keyframes kept to find the ground in flight")
     kept_to_look: int = Field(64, ge=3, description="Keyframes whose images are kept for pixels finer than the heights")
     least_points: int = Field(20, ge=1, description="Least number of triangulated points that show the ground")
-    enough_points: int = Field(
-        1000, ge=1, description="Least number of points of the bundle adjustment that stand in for triangulated ones"
+    least_known: int = Field(
+        400,
+        ge=1,
+        description="Heights, or points of the bundle adjustment, from which they give the range that is searched",
     )
-    most_points: int = Field(20_000, ge=1, description="Most triangulated points kept")
-    least_known: int = Field(400, ge=1, description="Known heights from which the map gives the range that is searched")
     trees: NonNegative = Field(15.0, description="Height of the trees that may stand on ground not mapped yet, m")
     beyond: Fraction = Field(
         0.3, description="Share of cells at an end of the searched range from which another range is sought"

@@ -1,4 +1,4 @@
-"""Tuning of planar parallax (docs/lab/tuning-constants.md)."""
+"""Tuning of planar parallax."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ class PointsTuning(FrozenModel):
     """Points triangulated before the ground is known."""
 
     features: int = Field(1500, ge=100, description="SIFT features in each view")
-    contrast: Positive = Field(
-        0.005,
-        description="Least contrast of a feature, as OpenCV's SIFT counts it; of more features the strongest stay",
-    )
+    contrast: Positive = Field(0.04, description="Least contrast of a feature, as OpenCV's SIFT counts it")
+    faint_share: Fraction = Field(0.125, description="Share of it that will do where a view has too few features")
+    enough_features: int = Field(300, ge=2, description="Features in a view from which no fainter ones are sought")
     longest_px: int = Field(960, ge=100, description="Longest side of the images on which features are found, px")
     least_angle: Positive = Field(0.02, description="Least angle between the rays of a point, rad")
     most_pairs: int = Field(40, ge=1, description="Most pairs of views")
@@ -101,8 +100,7 @@ class ConsistencyTuning(FrozenModel):
         0.02, description="Least variance of ground that changed or is contradicted, normalised grey^2"
     )
     least_seen: Fraction = Field(0.25, description="Least share of the cells of a block that a pair sees")
-    least_views: int = Field(5, ge=2, description="Least number of views of a cell (recursive)")
-    least_views_batch: int = Field(7, ge=2, description="Least number of views of a cell (batch)")
+    least_views: int = Field(5, ge=2, description="Least number of views of a cell")
     pairs: int = Field(6, ge=1, description="Most pairs of views of one instant (batch)")
 
 
@@ -158,8 +156,6 @@ class PoseRefinementTuning(FrozenModel):
     far_cells: Positive = Field(
         0.5, description="1-sigma of the newest view on the ground from which coarse images come first, cells"
     )
-    near_cells: Positive = Field(0.25, description="The same from which two linearisations are made, cells")
-    least_known: int = Field(200, ge=1, description="Least number of known cells of a map")
     plane_sigma: Triple = Field(
         (0.1, 0.1, 0.1),
         description="1-sigma of the ground's plane before there is a map: offset over height, tilts in rad",

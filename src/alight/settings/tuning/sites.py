@@ -1,4 +1,4 @@
-"""Tuning of the choice of sites and of the route (docs/lab/tuning-constants.md)."""
+"""Tuning of the choice of sites and of the route."""
 
 from __future__ import annotations
 

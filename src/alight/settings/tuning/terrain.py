@@ -1,4 +1,4 @@
-"""Tuning of the land cover (docs/lab/tuning-constants.md)."""
+"""Tuning of the land cover."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tuning of the feature tracks (docs/lab/tuning-constants.md)."""
+"""Tuning of the feature tracks."""
 
 from __future__ import annotations
 

@@ -1,0 +1,79 @@
+"""ArduPilot's log, `.bin`, by pymavlink."""
+
+from __future__ import annotations
+
+import io
+from collections import defaultdict
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import numpy as np
+
+from alight.flight.autopilot import border
+from alight.flight.logs.logged import AutopilotLog, LoggedStream, quaternions
+from alight.records import FIX_3D, InputError, MissingExtraError
+
+MAGIC = b"\xa3\x95"  # before each message
+FIELDS = {  # of the messages that are read
+    "ATT": ("Roll", "Pitch", "Yaw"), "POS": ("Lat", "Lng", "Alt"),
+    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+    "XKF1": ("VN", "VE", "VD"), "NKF1": ("VN", "VE", "VD"), "GPA": ("HAcc", "VAcc", "SAcc"),
+    "GPS": ("Status", "Spd", "GCrs", "VZ", "Lat", "Lng", "Alt"),
+}  # fmt: skip
+
+
+def read_dataflash(path: Path) -> AutopilotLog:
+    """Read a log of ArduPilot: the first IMU, receiver and core of the estimator.
+
+    Raises:
+        InputError: it is none, or is damaged.
+    """
+    try:
+        from pymavlink import DFReader
+    except ImportError as e:
+        raise MissingExtraError("pymavlink", "logs") from e
+    with path.open("rb") as file:
+        if file.read(2) != MAGIC:
+            raise InputError(f"{path}: no log of ArduPilot; give a .bin of its data flash")
+    rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+    separations: list[float] = []
+    with ExitStack() as stack:
+        for redirect in (redirect_stderr, redirect_stdout):  # the library prints what it skips
+            stack.enter_context(redirect(io.StringIO()))
+        try:
+            log = DFReader.DFReader_binary(str(path), zero_time_base=False)
+            stack.callback(log.filehandle.close)
+            stack.callback(log.data_map.close)
+            while (m := log.recv_match(type=list(FIELDS), strict=True)) is not None:
+                if getattr(m, "I", 0) or getattr(m, "C", 0):
+                    continue
+                name = m.get_type()
+                rows[name].append((m.TimeUS, *(float(getattr(m, f, np.nan)) for f in FIELDS[name])))
+                if name == "GPA":
+                    separations.append(border.separation_of(float(getattr(m, "Und", 0.0)), 0.0))
+        except OSError:
+            raise
+        except Exception as e:  # damaged bytes can make the library raise any exception
+            raise InputError(f"{path}: no log of ArduPilot ({' '.join(str(e).split())}); copy it again") from e
+    return _log_of(rows, separations)
+
+
+def _log_of(rows: dict[str, list[tuple[float, ...]]], separations: list[float]) -> AutopilotLog:
+    def stream(name: str) -> LoggedStream:
+        table = np.array(rows[name], np.float64).reshape(-1, 1 + len(FIELDS[name]))
+        return LoggedStream(name, np.round(table[:, 0] * 1e3).astype(np.int64), table[:, 1:])
+
+    angles, inertial, gps = stream("ATT"), stream("IMU"), stream("GPS")
+    gps = gps.where(gps.values[:, 0] >= FIX_3D)
+    position, velocity = stream("POS"), stream("XKF1" if rows["XKF1"] else "NKF1")
+    if not len(position.t_ns):
+        position = LoggedStream("GPS", gps.t_ns, gps.values[:, 4:7])
+    if not len(velocity.t_ns):
+        speed, course, down = gps.values[:, 1:4].T
+        course = np.radians(course)
+        velocity = LoggedStream.of("GPS", gps.t_ns, speed * np.cos(course), speed * np.sin(course), down)
+    return AutopilotLog(
+        LoggedStream.of("ATT", angles.t_ns, *quaternions(*np.radians(angles.values).T)), position, velocity,
+        stream("GPA"), LoggedStream("IMU", inertial.t_ns, inertial.values[:, :3]),
+        LoggedStream("IMU", inertial.t_ns, inertial.values[:, 3:]), np.array(separations),
+    )  # fmt: skip

@@ -1,0 +1,180 @@
+"""What an autopilot logged, in its own units, and the tables of GPS/INS and IMU that are made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from alight.arrays import F64, I64, Mask
+from alight.flight.autopilot import border
+from alight.geometry import LocalFrame, Pose
+from alight.records import InputError
+from alight.sources.source import Findings
+from alight.sources.streams import Table, rising, usable_imu, usable_nav
+
+GAP = 0.5  # s between two rows of a stream across which it is interpolated
+RESET = 1.0  # s by which a clock that goes backwards has begun anew
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedStream:
+    """One stream of a log: a row a time, NaN where not measured."""
+
+    name: str = ""  # of its messages
+    t_ns: I64 = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) the autopilot's clock
+    values: F64 = field(default_factory=lambda: np.empty((0, 0)))  # (N, D)
+
+    @classmethod
+    def of(cls, name: str, t_ns: I64, *columns: F64) -> LoggedStream:
+        """Gather columns (N,)."""
+        return cls(name, np.asarray(t_ns, np.int64), np.stack([np.asarray(c, np.float64) for c in columns], axis=-1))
+
+    def where(self, keep: Mask) -> LoggedStream:
+        """Return the rows that `keep` (N,) marks."""
+        return LoggedStream(self.name, self.t_ns[keep], self.values[keep])
+
+    @property
+    def in_order(self) -> LoggedStream:
+        """The finite rows whose times rise; one wrong time does not cost those after it."""
+        rows = self.where(np.asarray(np.isfinite(self.values).all(axis=1)))
+        if (np.diff(rows.t_ns) > 0).all():
+            return rows
+        return rows.where(np.array(rising(rows.t_ns.tolist()), bool))
+
+    def at(self, t_ns: I64) -> F64:
+        """(M, D) values at other times, interpolated; NaN where no row is near. The rows must be in order."""
+        if not len(self.t_ns):
+            return np.full((len(t_ns), self.values.shape[1]), np.nan)
+        near, seconds, own = _covered(self.t_ns, t_ns), _seconds(t_ns, self.t_ns[0]), _seconds(self.t_ns, self.t_ns[0])
+        found = np.stack([np.interp(seconds, own, column) for column in self.values.T], axis=-1)
+        return np.where(near[:, None], found, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class AutopilotLog:
+    """Streams of one start of an autopilot, NED and FRD, altitudes above the sea."""
+
+    attitude: LoggedStream  # w, x, y, z of ned_from_frd
+    position: LoggedStream  # latitude, longitude [degrees], altitude above the sea [m]
+    velocity: LoggedStream  # north, east, down [m/s]
+    accuracy: LoggedStream  # horizontal, vertical [m], speed [m/s]; 1-sigma, NaN: not reported
+    gyroscope: LoggedStream  # x, y, z [rad/s]
+    accelerometer: LoggedStream  # x, y, z [m/s^2], the rows of the gyroscope
+    separations: F64  # (N,) m, ellipsoid minus sea level; NaN: not reported
+
+    @property
+    def length(self) -> float:
+        """Seconds from the first position to the last."""
+        t = self.position.t_ns
+        return float(t.max() - t.min()) * 1e-9 if len(t) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedFlight:
+    """A log as GPS/INS and IMU in the columns of a flight log, on the autopilot's clock."""
+
+    local: LocalFrame  # about its first position
+    nav: Table
+    imu: Table | None
+    found: tuple[str, ...]  # one line a stream: messages, rows, rate, span
+
+
+def quaternions(roll: F64, pitch: F64, yaw: F64) -> list[F64]:
+    """Quaternions w, x, y, z, (N,) each, of angles (N,) in radians."""
+    q = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_quat()
+    return [q[:, 3], q[:, 0], q[:, 1], q[:, 2]]
+
+
+def streams_of(log: AutopilotLog, path: str, separation: float | None, findings: Findings) -> LoggedFlight:
+    """Turn a log into the tables of GPS/INS and IMU.
+
+    Args:
+        log: in its own units.
+        path: of the file, for messages.
+        separation: metres, ellipsoid minus sea level; None: as the receiver reports it.
+
+    Raises:
+        InputError: there is no position or no attitude in it, or its heights are above the sea alone.
+    """
+    attitude, position, velocity, accuracy = (
+        stream.in_order for stream in (log.attitude, log.position, log.velocity, log.accuracy)
+    )
+    position = position.where(np.asarray((position.values[:, :2] != 0).any(axis=1)))  # 0, 0: no fix
+    for stream, what in ((position, "position on Earth"), (attitude, "attitude")):
+        if len(stream.t_ns) < 3:
+            raise InputError(f"{path}: logs no {what}; give the log of a flight with GPS")
+    known = log.separations[np.isfinite(log.separations)]
+    if separation is None and not len(known):
+        raise InputError(
+            f"{path}: logs heights above the sea alone; set sources.separation=METRES from the sea to the ellipsoid "
+            "there, as a geoid calculator gives it"
+        )
+    apart = float(np.median(known)) if separation is None else separation
+    t = position.t_ns
+    imu = _imu_table(log)
+    used = None if imu is None else usable_imu(imu, Pose(), findings)
+    rates = np.full((len(t), 3), np.nan)
+    if used is not None and (used.t_ns[0] > t[-1] or used.t_ns[-1] < t[0]):
+        findings.warn(f"{path}: its IMU is stamped by another clock than its position and is left out")
+        used = None
+    if used is not None:
+        rates = LoggedStream("", used.t_ns, used.values[:, :3]).at(t)
+    sigma = accuracy.in_order.at(t)
+    values = np.concatenate([
+        position.values[:, :2], position.values[:, 2:] + apart, _attitude_at(attitude, t),
+        border.enu(*velocity.at(t).T).T, rates, sigma[:, [0, 0, 1]], np.full((len(t), 3), np.nan), sigma[:, [2, 2, 2]],
+    ], axis=1)  # fmt: skip
+    nav = usable_nav(Table(t, values, list(range(1, len(t) + 1))), findings)
+    if nav is None:
+        raise InputError(f"{path}: logs no usable position ({findings.loss('nav0 rows')})")
+    streams = (attitude, position, velocity, accuracy, log.gyroscope)
+    found = [line for s in streams if (line := _line(s))]
+    origin = "the receiver" if separation is None else "sources.separation"
+    found.append(f"ellipsoid above sea level: {apart:+.1f} m, by {origin}")
+    return LoggedFlight(LocalFrame(*nav.values[0, :3].tolist()), nav, used, tuple(found))
+
+
+def _imu_table(log: AutopilotLog) -> Table | None:
+    gyro, force = log.gyroscope, log.accelerometer
+    if not len(gyro.t_ns):
+        return None
+    values = np.concatenate([border.flu(*gyro.values.T).T, border.flu(*force.values.T).T], axis=1)
+    both = LoggedStream(gyro.name, gyro.t_ns, values).in_order
+    return Table(both.t_ns, both.values, list(range(1, len(both.t_ns) + 1))) if len(both.t_ns) else None
+
+
+def _attitude_at(attitude: LoggedStream, t_ns: I64) -> F64:
+    """(M, 4) quaternions w, x, y, z of enu_from_flu at other times; NaN where no attitude is near."""
+    usable = attitude.where(np.abs(np.linalg.norm(attitude.values, axis=1) - 1.0) < 0.05)
+    out = np.full((len(t_ns), 4), np.nan)
+    if len(usable.t_ns) < 2:
+        return out
+    near, origin = _covered(usable.t_ns, t_ns), usable.t_ns[0]
+    turning = Slerp(_seconds(usable.t_ns, origin), Rotation.from_quat(np.roll(usable.values, -1, axis=1)))
+    ned_from_frd = turning(_seconds(t_ns[near], origin)).as_matrix() if near.any() else np.empty((0, 3, 3))
+    q = Rotation.from_matrix(border.world_from_body_of(ned_from_frd)).as_quat() if near.any() else np.empty((0, 4))
+    out[near] = np.roll(q, 1, axis=1)
+    return out
+
+
+def _covered(own: I64, t_ns: I64) -> Mask:
+    """Whether times lie between two rows that are near to each other."""
+    after = np.searchsorted(own, t_ns).clip(1, len(own) - 1) if len(own) > 1 else np.zeros(len(t_ns), np.intp)
+    gap = own[after] - own[np.maximum(after - 1, 0)]
+    return np.asarray((t_ns >= own[0]) & (t_ns <= own[-1]) & (gap <= GAP * 1e9))
+
+
+def _seconds(t_ns: I64, origin: int) -> F64:
+    return np.asarray((t_ns - origin).astype(np.float64) * 1e-9)
+
+
+def _line(stream: LoggedStream) -> str:
+    """One line about a stream; empty where it has no row."""
+    if len(stream.t_ns) < 2:
+        return ""
+    span = float(stream.t_ns[-1] - stream.t_ns[0]) * 1e-9
+    rate = 1e9 / float(np.median(np.diff(stream.t_ns)).clip(1))
+    start = 1e-9 * float(stream.t_ns[0])
+    return f"{stream.name}: {len(stream.t_ns)} rows, {rate:.0f} Hz, from {start:.1f} s for {span:.1f} s"

@@ -1,0 +1,166 @@
+"""Whether heights above ground can be trusted: evidence in the photos on the error that all focal lengths share.
+
+Heights above ground, and relief, scale with the focal length, and pictures from one height fit any. Each piece of
+evidence is a likelihood of the ratio of the true focal length to the one used (docs/method/bundle.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.solver import Adjustment, BundleState, Priors, solved_steps
+
+RATIOS = np.exp(np.linspace(-np.log(8.0), np.log(8.0), 833))  # true focal length over used, in steps of 0.5 %
+ALTITUDE_SIGMA = 1.0  # m; heights above take-off are good to twice as much
+SCORE_SIGMA = 0.04  # of a real lens: the pictures were off by 0.03 where the adjustment claims 0.01
+TOLERANCE = 0.05  # error of the ratio that is left alone
+LIKELIER = 10.0  # times by which another ratio must be likelier than 1
+ELSEWHERE = 1e-4  # 1/m, likelihood of a take-off far above or below the ground of the map
+
+
+class FocalScore(NamedTuple):
+    """Estimate by the adjustment of log(true focal length / used), and what GPS leaves open."""
+
+    estimate: float
+    sigma: float  # of the estimate
+    baseline_sigma: float  # relative, of the length of all baselines alike
+
+    @property
+    def curve(self) -> F64:
+        """Log-likelihood of each of `RATIOS`: a step from a wrong one may go a fifth too far, or fall short by half."""
+        miss = np.log(RATIOS) - self.estimate
+        share = np.where(miss * self.estimate > 0.0, 0.5, 0.2)
+        return np.asarray(-0.5 * (miss / np.hypot(self.sigma, share * self.estimate)) ** 2)
+
+
+class HeightCheck(NamedTuple):
+    """Outcome of the check."""
+
+    ratio: float  # true focal length over used, the most likely one
+    low: float  # bounds of those that remain possible
+    high: float
+    because: str = ""  # evidence that contradicts the focal length used; empty: none does
+
+    @property
+    def is_sharp(self) -> bool:
+        """True if the ratio is known to about a tenth."""
+        return self.high < 1.25 * self.low
+
+    @property
+    def note(self) -> str:
+        """The outcome in words, for the notes of a run."""
+        found = f"true over used focal length {self.low:.2f} to {self.high:.2f}"
+        if self.because:
+            return f"contradicted: {found}"
+        return f"agree with the photos: {found}" if self.is_sharp else f"cannot be checked: {found}"
+
+    def reason(self, focal_px: float) -> str:
+        """Why heights are not to be trusted, and the remedy; empty: nothing speaks against them."""
+        if not self.because:
+            return ""
+        factor, likely = max(self.ratio, 1.0 / self.ratio), f"{self.ratio * focal_px:.0f}"
+        value = likely if self.is_sharp else "PIXELS"
+        return (
+            f"heights are not to be trusted, by a factor of about {factor:.{2 if factor < 1.5 else 1}f}, because "
+            f"{self.because}; the focal length is {focal_px:.0f} px, and about {likely} px would fit: give the true "
+            f"one with --set sources.calibration={value}"
+        )
+
+
+def score_focal(
+    obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float, state: BundleState
+) -> FocalScore:
+    """Estimate the common error of all focal lengths by one Gauss-Newton step in which they are free.
+
+    The state is not changed. Sigma grows by the misfit of the GPS that is left after the step, and does not fall below
+    what lenses of real cameras allow. At least two photos have a GPS position, at different places.
+
+    Args:
+        obs, priors, pixel_sigma, loss: of the last adjustment.
+        state: its solution.
+    """
+    sigma, scales = priors.sigma_lens.copy(), [part.start for part in priors.lenses.parts]
+    sigma[scales] = np.inf  # free, without a prior
+    system = Adjustment(obs, replace(priors, sigma_lens=sigma), pixel_sigma, loss)
+    S, rhs, _ = system.reduce(system.linearise(state), 0.0)
+    focal = system.poses + np.searchsorted(system.free, scales)
+    rest = np.setdiff1d(np.arange(len(S)), focal)
+    column = S[:, focal].sum(axis=1)
+    by_focal = solved_steps(S[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), column[rest])
+    information = max(float(column[focal].sum() - column[rest] @ by_focal), 1e-12)
+    step = float(rhs[focal].sum() - rhs[rest] @ by_focal) / information
+    estimate = float(np.clip(step, *np.log(RATIOS[[0, -1]])))
+    moved = state.centres - estimate * by_focal[: system.poses].reshape(-1, system.each)[:, :3]
+    photos = np.unique(obs.photo)
+    photos = photos[np.isfinite(priors.centres[photos]).all(axis=1)]
+    miss, places = (moved - priors.centres)[photos], priors.centres[photos, :2]
+    inflation = max(1.0, float(np.sqrt(((miss / priors.sigma_centres[photos]) ** 2).mean())))
+    noise = np.sqrt((miss[:, :2] ** 2).sum() / max(2 * len(photos) - 4, 1))  # two shifts, a turn and the scale fit
+    baseline_sigma = float(noise / max(np.linalg.norm(places - places.mean(axis=0)), 1e-6))
+    return FocalScore(estimate, float(np.hypot(inflation / np.sqrt(information), SCORE_SIGMA)), baseline_sigma)
+
+
+def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> HeightCheck:
+    """Weigh the evidence on the ratio of the true focal length to the one used.
+
+    Args:
+        score: of the adjustment.
+        up: (n,) metres, heights of the cameras by the pictures.
+        above: (n,) metres, heights of the cameras above the place of take-off, by their tags; NaN: none.
+        ground: (m, 3) metres, points of the ground.
+    """
+    log_ratio = np.log(RATIOS)
+    curves = {f"the pictures themselves fit {np.exp(score.estimate):.2f} times the focal length": score.curve}
+    tagged = np.isfinite(above)
+    if tagged.any() and above[tagged].any():
+        high = float(np.median(up))
+        relative = float(np.median(above[tagged] - (up[tagged] - high)))
+        by_tags, by_pictures = (v[tagged] - np.median(v[tagged]) for v in (above, up))
+        energy = float(by_pictures @ by_pictures)
+        if energy > 0.0:
+            slope, sigma = float(by_pictures @ by_tags) / energy, ALTITUDE_SIGMA / np.sqrt(energy / tagged.sum())
+            sigma = np.hypot(sigma, score.baseline_sigma)
+            curves[
+                f"the cameras climb by {np.ptp(by_tags):.1f} m by their altitudes and {np.ptp(by_pictures):.1f} m by "
+                "the pictures"
+            ] = -0.5 * ((RATIOS - slope) / sigma) ** 2
+        if relative > 0.0 and len(ground):
+            depth = high - float(np.median(ground[:, 2]))
+            curves[
+                f"the cameras are {relative:.1f} m above take-off by their tags and {depth:.1f} m above the "
+                "ground by the pictures (if take-off was far above or below this ground: --set "
+                "motion.bundle.focal=trusted)"
+            ] = np.log(_take_off(relative, np.hypot(ALTITUDE_SIGMA, relative * score.baseline_sigma), ground, high))
+    total = np.sum(list(curves.values()), axis=0)
+    likelihood = np.exp(total - total.max())
+    possible, middle = RATIOS[likelihood > 1.0 / LIKELIER], float(likelihood @ log_ratio / likelihood.sum())
+    one, best = len(RATIOS) // 2, int(np.argmax(total))
+    wrong = likelihood[one] < 1.0 / LIKELIER and abs(middle) > TOLERANCE
+    against = sorted(((curve[best] - curve[one], why) for why, curve in curves.items()), reverse=True)
+    because = " and ".join(why for size, why in against if size >= min(against[0][0], np.log(LIKELIER)))
+    return HeightCheck(float(np.exp(middle)), float(possible[0]), float(possible[-1]), because if wrong else "")
+
+
+def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:
+    """Likelihood of each of `RATIOS`, 1/m: take-off is as high as some of the ground, or as its slope leads to.
+
+    All heights of the relief count alike, by three quarters, and by how much of the ground they have: a few trees are
+    no likely place.
+
+    Args:
+        relative, sigma: metres, height of the cameras above the place of take-off.
+        ground: (m, 3) metres, points of the ground.
+        high: metres, height of the cameras.
+    """
+    flat = ground[:, :2] - ground[:, :2].mean(axis=0)
+    slope = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), ground[:, 2], rcond=None)[0][:2]
+    reach = np.abs(slope) @ np.ptp(flat, axis=0) / 2.0  # as far again beside the map
+    most = np.quantile(ground[:, 2], np.linspace(0.02, 0.98, 67))
+    places = np.concatenate([most, np.linspace(most[0] - reach, most[-1] + reach, 201)])
+    misfit = (relative - RATIOS[:, None] * (high - places)) / sigma
+    return np.asarray(np.exp(-0.5 * misfit**2).mean(axis=1) / (np.sqrt(2.0 * np.pi) * sigma) + ELSEWHERE)

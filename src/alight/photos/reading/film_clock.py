@@ -1,0 +1,122 @@
+"""The time between a film and its telemetry: the path of the picture over the ground against the track.
+
+A camera that looks down sees the ground move by its own velocity, turned by its heading and divided by the height above
+ground. With the heading summed up from the pictures' rotation, and all as complex numbers, two numbers are unknown:
+
+    u(t) = c v(t + offset) + k g(t),  k real
+
+with the motion g that turning causes in the middle of the picture if the camera looks down a little obliquely. So every
+stop, turn and change of speed shows the offset, and neither focal length nor attitude is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+from alight.arrays import F64, U8
+from alight.checks.clock_offset import LOBE, STEP, ClockOffset, clearest
+from alight.checks.features import downscaled, picture_flow
+from alight.geometry import Camera
+from alight.photos.reading.film_frames import FilmFrames
+from alight.photos.reading.film_telemetry import FilmTelemetry
+
+Complex = NDArray[np.complex128]  # one direction + 1j the one to its left
+
+BETWEEN = 0.2  # s between two pictures that are compared
+LONGEST = 120.0  # s of film that are compared
+SPAN = 1.0  # s over which a velocity is taken: GPS repeats and rounds its places
+PARTLY = 30.0  # s of motion from which film and telemetry may overlap by two thirds; else the shorter lies in the other
+TILT = 0.3  # rad, 1-sigma, of a camera that looks down: less, and a turn at an even speed looks like an offset
+MODEL = 0.15  # of the motion that tilt, relief and GPS may leave unexplained at the true offset
+
+
+@dataclass(frozen=True, eq=False)
+class PicturePath:
+    """The way that the pictures moved over the ground."""
+
+    seconds: F64  # (N,) s, of the film
+    path: Complex  # (N,) in focal lengths per height above ground
+    heading: Complex  # (N,) of length 1
+
+
+def picture_path(film: Path) -> PicturePath:
+    """Follow the ground through a film."""
+    seconds, path, headings, move, last = list[float](), [0j], [1.0 + 0j], 0j, None
+    with FilmFrames(film) as frames:
+        for t in frames:
+            if t > LONGEST:
+                break
+            if (seconds and t - seconds[-1] < BETWEEN) or (frame := frames.image()) is None:
+                continue
+            small, factor = downscaled(frame, 640)
+            if last is not None:
+                seen = _motion(last, small, factor)
+                move, half = seen or (move, 1.0 + 0j)  # unseen: as before
+                path.append(path[-1] + headings[-1] * half * move)
+                headings.append(headings[-1] * half * half)
+            seconds.append(t)
+            last = small
+    return PicturePath(np.array(seconds or [0.0]), np.array(path), np.array(headings))
+
+
+def _motion(then: U8, now: U8, factor: int) -> tuple[complex, complex] | None:
+    """The camera's motion to the right + 1j forward, in focal lengths per height above ground, and half its rotation.
+
+    None where too few features agree.
+    """
+    height, width = (float(n * factor) for n in now.shape)
+    lens = Camera(round(width), round(height), width, width, width / 2, height / 2)
+    if (flow := picture_flow(then, now, factor, lens, (0, 1))) is None:
+        return None
+    H = flow.homography
+    half = 0.5 * math.atan2(H[1, 0] - H[0, 1], H[0, 0] + H[1, 1])
+    return complex(-H[0, 2], H[1, 2]), complex(math.cos(half), math.sin(half))
+
+
+def film_offset(pictures: PicturePath, telemetry: FilmTelemetry) -> ClockOffset:
+    """Find the time of the telemetry at which the film begins.
+
+    Returns:
+        the offset to be added to the film's time, s.
+    """
+    t0, u = _velocity(pictures.seconds, pictures.path)
+    _, g = _velocity(pictures.seconds, 1j * pictures.heading)
+    s0, v = _velocity(np.array(telemetry.seconds), telemetry.path())
+    if len(u) < 2 or len(v) < 2 or not np.abs(u).any() or not np.abs(v).any():
+        return ClockOffset(0.0, math.inf, "they are too short, or show no motion")
+    always = np.ones(len(v))
+    vu, vg, gu = _sums(v, u), _sums(v, g), _sums(always, u * np.conj(g))
+    vv, uu, gg = _sums(_energy(v), np.ones(len(u))).real, *(_sums(always, _energy(x)).real for x in (u, g))
+    vv, uu = np.maximum(vv, 1e-9 * vv.max()), np.maximum(uu, 1e-9 * uu.max())
+    left, turning = uu - abs(vu) ** 2 / vv, (gu - vg.conj() * vu / vv).real  # without what c explains
+    left -= turning**2 / (gg - abs(vg) ** 2 / vv + uu * (MODEL / TILT) ** 2)
+    left = np.sqrt((left / uu).clip(0.0) + MODEL**2)
+    first = np.arange(1 - len(u), len(v))
+    common = np.minimum(first + len(u), len(v)) - np.maximum(first, 0)
+    short = min(len(u), len(v))
+    tried = common >= (short if short * STEP < PARTLY else 2 * short / 3)
+    if short * STEP < SPAN or tried.sum() * STEP < 4.0 * LOBE:
+        return ClockOffset(0.0, math.inf, "they are too short")
+    return clearest(np.asarray(s0 - t0 + STEP * first[tried]), np.asarray(left[tried], np.float64))
+
+
+def _energy(z: Complex) -> F64:
+    return np.asarray((z * z.conj()).real)
+
+
+def _sums(a: Complex | F64, b: Complex | F64) -> Complex:
+    """(N + M - 1,) sums of a[j + k] conj(b[j]) over the common j, from k = 1 - M on."""
+    return np.asarray(fftconvolve(a, np.conj(b[::-1])))
+
+
+def _velocity(seconds: F64, path: Complex) -> tuple[float, Complex]:
+    """Start, and velocity at equal steps, of a path; empty for one that is too short."""
+    t = np.arange(seconds[0] + SPAN / 2, seconds[-1] - SPAN / 2 + 1e-9, STEP)
+    after, before = (np.interp(t + d, seconds, path) for d in (SPAN / 2, -SPAN / 2))
+    return float(t[0]) if len(t) else 0.0, np.asarray((after - before) / SPAN)

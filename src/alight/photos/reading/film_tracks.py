@@ -1,0 +1,137 @@
+"""Where a film's telemetry is found: in a file beside it, or in a track of the film."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from datetime import UTC, datetime
+from pathlib import Path
+
+from alight.documents import LARGEST_JSON, DocumentError, read_bytes
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
+from alight.photos.reading.gpmf import read_gpmf
+from alight.photos.reading.subtitles import read_subtitles
+from alight.records import InputError
+
+SUBTITLES = (".srt", ".ass", ".vtt")
+
+
+def telemetry_beside(film: Path) -> FilmTelemetry | None:
+    """The telemetry in subtitles or in a GPX track of the film's name; None: there is no such file.
+
+    Raises:
+        InputError: it has no place, or cannot be used.
+    """
+    files = {p.suffix.lower(): p for p in sorted(film.parent.iterdir()) if p.stem == film.stem}
+    found = [files[suffix] for suffix in (*SUBTITLES, ".gpx") if suffix in files]
+    for path in found:
+        try:
+            text = read_bytes(path, LARGEST_JSON).decode("utf-8-sig", errors="replace")
+        except DocumentError as e:
+            raise InputError(f"{path}: {e}") from e
+        telemetry = (read_gpx if path.suffix.lower() == ".gpx" else read_subtitles)(text, str(path))
+        if telemetry.rows:
+            return telemetry
+    if found:
+        raise InputError(
+            f"{found[-1]}: no place in it; needs subtitles with [latitude: ...] [longitude: ...] [abs_alt: ...], or "
+            "with GPS(...) and BAROMETER:..."
+        )
+    return None
+
+
+def read_gpx(text: str, source: str) -> FilmTelemetry:
+    """The track of a GPX file; its clock begins with its first point.
+
+    Raises:
+        InputError: it is no GPX track, or has no times.
+    """
+    try:
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # no GPX has one, and it is a known attack
+            raise InputError(f"{source}: has a document type; give a GPX track")
+        points = ET.fromstring(text).iterfind(".//{*}trkpt")
+        timed = [(datetime.fromisoformat(t.strip()), p) for p in points if (t := p.findtext("{*}time"))]
+        timed = [(at if at.tzinfo else at.replace(tzinfo=UTC), p) for at, p in timed]
+        rows = [TelemetryRow((at - timed[0][0]).total_seconds(), _values(p), at) for at, p in timed]
+    except (ET.ParseError, KeyError, ValueError) as e:
+        raise InputError(f"{source}: no GPX track: {e}") from e
+    if not rows:
+        raise InputError(f"{source}: no point of a track (trkpt) has a time; export the track with times")
+    return FilmTelemetry.of(rows, source, of_film=False)
+
+
+def _values(point: ET.Element) -> dict[str, float]:
+    up = point.findtext("{*}ele")
+    written = {"latitude": point.attrib["lat"], "longitude": point.attrib["lon"], "abs_alt": up}
+    return {name: float(text) for name, text in written.items() if text}
+
+
+def telemetry_inside(film: Path, seconds: float) -> FilmTelemetry | None:
+    """The telemetry in a track of a film; None: there is none that can be read.
+
+    Args:
+        film: the file.
+        seconds: its length.
+
+    Raises:
+        InputError: neither `av` nor `ffmpeg` is installed.
+    """
+    try:
+        import av  # noqa: F401
+    except ImportError:
+        if shutil.which("ffmpeg") is None:
+            raise InputError(
+                f"{film}: has no telemetry; put {film.stem}.srt or {film.stem}.gpx beside it, or, if a track of the "
+                "film has it, pip install 'alight[films]', or install ffmpeg"
+            ) from None
+        payloads, text = _by_ffmpeg(film, seconds)
+    else:
+        payloads, text = _by_av(film)
+    name = f"a track of {film}"
+    for telemetry in (read_gpmf(payloads, name), read_subtitles(text, name)):
+        if telemetry.rows:
+            return telemetry
+    return None
+
+
+def _by_av(film: Path) -> tuple[list[tuple[float, bytes]], str]:
+    """GPMF payloads with their times, and the subtitles in SubRip's form."""
+    import av
+
+    payloads, subtitles = list[tuple[float, bytes]](), list[str]()
+    try:
+        with av.open(str(film)) as file:
+            tracks = [s for s in file.streams if s.type in ("data", "subtitle")]
+            for packet in file.demux(*tracks) if tracks else ():
+                data, kind = bytes(packet), packet.stream.type
+                if packet.pts is None or packet.time_base is None or not data:
+                    continue
+                seconds = float(packet.pts * packet.time_base)
+                if kind == "subtitle":
+                    skip = 2 if int.from_bytes(data[:2], "big") == len(data) - 2 else 0  # mov_text has its length first
+                    body = data[skip:].decode("utf-8", errors="replace").replace("\\N", "\n")
+                    subtitles.append(f"{_clock(seconds)} --> {_clock(seconds)}\n{body}")
+                elif data.startswith(b"DEVC"):
+                    payloads.append((seconds, data))
+    except av.error.FFmpegError:
+        pass  # a damaged file: what came before the damage counts
+    return payloads, "\n\n".join(subtitles)
+
+
+def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], str]:
+    """The same by the tool; the payloads of a track follow each other in equal times."""
+
+    def track(*arguments: str) -> bytes:
+        command = ["ffmpeg", "-v", "error", "-nostdin", "-i", str(film), *arguments, "-"]
+        return subprocess.run(command, capture_output=True, check=False).stdout
+
+    parts = track("-map", "0:d", "-c", "copy", "-f", "data").split(b"DEVC")[1:]
+    payloads = [(k * seconds / len(parts), b"DEVC" + part) for k, part in enumerate(parts)]
+    return payloads, track("-map", "0:s:0", "-f", "srt").decode("utf-8", errors="replace")
+
+
+def _clock(seconds: float) -> str:
+    """A time as SubRip writes it."""
+    ms = round(1000 * seconds)
+    return f"{ms // 3_600_000:02d}:{ms // 60_000 % 60:02d}:{ms // 1000 % 60:02d},{ms % 1000:03d}"

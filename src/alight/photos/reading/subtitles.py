@@ -1,0 +1,219 @@
+"""Telemetry in subtitles (SubRip, WebVTT, Advanced SubStation), in the dialects of DJI and Autel.
+
+Either each number has its name, as in `[latitude: 45.1]`, or a place stands in brackets, as in `GPS(7.6,45.1,16)`. Its
+order is decided by evidence from the whole film (`_order`).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow, apart
+from alight.records import InputError
+
+NAMES = {  # of each value, the most specific one first
+    "latitude": ("latitude", "lat"),
+    "longitude": ("longitude", "longtitude", "lon", "lng", "long"),
+    "abs_alt": ("abs_alt", "altitude", "alt"),
+    "rel_alt": ("rel_alt", "barometer", "h", "hb", "reh"),  # above take-off
+    "home_distance": ("d",),
+}
+_TIME = re.compile(r"(?:(\d+):)?(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
+_ASS = re.compile(r"^Dialogue:[^,]*,(\d+:\d\d:\d\d\.\d+),[^,]*,(?:[^,]*,){6}(.*)$", re.MULTILINE)
+_STAMP = re.compile(r"(\d{4})[-./](\d\d?)[-./](\d\d?)[ T](\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
+_SIGNED = r"([NSEW]?)\s*:?\s*([-+]?\d+(?:[.,]-?\d+)?)\s*°?\s*(ft\b|m\b|[NSEW]\b)?"
+_PAIR = re.compile(rf"(?<![\w.])([a-z][a-z_.]*)\s*[:=(]?\s*{_SIGNED}", re.IGNORECASE)
+_INSIDE = {dot: re.compile(_SIGNED.replace("[.,]", f"[{dot}]"), re.IGNORECASE) for dot in ".,"}
+_BRACKET = re.compile(r"\b(GPS|HOME)\s*(?:\(([^)]*)\)|:(.*))", re.IGNORECASE)
+_GIMBAL = re.compile(r"\bG\.PRY\s*\(\s*([-\d.]+)\W+?([-+]?[\d.]+)\W+?([-+]?[\d.]+)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Number:
+    """One number as it is written."""
+
+    value: float
+    letter: str  # hemisphere, or empty
+    decimals: int
+    unit: str  # ft, m or empty
+
+    @classmethod
+    def of(cls, before: str, digits: str, after: str) -> _Number:
+        text = digits.replace(",", ".").replace(".-", ".")  # Autel writes -117.-9605
+        unit = after.lower() if after.lower() in ("ft", "m") else ""
+        letter = (before or ("" if unit else after)).upper()
+        value = float(text) * (0.3048 if unit == "ft" else 1.0)
+        value = -abs(value) if letter in ("S", "W") else value
+        contradicted = letter in ("N", "E") and value < 0
+        return cls(math.nan if contradicted else value, letter, len(text.partition(".")[2]), unit)
+
+
+@dataclass(frozen=True)
+class _Cue:
+    """One subtitle, with the numbers in brackets as they stand."""
+
+    row: TelemetryRow
+    gps: tuple[_Number, ...] = ()
+    home: tuple[_Number, ...] = ()
+
+    def placed(self, latitude_first: bool) -> TelemetryRow:
+        """The row with the place of the brackets."""
+        return replace(self.row, values=self.row.values | _place(self.gps, latitude_first))
+
+
+def read_subtitles(text: str, source: str) -> FilmTelemetry:
+    """The telemetry of subtitles; without rows if there is no place in them.
+
+    Args:
+        source: name of the file, for messages.
+
+    Raises:
+        InputError: nothing shows whether latitude or longitude comes first in `GPS(...)`.
+    """
+    found = [_cue(at, body) for at, body in _subtitles(text)]
+    cues = [c for c in found if math.isfinite(c.row.seconds)] or _timed_by_date(found)
+    bracketed = [c for c in cues if len(c.gps) >= 2]
+    if not bracketed:
+        return FilmTelemetry.of((c.row for c in cues), source)
+    latitude_first, why = _order(bracketed)
+    if latitude_first is None:
+        raise InputError(
+            f"{source}: {why} whether latitude or longitude comes first in GPS(...); write [latitude: ...] "
+            "[longitude: ...] instead, or give the track as a .gpx file"
+        )
+    rows = [c.placed(latitude_first) for c in bracketed]
+    if _is_altitude(bracketed):
+        rows = [replace(r, values={"abs_alt": c.gps[2].value} | r.values) if len(c.gps) > 2 else r
+                for c, r in zip(bracketed, rows, strict=True)]  # fmt: skip
+    order = "latitude, longitude" if latitude_first else "longitude, latitude"
+    return FilmTelemetry.of(rows, source, f"GPS({order}): {why}")
+
+
+def _subtitles(text: str) -> Iterator[tuple[float, str]]:
+    """Seconds and text of each subtitle; NaN: it has no time."""
+    text = text.lstrip("\ufeff").replace("\r", "")
+    if "[Script Info]" in text or text.startswith("Dialogue:"):
+        for at, body in _ASS.findall(text):
+            h, m, s = at.split(":")
+            yield 3600 * int(h) + 60 * int(m) + float(s), re.sub(r"\\[Nn]", "\n", re.sub(r"{[^}]*}", "", body))
+        return
+    for block in re.split(r"\n\s*\n", text):
+        if (at := _TIME.search(block)) is None:
+            yield math.nan, block
+            continue
+        h, m, s, ms = at.groups()
+        yield 3600 * int(h or 0) + 60 * int(m) + int(s) + int(ms) / 10 ** len(ms), block[at.end() :]
+
+
+def _timed_by_date(cues: Sequence[_Cue]) -> list[_Cue]:
+    """Subtitles without times, timed by their dates."""
+    dated = [(c, taken) for c in cues if (taken := c.row.taken) is not None]
+    return [replace(c, row=replace(c.row, seconds=(t - dated[0][1]).total_seconds())) for c, t in dated]
+
+
+def _cue(seconds: float, body: str) -> _Cue:
+    body = re.sub(r"<[^>]*>", " ", body)
+    written = dict[str, _Number]()
+    for name, *digits in _PAIR.findall(body):
+        written.setdefault(name.lower(), _Number.of(*digits))
+    found = {key: next((written[n] for n in names if n in written), None) for key, names in NAMES.items()}
+    values = {n: v.value for n, v in written.items()} | {k: v.value for k, v in found.items() if v is not None}
+    if gimbal := _GIMBAL.search(body):
+        values |= dict(zip(("gb_pitch", "gb_roll", "gb_yaw"), map(float, gimbal.groups()), strict=True))
+    brackets = {"gps": tuple[_Number, ...](), "home": tuple[_Number, ...]()}
+    for name, inside, line in _BRACKET.findall(body):
+        numbers = inside or line
+        brackets[name.lower()] = tuple(_Number.of(*d) for d in _INSIDE["." if "." in numbers else ","].findall(numbers))
+    named = found["latitude"], found["longitude"]
+    if all(named):
+        brackets["gps"] = ()
+    axes = [n.decimals for n in named if n] or [n.decimals for n in brackets["gps"][:2]]
+    coarse = bool(axes) and max(axes) <= 4  # of a degree: 11 m
+    return _Cue(TelemetryRow(seconds, values, _date(body), coarse), **brackets)
+
+
+def _date(body: str) -> datetime | None:
+    if (found := _STAMP.search(body)) is None:
+        return None
+    *whole, fraction = found.groups()
+    try:
+        at = datetime(*(int(v) for v in whole), tzinfo=UTC)  # type: ignore[arg-type, misc]
+    except ValueError:
+        return None
+    return at + timedelta(milliseconds=int((fraction or "0").ljust(3, "0")))
+
+
+def _place(numbers: tuple[_Number, ...], latitude_first: bool) -> dict[str, float]:
+    pair = [n.value for n in numbers[:2]]
+    return dict(zip(("latitude", "longitude"), pair if latitude_first else reversed(pair), strict=True))
+
+
+def _order(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
+    """Whether latitude comes first in brackets, None where that is not clear, and the reason.
+
+    Hemisphere letters and an angle beyond 90 degrees are proof. Otherwise the distance from HOME (`D`) and the third
+    number decide: a height follows latitude and longitude (Matrice 300, Avata 2), a count of satellites follows
+    longitude and latitude (Mavic, Phantom).
+    """
+    letters = {(n.letter in ("N", "S")) == (k == 0) for c in cues for k, n in enumerate(c.gps[:2]) if n.letter}
+    beyond = {k == 1 for c in cues for k, n in enumerate(c.gps[:2]) if abs(n.value) > 90}
+    for proof, why in ((letters, "hemisphere letters"), (beyond, "an angle beyond 90 degrees")):
+        if len(proof) == 1:
+            return proof.pop(), why
+        if proof:
+            return None, f"{why} contradict each other"
+    votes = {why: vote for vote, why in (_by_home(cues), _by_third(cues)) if vote is not None}
+    if len(set(votes.values())) == 1:
+        return next(iter(votes.values())), " and ".join(votes)
+    return None, f"{' and '.join(votes)} contradict each other" if votes else "nothing shows"
+
+
+def _by_home(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
+    """The order in which places lie as far from HOME as the subtitles give it."""
+    why, misfits = "the distance from HOME", []
+    for latitude_first in (True, False):
+        off = [
+            abs(abs(apart(replace(c.row, values=_place(c.home, latitude_first)), c.placed(latitude_first))) - d) / d
+            for c in cues if len(c.home) >= 2 and (d := c.row.values.get("home_distance", 0.0)) > 0
+            and max(abs(n.value) for n in (*c.home[:2], *c.gps[:2])) <= 90
+        ]  # fmt: skip
+        misfits.append(float(np.median(off)) if off else math.nan)
+    best, other = sorted(misfits)
+    clear = other > 0.1 and best < other / 2  # of the distance
+    return (misfits[0] == best if clear else None), why
+
+
+def _by_third(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
+    third, up = _thirds(cues)
+    if not len(third):
+        return None, ""
+    if _is_written_height(cues):
+        return True, "the third number is a height"
+    if (abs(third - up) <= 1).all():  # m: a rounded height, or by chance
+        return (True if np.ptp(third) > 3 else None), "the third number is the height"
+    return False, "the third number is a count of satellites"
+
+
+def _thirds(cues: Sequence[_Cue]) -> tuple[F64, F64]:
+    """(N,) third numbers in brackets, and the heights above take-off beside them, NaN where there is none."""
+    pairs = [(c.gps[2].value, c.row.values.get("rel_alt", math.nan)) for c in cues if len(c.gps) > 2]
+    third, up = np.array(pairs).reshape(-1, 2).T
+    return third, up
+
+
+def _is_written_height(cues: Sequence[_Cue]) -> bool:
+    """Whether the third number is no count of satellites, by its decimals, its unit or its size."""
+    return any(n.decimals or n.unit or not 0 <= n.value <= 60 for c in cues for n in c.gps[2:3])
+
+
+def _is_altitude(cues: Sequence[_Cue]) -> bool:
+    """Whether the third number is a height, but neither always zero nor the height above take-off."""
+    third, up = _thirds(cues)
+    return _is_written_height(cues) and bool((third != 0).any()) and not bool((abs(third - up) <= 1).all())

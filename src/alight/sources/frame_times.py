@@ -1,0 +1,106 @@
+"""Times of the frames in a folder: a table beside them, their names, or a constant rate. No unit is guessed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from decimal import Decimal
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from alight.documents import DocumentError, read_text
+from alight.records import InputError
+
+TABLES = ("data.csv", "timestamps.csv", "timestamps.txt", "times.txt", "times.csv", "timestamp.txt")
+UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+INTERVALS = (2e-3, 1.99)  # s between two frames of a camera, in the median: less than a factor of 1000
+DIGITS = 10  # of a time in a name: a shorter number is a count
+_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?")
+
+
+class FrameTimes(NamedTuple):
+    """Frames in order of time."""
+
+    rows: list[tuple[int, str]]  # time [ns], file name
+    source: str  # where the times are from, in words
+
+
+def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> FrameTimes:
+    """Find the times of the frames of a folder.
+
+    Args:
+        names: of its pictures.
+        rate: Hz; None: from a table (`TABLES`) in the folder or the one above, else from the names.
+
+    Raises:
+        InputError: there are no times, or their unit is none of a camera.
+    """
+    ordered = sorted(names, key=_natural)
+    if rate is not None:
+        return FrameTimes([(round(1e9 * k / rate), name) for k, name in enumerate(ordered)], f"{rate:g} Hz as given")
+    for path in (place / name for place in (folder, folder.parent) for name in TABLES):
+        if path.is_file() and (found := _table(path, ordered)) is not None:
+            return found
+    stamps = [max(_NUMBER.findall(Path(name).stem), key=len, default="") for name in ordered]
+    if all(len(s.replace(".", "")) >= DIGITS for s in stamps):
+        return _timed(list(zip(stamps, ordered, strict=True)), "the names of the frames", str(folder))
+    raise InputError(
+        f"{folder}: its frames have no times; name them by time (1700000000123456789.png), put a table beside them "
+        f"({', '.join(TABLES[:4])}), or set sources.rate=HZ"
+    )
+
+
+def _natural(name: str) -> list[str | Decimal]:
+    """Key that sorts frame_10 after frame_9."""
+    parts = re.split(r"(\d+)", name)
+    return [Decimal(p) if k % 2 else p for k, p in enumerate(parts)]
+
+
+def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
+    """Read a table: rows with a time and a file name, or as many times as frames; None: it is of something else."""
+    try:
+        lines = read_text(path, 100_000_000).splitlines()
+    except (OSError, DocumentError) as e:
+        raise InputError(f"{path}: {e}; mend it, take it away, or set sources.rate=HZ") from e
+    by_name = {key: name for name in names for key in (Path(name).stem, name)}
+    named, bare = list[tuple[str, str]](), list[str]()
+    for line in lines:
+        fields = [Path(f).name for f in re.split(r"[,;\s]+", _DATE.sub(_epoch, line.strip()))]
+        label = next((f for f in fields if f in by_name), None)
+        numbers = [f for f in fields if _NUMBER.fullmatch(f)]
+        time = max((f for f in numbers if f != label), key=len, default=numbers[0] if numbers else "")
+        if time and label is not None:
+            named.append((time, by_name[label]))
+        elif time and not line.lstrip().startswith("#"):
+            bare.append(time)
+    rows = named or (list(zip(bare, names, strict=True)) if len(bare) == len(names) else [])
+    return _timed(rows, path.name, str(path), lines[0].lower()) if rows else None
+
+
+def _epoch(found: re.Match[str]) -> str:
+    """A date and time, as KITTI writes them, in seconds."""
+    whole = datetime.fromisoformat(f"{found[1]}T{found[2]}+00:00")
+    return f"{int(whole.timestamp())}{found[3] or ''}"
+
+
+def _timed(stamps: Sequence[tuple[str, str]], source: str, where: str, head: str = "") -> FrameTimes:
+    """Settle the unit: the one in the table's head, else the only one in which the intervals are those of a camera."""
+    numbers = np.sort(np.array([float(t) for t, _ in stamps]))
+    steps = np.diff(numbers)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    named = re.search(r"[\[(_ ](ns|us|ms|s)\b", head)
+    unit = named[1] if named else None
+    fitting = [u for u, ns in UNITS.items() if INTERVALS[0] <= 1e-9 * step * ns <= INTERVALS[1]]
+    if (unit is None and len(fitting) != 1) or (unit is not None and unit not in fitting):
+        raise InputError(
+            f"{where}: the times of the frames are {step:g} apart, in no unit an interval of a camera; write "
+            "nanoseconds, or set sources.rate=HZ"
+        )
+    unit = unit or fitting[0]
+    scale = UNITS[unit]
+    rows = sorted((int((Decimal(t) * scale).to_integral_value()), name) for t, name in stamps)
+    return FrameTimes(rows, f"{source}, in {unit}")
