@@ -26,7 +26,8 @@ Constants that were fitted or chosen on data, by stage. They are stored with eve
 
 *Effect*: the largest change of a result when the constant is moved by 30 % both ways (a count by at least one), over
 the change that counts (1 % of the heights known, 5 % of an error, 0.3 % wrong heights, 4 % true places, ...), on small
-simulated flights: `bench/constants.py`. *None*: not a bit changed there. Empty: chosen by reading, not measured.
+simulated flights, two of them mapped again each time (`bench/constants.py`). *None*: no bit changed there, which does
+not show that real ground can do without it. Empty: not measured.
 """
 
 
