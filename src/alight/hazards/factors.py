@@ -128,7 +128,7 @@ def _density(on: Inputs, discs: Discs) -> F32:
         Terrain.PAVED: settings.unseen_paved,
     }  # fmt: skip
     out = np.full(on.elevation.grid.shape, settings.unseen_unknown, np.float32)
-    if cover is not None:
+    if cover is not None and cover.coloured:  # grey pictures do not show the kind of open ground
         for kind, density in usual.items():
             out = np.where(cover.label == kind, np.float32(density), out)
     return discs.mean(discs.coarse(out))
