@@ -1,4 +1,4 @@
-"""Work on a Dask cluster: its tasks go to workers with the same program, and the results are the same."""
+"""Work on a Dask cluster: tasks go to workers with the same program, and the results are the same as on one machine."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from alight.jobs import InProcesses, InTurn, Jobs, KeptHere, Sent, Task, do_alon
 from alight.records import InputError, MissingExtraError
 
 OTHERS = "a worker has another Alight than this program; install the same everywhere, and start the workers again"
-WAIT = "20s"  # for the scheduler to answer, and for its first worker
+WAIT = "20s"  # longest wait for the scheduler to answer, and for its first worker
 
 
 @cache
 def sources_digest() -> str:
-    """Digest of the program, so that landings of two states of it are not mixed."""
+    """Return a digest of the program's files, so that landings of two versions of it are not mixed."""
     digest = hashlib.sha256()
     for root in (Path(__file__).parents[1] / name for name in ("alight", "alight_sim")):  # installed together
         for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".npz", ".yaml")):
@@ -33,15 +33,15 @@ def sources_digest() -> str:
 
 @contextmanager
 def open_jobs(scheduler: str | None, processes: int = 1) -> Iterator[Jobs]:
-    """Open the workers that a user chose: a cluster, or without a scheduler this process or several.
+    """Open the workers that a user chose: a Dask cluster, several processes of this machine, or this process.
 
     Args:
-        scheduler: address such as tcp://host:8786; None: there is none.
-        processes: of this machine; 1: this one.
+        scheduler: address of the cluster, such as tcp://host:8786; None: no cluster.
+        processes: number of processes of this machine; 1: this process.
 
     Raises:
         MissingExtraError: Dask is not installed.
-        InputError: no scheduler answers there, it has no worker, or a worker has another state of Alight.
+        InputError: no scheduler answers there, it has no worker, or a worker has another version of Alight.
     """
     if scheduler is None:
         yield InProcesses(processes) if processes > 1 else InTurn()
@@ -69,37 +69,36 @@ def open_jobs(scheduler: str | None, processes: int = 1) -> Iterator[Jobs]:
 
 
 class ClusterJobs:
-    """Tasks done by the workers of a Dask cluster.
+    """Does tasks on the workers of a Dask cluster.
 
     Args:
-        client: of `distributed`. Not its `get_executor`: a future of that never ends when its result is lost with a
-            worker before it has come here.
+        client: client of `distributed`. Its `get_executor` is not used: a future of it never ends if its result is
+            lost with a worker before the result has come here.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._sent = dict[str, tuple[Any, int]]()  # future and bytes of an argument, last used last
+        self._sent = dict[str, tuple[Any, int]]()  # future and bytes of each argument, last used last
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """As `Jobs`. Tasks in any order are all sent at once, for workers that come later; else a few at a time."""
+        """Yield the results; see `Jobs.run`. With `any_order`, all tasks are sent at once, for later workers."""
         from distributed import CancelledError, KilledWorker
 
         most = self._ahead if not any_order else lambda: sys.maxsize
         yield from results(tasks, self._submit, most, any_order, (KilledWorker, CancelledError))
 
     def _ahead(self) -> int:
-        """Number of tasks that are sent before their turn."""
         return 2 * max(sum(int(n) for n in self._client.nthreads().values()), 1)
 
     def _submit(self, task: Task) -> Any:
-        def of_client(kept: KeptHere) -> KeptHere:  # a worker has those of others as well
+        def of_client(kept: KeptHere) -> KeptHere:  # a worker also keeps objects of other clients
             return replace(kept, name=f"{self._client.id} {kept.name}")
 
         arguments = resolved(task.arguments, self._send, of_client)
         return self._client.submit(do_alike, sources_digest(), task.do, *arguments, pure=False, retries=task.tries)
 
     def _send(self, sent: Sent) -> Any:
-        """Future of an argument on the cluster; one that was lost with its worker is sent again."""
+        """Return the future of an argument on the cluster; an argument that was lost with its worker is sent again."""
         there = self._sent.pop(sent.name, None)
         if there is None or there[0].status != "finished":
             value = np.asarray(sent.value) if hasattr(sent.value, "__array__") else sent.value
@@ -111,14 +110,14 @@ class ClusterJobs:
 
 
 def do_alike(digest: str, do: Callable[..., Any], *arguments: Any) -> Any:
-    """Do a task on a worker.
+    """Do a task on a worker and return its result.
 
     Args:
         digest: `sources_digest()` of the sender.
         do: function of the task, and its arguments.
 
     Raises:
-        InputError: the worker has another Alight, so its results would differ.
+        InputError: the worker has another version of Alight, so its results would differ.
     """
     if digest != sources_digest():
         raise InputError(f"{platform.node()}: {OTHERS}")

@@ -1,12 +1,12 @@
-"""A lock on a file, which the system releases however the process ends."""
+"""A lock on a file, which the system releases in whatever way the process ends."""
 
 from typing import IO, Any
 
 
 def locked(file: IO[Any]) -> bool:
-    """Take an open file for this process until it is closed; False: another process has it.
+    """Lock an open file for this process until it is closed; return False if another process has locked it.
 
-    True also where files cannot be locked: on Windows, and on file systems without locks.
+    Return True if files cannot be locked: on Windows, and on file systems without locks.
     """
     try:
         import fcntl  # not on Windows; a record lock: processes that are forked do not inherit it

@@ -1,6 +1,6 @@
 """Independent tasks: done by this process or others, read from saved results, or done on other machines.
 
-A stage defines the tasks (`Task`); the caller chooses the workers (`Jobs`). The results are the same.
+A stage defines the tasks (`Task`); the caller chooses the workers (`Jobs`). The results do not depend on the workers.
 """
 
 from __future__ import annotations
@@ -23,63 +23,63 @@ from alight.records import InputError
 
 log = logging.getLogger(__name__)
 
-FILES = 8  # that a process of `InProcesses` takes here: its queues and what wakes them
+FILES = 8  # open files in this process per process of `InProcesses`: queues and their wake-up pipes
 
 
 @dataclass(frozen=True, eq=False)
 class Sent:
-    """A large argument that many tasks share: it is sent to a machine once, however many of them run there."""
+    """A large argument that many tasks share. It is sent once to each machine, however many of the tasks run there."""
 
-    name: str  # the same name is the same value
+    name: str  # equal names mean equal values
     value: Any
 
 
 @dataclass(frozen=True, eq=False)
 class KeptHere:
-    """An argument that a process makes for itself and keeps from task to task, such as a cache."""
+    """An argument that each process makes for itself and keeps from task to task, such as a cache."""
 
-    name: str  # the same name is the same object
+    name: str  # equal names mean the same object
     make: Callable[[], Any]  # can be pickled; its result may be used by several threads
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One piece of work. Its result consists of records, arrays, numbers and text."""
+    """One piece of work, whose result consists of records, arrays, numbers and text."""
 
     name: str  # unique in a run
     do: Callable[..., Any]  # a function of a module; any function if the task stays here
     arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by their values, also within a tuple
     about: str = ""  # further inputs of the result, as text; a result saved with another text is not used
-    here: bool = False  # stays in this process: not worth sending, or has tasks of its own
-    tries: int = 4  # times that it is begun, if its worker or its arguments are lost each time
+    here: bool = False  # whether it stays in this process: not worth sending, or with tasks of its own
+    tries: int = 4  # most times that it is begun, if its worker or its arguments are lost
     if_lost: Callable[[], Any] | None = None  # gives the result after the last try; None: an InputError is raised
 
 
 class Jobs(Protocol):
-    """Workers that do tasks."""
+    """Interface of workers that do tasks."""
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
         """Yield the result of each task, in the order of the tasks.
 
         Args:
-            tasks: drawn from the iterable as they are done.
-            at_once: this machine does as many tasks at a time as it has threads, each with compiled loops on one.
-            any_order: results may come in another order, each as soon as its task ends.
+            tasks: the tasks; they are drawn while earlier tasks are done.
+            at_once: whether a task runs on each thread of this machine, with its compiled loops on that thread alone.
+            any_order: whether each result is yielded as soon as its task ends, in any order.
 
         Raises:
-            InputError: the workers that had a task were lost time and again.
+            InputError: the workers of a task were lost again and again.
         """
 
 
 class LastKept:
-    """The object of the last `KeptHere`, for the threads that share it: a step has one, hundreds of megabytes."""
+    """The object of the last `KeptHere`, shared by threads; only one is kept, as it may hold hundreds of megabytes."""
 
     def __init__(self) -> None:
         self._last: tuple[str, Any] = "", None
         self._making = threading.Lock()
 
     def get(self, kept: KeptHere) -> Any:
-        """The object, made anew where the last one had another name."""
+        """Return the object of `kept`; it is made if the last object had another name."""
         with self._making:
             if self._last[0] != kept.name:
                 self._last = kept.name, kept.make()
@@ -87,13 +87,13 @@ class LastKept:
 
 
 class InTurn:
-    """Tasks done by this process, in turn or on its threads."""
+    """Does tasks in this process, one after the other or on its threads."""
 
     def __init__(self) -> None:
         self._kept = LastKept()
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """As `Jobs`. The object that is kept from task to task (`KeptHere`) is freed after the last task."""
+        """Yield the results; see `Jobs.run`. Objects of `KeptHere`, kept from task to task, are freed at the end."""
         threads = compiled.most_threads() if at_once else 1
         pool = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,))  # starts none before a task
         try:  # few at a time: their arguments are large
@@ -105,18 +105,18 @@ class InTurn:
             memory.give_back()
 
     def do(self, task: Task) -> Any:
-        """Do one task."""
+        """Do one task and return its result."""
         return task.do(*resolved(task.arguments, lambda sent: sent.value, self._kept.get))
 
 
 class InProcesses:
-    """Tasks done by `count` processes of this machine, one each at a time: one that dies loses its own task alone."""
+    """Does tasks in `count` processes of this machine, one task each; a process that dies loses only that task."""
 
     def __init__(self, count: int) -> None:
         self._count = count
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """As `Jobs`. The processes end with the last task, or with an interruption."""
+        """Yield the results; see `Jobs.run`. The processes end with the last task, or at an interruption."""
         _allow_files(FILES * self._count)
         before = set(multiprocessing.active_children())
         pools, free = list[ProcessPoolExecutor](), SimpleQueue[ProcessPoolExecutor | None]()
@@ -147,7 +147,7 @@ class InProcesses:
 
 
 def _allow_files(more: int) -> None:
-    """Raise the number of files that this process may open, if the system lets it."""
+    """Raise the number of files that this process may open by `more`, if the system permits it."""
     with suppress(ImportError, ValueError, OSError):
         import resource  # not on Windows, which needs none of this
 
@@ -157,8 +157,6 @@ def _allow_files(more: int) -> None:
 
 @dataclass(eq=False)
 class _Begun:
-    """A task under way."""
-
     task: Task
     future: Any = None
     tries: int = 0
@@ -171,14 +169,14 @@ def results(
     any_order: bool = False,
     lost: tuple[type[BaseException], ...] = (),
 ) -> Iterator[Any]:
-    """Yield the results of tasks that threads, processes or machines do, as `Jobs.run`.
+    """Yield the results of tasks that threads, processes or machines do; see `Jobs.run`.
 
     Args:
-        tasks: drawn as they are done; one that stays here waits for those before it.
+        tasks: drawn while earlier tasks are done; a task that stays in this process waits for all tasks before it.
         submit: begins a task and returns its future, which has `result` and `add_done_callback`.
-        most: number of tasks that may be under way, so that memory does not grow with their number.
-        any_order: yield each result as soon as its task ends.
-        lost: what a future raises whose worker, or arguments, were lost; its task is begun again.
+        most: returns the number of tasks that may be under way, which limits the memory.
+        any_order: whether each result is yielded as soon as its task ends.
+        lost: exceptions of a future whose worker or arguments were lost; the task is then begun again.
 
     Raises:
         InputError: a task was lost at its last try.
@@ -223,19 +221,19 @@ def results(
 
 
 def do_alone(do: Callable[..., Any], *arguments: Any) -> Any:
-    """Do a task in another process than its sender's, on one thread, for the same results."""
+    """Do a task in a worker process, on one thread, so that its result is the same as elsewhere; return the result."""
     compiled.use_threads(1)
     with threadpool_limits(limits=1, user_api="blas"):
         return do(*resolved(arguments, lambda sent: sent.value, _here.get))
 
 
-_here = LastKept()  # of the tasks of `do_alone`
+_here = LastKept()  # object kept for the tasks of `do_alone`
 
 
 def resolved(
     arguments: tuple[Any, ...], sent: Callable[[Sent], Any], kept: Callable[[KeptHere], Any]
 ) -> tuple[Any, ...]:
-    """The arguments, and those within a tuple, with the values of `Sent` and `KeptHere` in their places."""
+    """Return the arguments, with each `Sent` and `KeptHere`, also within a tuple, replaced by its value."""
 
     def one(argument: Any) -> Any:
         if isinstance(argument, Sent):

@@ -1,4 +1,4 @@
-"""The beginning and the end of a run of any kind: its model of appearance, its home and its result."""
+"""Start and end of any run: its model of appearance, its home and its result."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from alight.settings import Settings
 from alight.sources import Described
 from alight.terrain import Model
 
-FARTHEST = 50_000.0  # metres from the site: no vehicle that looks for one flies so far
+FARTHEST = 50_000.0  # metres from the site: no vehicle that looks for a site flies so far
 STEEPEST = 1000.0  # metres above or below the site
 
 
 def wanted_home(text: str | None, geoid: Path | None = None) -> Home | None:
-    """Read the home that a user names; its separation is the user's number, or that of a geoid grid, or NaN.
+    """Read the home that a user names; None: no home is named.
+
+    Its separation is the user's number, else the value of a geoid grid, else NaN.
 
     Raises:
-        InputError: it is no home, the grid cannot be used, or there is a grid and no home.
+        InputError: the text is no home, the grid cannot be used, or there is a grid and no home.
     """
     if text is None:
         if geoid is not None:
@@ -37,10 +39,10 @@ def wanted_home(text: str | None, geoid: Path | None = None) -> Home | None:
 
 
 def known_home(text: str | None, geoid: Path | None = None) -> Home | None:
-    """As `wanted_home`, for recordings, which give no separation.
+    """Read the home for a recording, which gives no separation; see `wanted_home`.
 
     Raises:
-        InputError: as there, or the separation is missing.
+        InputError: as for `wanted_home`, or the separation is missing.
     """
     home = wanted_home(text, geoid)
     if home is not None and not math.isfinite(home.separation):
@@ -52,12 +54,12 @@ def known_home(text: str | None, geoid: Path | None = None) -> Home | None:
 
 
 def flown_home(wanted: Home | None, telemetry: Telemetry | None, separation: float | None) -> Home | None:
-    """Return the home of a vehicle on a link, with its separation (NaN: unknown); None: there is no home.
+    """Return the home of a vehicle on a link, with its separation (NaN: unknown); None: no home is known.
 
     Args:
-        wanted: by the user; None: the autopilot's own.
-        telemetry: the newest.
-        separation: metres, ellipsoid minus sea level, of the user; None: the receiver's.
+        wanted: home that the user names; None: the autopilot's own home.
+        telemetry: newest telemetry; None: not received.
+        separation: ellipsoidal height minus altitude above the sea, metres, by the user; None: the receiver's.
     """
     reported = math.nan if telemetry is None else telemetry.gps.separation
     if wanted is None and telemetry is not None and (own := telemetry.home) is not None:
@@ -68,7 +70,7 @@ def flown_home(wanted: Home | None, telemetry: Telemetry | None, separation: flo
 
 
 def with_home(result: RunResult, home: Home | None) -> RunResult:
-    """Return the result with the home of its route; a warning is added if the home is not used or is implausible."""
+    """Return the result with the home of its route; add a warning if the home is not used or is implausible."""
     if home is not None and (why := _of_no_use(result, home)):
         return replace(result, warnings=[*result.warnings, f"the home is not used: {why}"])
     if home is None or result.route is None or not result.route.waypoints:
@@ -87,7 +89,7 @@ def with_home(result: RunResult, home: Home | None) -> RunResult:
 
 
 def _of_no_use(result: RunResult, home: Home) -> str:
-    """Reason why heights cannot refer to the home; empty: they can."""
+    """Return the reason why heights cannot refer to the home; empty: they can."""
     if not result.georeferenced:
         return f"{result.source_name} has no place on Earth"
     if not math.isfinite(home.separation):
@@ -96,10 +98,10 @@ def _of_no_use(result: RunResult, home: Home) -> str:
 
 
 def appearance_of(settings: Settings) -> Model | None:
-    """Read the model of appearance that the settings name; None: they name none.
+    """Read the model of appearance that the settings name; None: the settings name no model.
 
     Raises:
-        InputError: its file is no model.
+        InputError: the file is not a model.
     """
     name = settings.terrain.model
     if name is None or not settings.terrain.enabled:
@@ -116,7 +118,7 @@ def result_of(
     timings: Mapping[str, Sequence[float]],
     photos: Sequence[PhotoRow] = (),
 ) -> RunResult:
-    """Collect the contents of the output folder and the report; `timings`: seconds of every step, by stage."""
+    """Return a run's result for the output folder and the report; `timings`: seconds of every step, by stage."""
     found: dict[str, Any] = vars(d) | {
         "notes": {**source.notes, **d.notes}, "warnings": [*source.warnings, *d.warnings],
     }  # fmt: skip

@@ -9,12 +9,12 @@ SIGMA_OF_MAD = 1.4826  # sigma of a Gaussian over its median absolute deviation
 
 
 def robust_sigma(deviations: ArrayLike) -> float:
-    """1-sigma of a Gaussian about zero with the same median absolute value; NaN of none."""
+    """Return the sigma of a zero-mean Gaussian with the median absolute value of `deviations`; NaN if that is empty."""
     d = np.asarray(deviations, dtype=np.float64)
     return float(SIGMA_OF_MAD * np.median(np.abs(d))) if d.size else float("nan")
 
 
 def nmad(values: ArrayLike) -> float:
-    """Normalised median absolute deviation: `robust_sigma` about the median of the values; NaN of none."""
+    """Return the normalised median absolute deviation: `robust_sigma` about the median; NaN if `values` is empty."""
     v = np.asarray(values, dtype=np.float64)
     return robust_sigma(v - np.median(v)) if v.size else float("nan")

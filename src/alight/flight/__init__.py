@@ -1,1 +1,1 @@
-"""Everything that flies: the autopilot's protocol, the executive, the live lanes, and a flight from start to end."""
+"""The parts of a flight: the autopilot's protocol, the executive, the live lanes, and a flight from start to end."""

@@ -1,1 +1,1 @@
-"""The ways to run the lanes: a recording, a flight as it goes, a demonstration."""
+"""Runs over recordings: open an input, check it, replay it; judge heights; train models of appearance."""

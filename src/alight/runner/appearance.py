@@ -1,4 +1,4 @@
-"""Train a model of appearance on a folder of pictures and write it; test one on labelled pictures."""
+"""Training of a model of appearance on a folder of pictures, and its test on labelled pictures."""
 
 from __future__ import annotations
 
@@ -19,16 +19,19 @@ class TrainedAppearance(NamedTuple):
     """A model of appearance, and its test on sites that it was not trained on."""
 
     model: Model
-    left_out: Confusion | None  # each site judged without itself; None: all pictures are of one site
+    left_out: Confusion | None  # each site is judged without training on it; None: all pictures are of one site
 
 
 def train_to_file(
     folder: Path, out: Path, sampling: float, progress: Callable[[str, float], None]
 ) -> TrainedAppearance:
-    """Train on pictures by class and write the model; `out` is tested first.
+    """Train a model of appearance on pictures by class and write it to `out`; return the model and its test.
 
     Args:
-        sampling: metres a pixel, where no index.csv gives it.
+        folder: pictures in one folder per class.
+        out: file of the model; its path is checked before the training.
+        sampling: metres per pixel of pictures for which no index.csv gives it.
+        progress: called with the stage and the share of it that is done.
 
     Raises:
         InputError: the pictures cannot be used.
@@ -48,12 +51,13 @@ def train_to_file(
 def judge_appearance(
     folder: Path, model: Path | None, sampling: float, progress: Callable[[str, float], None]
 ) -> Confusion:
-    """Compare a model of appearance with labelled pictures.
+    """Return the confusion matrix of a model of appearance on labelled pictures.
 
     Args:
-        folder: pictures by class, or `images/` with `labels/`.
-        model: of appearance; None: the package's own.
-        sampling: metres a pixel, where no index.csv gives it.
+        folder: pictures in one folder per class, or `images/` with `labels/`.
+        model: file of the model; None: the package's own model.
+        sampling: metres per pixel of pictures for which no index.csv gives it.
+        progress: called with the stage and the share of it that is done.
 
     Raises:
         InputError: the pictures or the model cannot be used.

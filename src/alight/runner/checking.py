@@ -17,12 +17,12 @@ def check_opened(
     start: float,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[CheckResult]:
-    """Find faults of a recording; of photos, the last result is the verdict.
+    """Return the checks of a recording; for photos, the last check is the verdict.
 
     Args:
         source: a flight, or photos.
-        settings: of the run that is planned.
-        seconds, start: part of a flight that is read, s from the first exposure.
+        settings: settings of the planned run.
+        seconds, start: length of the part of a flight that is read, and its start after the first exposure, s.
         progress: called with the share that is done.
 
     Raises:

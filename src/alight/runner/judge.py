@@ -1,4 +1,4 @@
-"""Judge heights from another source: sharpen them with an image, assess hazards, choose sites."""
+"""Judgement of heights from another source: sharpen them with an image, assess hazards, choose sites."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ IMAGE_UNUSED = "the image is not used: light and shade do not explain it (paint,
 
 
 def for_surveyed_heights(settings: Settings) -> Settings:
-    """Settings with the constants that suit surveyed heights, where the user has not set them."""
+    """Return the settings with constants that suit surveyed heights, where the user has not set them."""
     surveyed = load_settings("", SURVEYED).tuning.hazards
     own = settings.tuning.hazards
     suited = {k: getattr(surveyed, k) for k in surveyed.model_fields_set - own.model_fields_set}
@@ -30,7 +30,7 @@ def for_surveyed_heights(settings: Settings) -> Settings:
 
 
 def _too_wide(cell: float, stages: StageSettings) -> list[str]:
-    """A warning where cells (metres) are too wide to show the obstacles that the lander must not stand on."""
+    """Return a warning if cells of `cell` metres are too wide to show obstacles that the lander must avoid."""
     if cell <= stages.lander.judging_cell or stages.hazards.smoothed:
         return []
     return [
@@ -41,9 +41,9 @@ def _too_wide(cell: float, stages: StageSettings) -> list[str]:
 
 
 def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
-    """Judge a height raster: P(safe) and reasons of each cell, and the landing sites of this lander.
+    """Judge a height raster: P(safe) and reasons of each cell, and the landing sites of the lander.
 
-    `name` is that of the input, for the report; for the settings see `for_surveyed_heights`.
+    `name` is the name of the input, for the report. See `for_surveyed_heights` for suitable settings.
     """
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:

@@ -1,4 +1,4 @@
-"""The only module that takes the name of an input and decides its kind."""
+"""The only module that takes the name of an input and determines the kind of the input."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ def open_source(
     places: str | Path | None = None,
     geoid: str | Path | None = None,
 ) -> Source:
-    """Open a flight log, a recording of a live run, or a folder of photos.
+    """Open the source of a path: a flight log, a recording, frames with a log, photos, or a video.
 
     Args:
-        path: of the recording.
-        settings: of the run; None: the defaults.
-        places: of a folder of photos: file with their places; `tags`: none; None: one that stands beside them.
-        geoid: of a folder of photos: grid of geoid heights, for altitudes that count from the sea level.
+        path: file or folder of the input.
+        settings: settings of the run; None: the defaults.
+        places: for photos: file with their positions; `tags`: no file is used; None: a file found with the photos.
+        geoid: for photos: grid of geoid heights, for altitudes above sea level.
 
     Raises:
-        InputError: it is none of them, or cannot be used; the message names what was looked for.
+        InputError: the input is of no known kind, or cannot be used; the message names what was looked for.
     """
     path = Path(path)
     try:
@@ -97,10 +97,10 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
 
 
 def log_in(folder: Path) -> Path | None:
-    """Return the autopilot's log in a folder of frames; None: there is none.
+    """Return the autopilot's log in a folder of frames; None: the folder has no log.
 
     Raises:
-        InputError: there are several.
+        InputError: the folder has several logs.
     """
     found = sorted(p for p in folder.iterdir() if p.suffix.lower() in LOGS and p.is_file())
     if len(found) > 1:
@@ -109,7 +109,7 @@ def log_in(folder: Path) -> Path | None:
 
 
 def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
-    """The places in the autopilot's log of a film's name, else in the only one of its folder."""
+    """Return the positions in the log with the film's name, else in the only log of its folder; None: no log."""
     own = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and p.suffix.lower() in LOGS)
     log = next(own, None) or log_in(film.parent)
     if log is None:
@@ -128,7 +128,7 @@ def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
 
 
 def _have_places(folder: Path) -> bool:
-    """Whether the pictures of a folder are photos with places, by the first that can be read; also without pictures."""
+    """Whether the first readable picture of a folder has a position in its tags; True without any pictures."""
     from alight.photos.reading.photo_tags import read_tags
     from alight.sources.frame_folder import frames_in
     from alight.sources.images import UNREADABLE
@@ -156,14 +156,14 @@ def open_live(
     """Open the source of a live run.
 
     Args:
-        name: a flight log or a recording, a folder that is being filled, or cameras with commas between them.
-        speed: of a recording: 2 is twice as fast as the flight.
-        follow: the folder is being filled.
+        name: flight log, recording, folder that is being filled, or cameras separated by commas.
+        speed: playback speed of a recording; 2 is twice as fast as the flight.
+        follow: whether `name` is a folder that is being filled.
         rig: folder with the calibration of cameras.
-        stopped: called now and then; True ends the events.
+        stopped: called now and then; the events end when it returns True.
 
     Raises:
-        InputError: it is no source, or cannot be used; the message names what was looked for.
+        InputError: the name is no source, or cannot be used; the message names what was looked for.
     """
     from alight.sources.live import LiveSource, is_cameras, open_sensors, paced
 

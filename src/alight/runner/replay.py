@@ -1,4 +1,4 @@
-"""Run all stages over a recording: a source in, a `RunResult` out."""
+"""A run of all stages over a recording: a source in, a `RunResult` out."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
-    """The poses that replace the estimated ones: none, the recording's own (`truth`), or those of a TUM file (ENU).
+    """Return the given poses: the recording's own (`truth`), or a TUM file's (ENU); None: the motion is estimated.
 
     Raises:
         InputError: the recording has no truth, or the file cannot be used.
@@ -49,15 +49,15 @@ def replay(
     jobs: Jobs | None = None,
     prior: PriorHeights | None = None,
 ) -> RunResult:
-    """Run the pipeline over a source.
+    """Run the pipeline over a source and return the result.
 
     Args:
         source, settings: the recording, and all settings.
-        poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
+        poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion; None: estimate the motion.
         progress: called with the stage and the share of it that is done.
-        tile_store: tile store for the part of the map that the flight has left behind; None: memory.
+        tile_store: store for map tiles that the flight has left behind; None: in memory.
         jobs: workers for photos and for maps at the end; None: this process.
-        prior: heights from another source; the search for heights begins with them, and the map is compared with them.
+        prior: heights from another source, as first values of the estimation; the map is compared with them.
 
     Raises:
         InputError: no part of the recording can be used.
@@ -94,7 +94,6 @@ def replay(
 
 
 def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> NavigationLane | None:
-    """The lane of the bundle adjustment; None: the settings choose the filter."""
     if not settings.motion.bundles(source.kind):
         return None
     from alight.photos.bundle.adjust import BundleLane
@@ -104,10 +103,10 @@ def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> Naviga
 
 
 def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
-    """Read the file of a DEM from another source for the map of a recording; None: there is none.
+    """Read the heights of a DEM from another source for the map of a recording; None: no file is given.
 
     Raises:
-        InputError: the source or the settings do not allow one, or the file cannot be used.
+        InputError: the source or the settings do not allow a DEM, or the file cannot be used.
     """
     if dem is None:
         return None
@@ -121,9 +120,9 @@ def prior_heights(source: Source, settings: Settings, dem: Path | None) -> Prior
 
 
 def settings_for(source: Source, given: Settings) -> Settings:
-    """The settings of a run: those given, or those of the flight where its recording is run and none are given.
+    """Return the settings of a run: `given` or, if the recording of a flight is run and no key is given, the flight's.
 
-    A key that is set to its default counts as given.
+    A key that is set to its default is treated as given.
     """
     return given if source.flown_with is None or given.model_fields_set else source.flown_with
 
@@ -133,21 +132,21 @@ class Find:
     """Options of one run over a recording."""
 
     settings: Settings
-    poses: str | None = None  # as for `replay`
-    overwrite: bool = False  # write into a folder that holds other files
-    resume: bool = False  # continue from the saved work of an interrupted run of photos in the folder
+    poses: str | None = None  # see `replay`
+    overwrite: bool = False  # whether to write into a folder that holds other files
+    resume: bool = False  # whether to continue from the saved work of an interrupted run of photos
     prior: Path | None = None  # DEM from another source
     scheduler: str | None = None  # address of a Dask cluster that does the work of photos
-    home: Home | None = None  # of the vehicle that is to fly the route
-    places: Path | None = None  # file with the places of photos
-    geoid: Path | None = None  # grid of geoid heights, for altitudes of photos that count from the sea level
+    home: Home | None = None  # home of the vehicle that will fly the route
+    places: Path | None = None  # file with the positions of photos
+    geoid: Path | None = None  # grid of geoid heights, for altitudes of photos above sea level
 
 
 def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported) -> RunResult:
-    """Find a landing site in a flight log, a recording or a folder of photos; write the results to `out`, tested first.
+    """Find landing sites in a flight log, a recording or photos; write the results to `out`, which is checked first.
 
-    A recording is replayed with the settings of its flight where no others are given, and then gives the same bits.
-    The work of photos is saved in the folder piece by piece, until the results are written.
+    A recording is replayed with the settings of its flight, and gives the same bits, unless others are given.
+    The work of photos is saved in the folder piece by piece until the results are written.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written.

@@ -1,1 +1,1 @@
-"""The product against the simulator: single landings, campaigns of them, the demo, rehearsals."""
+"""The product against the simulator: single landings, campaigns of landings, the demo, rehearsals."""

@@ -1,4 +1,4 @@
-"""The demo: a landing in closed loop over simulated ground. Also compiles all loops, by a recorded flight."""
+"""The demo: a landing in closed loop over simulated ground."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.touchdown import judge_flight
 
-START = (-4.0, -12.0, 30.0)  # metres east and north, and above the ground there
-SHARE = {  # of a landing that is done, about
+START = (-4.0, -12.0, 30.0)  # metres east, north, and above the ground
+SHARE = {  # share of a landing that is done in each state, about
     FlightState.SEARCH: 0.05, FlightState.APPROACH: 0.2, FlightState.LOOK: 0.5, FlightState.DESCEND: 0.6,
     FlightState.COMMIT: 0.8,
 }  # fmt: skip
@@ -26,7 +26,7 @@ SHARE = {  # of a landing that is done, about
 
 @dataclass(frozen=True, eq=False)
 class DemoLanding:
-    """The end of the demo's landing, and the truth about its touchdown."""
+    """The end of the demo's landing, and its touchdown by the simulator's truth."""
 
     result: RunResult
     state: FlightState
@@ -35,7 +35,7 @@ class DemoLanding:
 
     @property
     def lines(self) -> list[str]:
-        """The flight in words, one line a look or change of state; then the truth."""
+        """The flight in words, one line per look or change of state; the last line is the touchdown."""
         diary = self.result.diary
         out = [e.line for e in diary.entries] if diary is not None else []
         t = self.touchdown
@@ -47,7 +47,9 @@ class DemoLanding:
 
 
 def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, progress: StageProgress) -> DemoLanding:
-    """Search simulated ground for a place, look at it again from lower down, and land or give up.
+    """Land on simulated ground: search, look from lower and lower, and land or give up.
+
+    The folder `out` is only prepared; the caller writes the results into it.
 
     Raises:
         AlightError: the folder cannot be written.
@@ -67,5 +69,5 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, progress
     progress(ended.value, 1.0)
     result = result_of(vehicle, settings, flown.decision, flown.timings)
     notes = {**result.notes, "landing": ended.value}
-    result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
+    result = replace(result, diary=flown.diary, notes=notes, route=None)  # the vehicle is already there
     return DemoLanding(result, ended, flown.seconds, judge_flight(vehicle, lander))

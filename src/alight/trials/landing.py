@@ -1,7 +1,7 @@
-"""One landing in virtual time: the pilot that flies vehicles, over a simulated autopilot and simulated pictures.
+"""One landing in virtual time: the pilot of real flights, over a simulated autopilot and simulated pictures.
 
-Everything of `alight fly` takes part except its sockets, threads and processes: telemetry and orders are MAVLink in two
-byte queues, clocks are tied by TIMESYNC, and the three lanes run in turn.
+All parts of `alight fly` are used except sockets, threads and processes: telemetry and orders are MAVLink in two byte
+queues, the clocks are tied by TIMESYNC, and the three lanes run in turn.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.steered import FlownEstimate, SteeredFlight
 
-SEPARATION = 46.0  # m, ellipsoid above sea level
+SEPARATION = 46.0  # m, ellipsoidal height minus altitude above the sea
 IMU_RATE = 100.0  # Hz, as `alight fly` requests it
-STEP, STEPS = 0.01, 5  # s between two steps of the vehicle, and steps between two of the pilot
-MOTION_NS, VERDICT_NS = 100_000_000, 500_000_000  # from the arrival of an exposure until each is known
-READY = 30.0  # s that the autopilot and the motion may take until the landing begins all the same
-LONGEST = 1.5  # times the budget of time, after which the trial ends
+STEP, STEPS = 0.01, 5  # s per step of the vehicle, and such steps per step of the pilot
+MOTION_NS, VERDICT_NS = 100_000_000, 500_000_000  # from the arrival of an exposure to its motion, its verdict
+READY = 30.0  # s, longest wait for the autopilot and the motion before the landing begins
+LONGEST = 1.5  # times the time budget, after which the trial ends
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Landing:
     seconds: float = 0.0
     p_at_commit: float | None = None
     verdicts: int = 0
-    decision: Decision | None = None  # of the whole flight, if requested
+    decision: Decision | None = None  # decision on the whole flight, if requested
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging, link
 
@@ -59,15 +59,15 @@ def fly_landing(
     firmware: FirmwareName = "ardupilot",
     map_all: bool = False,
 ) -> Landing:
-    """Search, look, look again, and land or give up.
+    """Search, look, look from lower, and land or give up; return the end of the landing.
 
     Args:
         vehicle: the simulated vehicle, in the air.
         settings: all settings; the map is always built recursively.
-        appearance: model of the appearance of ground; None: there is none.
+        appearance: model of the appearance of ground; None: no model.
         happening: called before every decision; it may act on the vehicle, the autopilot and the link.
-        firmware: of the simulated autopilot.
-        map_all: make and judge the map of the whole flight at its end.
+        firmware: firmware of the simulated autopilot.
+        map_all: whether to make and judge the map of the whole flight at its end.
     """
     trial = Trial(vehicle, settings, appearance, firmware)
     while not trial.over:
@@ -83,12 +83,10 @@ class _MeasuredPipeline(Pipeline):
     costs: Timings
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
-        """As `Pipeline.map`, measured."""
         with self.costs.of("mapping"):
             return super().map(navigation)
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """As `Pipeline.judge`, measured."""
         with self.costs.of("judging"):
             return super().judge(seen)
 
@@ -101,11 +99,11 @@ class TrialLink:
         self._now_ns = self._cut_until_ns = 0
 
     def cut(self, seconds: float) -> None:
-        """Lose all bytes of the next seconds."""
+        """Drop all bytes of the next `seconds`."""
         self._cut_until_ns = self._now_ns + round(seconds * 1e9)
 
     def carry(self, now_ns: int) -> None:
-        """Deliver the pending bytes of both sides; the autopilot's answers to them arrive at once."""
+        """Deliver the pending bytes of both sides, and the autopilot's answers to them."""
         self._now_ns = now_ns
         self._inward()
         self._ours.tick(now_ns)
@@ -121,10 +119,10 @@ class TrialLink:
 
 
 class Trial:
-    """One landing, step by step.
+    """One landing in closed loop, step by step.
 
     Args:
-        vehicle, settings, appearance, firmware: as of `fly_landing`.
+        vehicle, settings, appearance, firmware: see `fly_landing`.
     """
 
     def __init__(
@@ -158,12 +156,12 @@ class Trial:
 
     @property
     def begun(self) -> bool:
-        """True once the landing has begun."""
+        """Whether the landing has begun."""
         return self._begin_ns is not None
 
     @property
     def t(self) -> float:
-        """Seconds of the landing."""
+        """Seconds since the landing began; 0 before."""
         return 0.0 if self._begin_ns is None else (self._vehicle.time_ns - self._begin_ns) * 1e-9
 
     @property
@@ -173,11 +171,11 @@ class Trial:
 
     @property
     def over(self) -> bool:
-        """True once the vehicle has landed, the landing is given up, or it has taken too long."""
+        """Whether the vehicle has landed, the landing is given up, or it has taken too long."""
         return self.state in ENDS or self.t > LONGEST * self._settings.executive.time_budget
 
     def step(self) -> None:
-        """Let the vehicle fly for one step of the pilot, process what has come, and decide."""
+        """Let the vehicle fly for one step of the pilot, process what has arrived, and decide."""
         with self._costs.of("simulator"):
             flown = [event for _ in range(STEPS) for event in self.autopilot.step(STEP)]
         now_ns = self._vehicle.time_ns
@@ -201,7 +199,7 @@ class Trial:
             self._pilot.tick(now_ns)
 
     def _is_ready(self, now_ns: int) -> bool:
-        """True if the motion and the autopilot's position are known, or will not be."""
+        """Whether the motion and the autopilot's position are known, or the time to wait for them is over."""
         m, vehicle = self._pilot.inputs.motion, self._ours.vehicle
         assert vehicle is not None
         known = m is not None and judge_motion(m, (now_ns - m.t_ns) * 1e-9).verdict is not Judged.BAD
@@ -225,7 +223,7 @@ class Trial:
         heapq.heappush(self._later, (self._vehicle.time_ns + delay_ns, self._numbers, call))
 
     def result(self, map_all: bool = False) -> Landing:
-        """The landing as it is now; `map_all`: with the decision on the map of the whole flight."""
+        """Return the landing as it is now; with `map_all`, including the decision on the map of the whole flight."""
         d = self._pilot.diary
         commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
         return Landing(

@@ -1,4 +1,4 @@
-"""Pictures for an autopilot without cameras: a scene, rendered at the poses that the vehicle reports."""
+"""Pictures for an autopilot without cameras: a scene rendered at the poses that the vehicle reports."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from alight_sim.rehearsal import CameraFolder
 RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
 SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
 STEP = 0.02  # s
-NO_VEHICLE = 120.0  # s without a vehicle, after which this is an error; a SITL waits for the first link before this one
+NO_VEHICLE = 120.0  # s without a vehicle, after which this is an error; a SITL first waits for another link
 
 
 class _TrackReader:
-    """Makes the track of the cameras from telemetry."""
+    """Makes the track of the cameras from the vehicle's telemetry."""
 
     def __init__(self, cameras: FollowedCameras) -> None:
         self._cameras, self.starts = cameras, 1
 
     def restart(self, starts: int) -> None:
-        """Begin anew after a restart of the autopilot: its frame is another one."""
+        """Begin anew after a reboot of the autopilot, as its local frame has changed."""
         self.starts = starts
         self._cameras.restart()
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
-        """Take a message of the vehicle, attitude or position, into the track."""
+        """Add the attitude or the position of a message to the track; return no samples."""
         if clock.known and name == "ATTITUDE_QUATERNION":
             R = border.world_from_body_of_quaternion([message.q1, message.q2, message.q3, message.q4])
             if R is not None:
@@ -49,8 +49,8 @@ class VehicleFollower:
     """Renders the pictures of a vehicle's cameras, and never sends orders. Bytes in, bytes out; no socket.
 
     Args:
-        cameras: of a scene.
-        folder: takes their exposures.
+        cameras: cameras of a scene.
+        folder: folder to which the exposures are written.
     """
 
     def __init__(self, cameras: FollowedCameras, folder: CameraFolder) -> None:
@@ -61,13 +61,13 @@ class VehicleFollower:
 
     @property
     def touchdown(self) -> Touchdown | None:
-        """The oracle's verdict, once the vehicle has flown and stands disarmed; None: not yet."""
+        """The oracle's verdict on the touchdown; None until the vehicle has flown and is disarmed on the ground."""
         telemetry = self.autopilot.telemetry
         down = self._flown and telemetry is not None and telemetry.is_down
         return self._cameras.touchdown() if down else None
 
     def tick(self, now_ns: int) -> None:
-        """Let time pass, and draw the exposures that are due."""
+        """Process the telemetry, and render and write the exposures that are due."""
         self.autopilot.tick(now_ns)
         self.autopilot.notices()
         telemetry, places = self.autopilot.telemetry, self._cameras.track.places
@@ -84,20 +84,20 @@ class VehicleFollower:
 def follow_vehicle(
     link: str, cameras: FollowedCameras, folder: Path, seconds: float, print_line: Callable[[str], None]
 ) -> Touchdown | None:
-    """Fill a folder with pictures of a scene at the poses that an autopilot reports, until it has landed.
+    """Fill a folder with pictures of a scene at the poses that an autopilot reports, until the vehicle has landed.
 
     Args:
-        link: to the autopilot, one of its own beside that of `alight fly`.
-        cameras: of the scene.
-        folder: for the pictures, in the layout of a flight log.
-        seconds: after which it ends in any case.
-        print_line: called with a line when `alight fly` may be started, and when the first picture was written.
+        link: link to the autopilot; `alight fly` needs another link.
+        cameras: cameras of the scene.
+        folder: folder for the pictures, in the layout of a flight log.
+        seconds: time after which this ends in any case.
+        print_line: called with a line when `alight fly` may be started, and when the first picture is written.
 
     Returns:
-        The oracle's verdict on the touchdown; None: there was none.
+        The oracle's verdict on the touchdown; None: no touchdown.
 
     Raises:
-        InputError: the link's name is wrong, or no supported vehicle answers.
+        InputError: the name of the link is wrong, or no supported vehicle answers.
         OutputError: the folder cannot be made, or holds pictures already.
     """
     opened = open_link(link, patient=True)
@@ -132,5 +132,5 @@ def _follow(
                 f"{link.name}: no message of a vehicle for {NO_VEHICLE:.0f} s{reason}; is the autopilot running?"
             )
         if found is None and (found := follower.touchdown) is not None:
-            end = min(end, time.monotonic() + 5.0)  # for the reader of the pictures
+            end = min(end, time.monotonic() + 5.0)  # time for the reader of the pictures
     return found

@@ -1,4 +1,4 @@
-"""Compile all loops ahead of time, by a run over a short simulated flight."""
+"""Compilation of all loops ahead of time, by a run over a short simulated flight."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alight.settings import Settings
 
 
 def compile_kernels(progress: StageProgress) -> None:
-    """Compile all loops and keep them, by running each stage over a flight of a second."""
+    """Compile all loops and cache them, by running each stage over a simulated flight of one second."""
     folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
     try:
         flight = simulate.fly("demo", 0, 1.0)

@@ -1,4 +1,4 @@
-"""The protocol machine: bytes in; bytes, telemetry and notices out. No socket, no thread, no clock of its own."""
+"""The protocol machine: bytes in; bytes, telemetry and notices out. No socket, no thread, and no clock."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from alight.records import ImuSample, NavSample, Notice, NoticeKind, Telemetry
 
 
 class TelemetryReader(Protocol):
-    """Reads a vehicle's messages: `TelemetryEvents`, or a class of your own."""
+    """Interface of a reader of a vehicle's messages, such as `TelemetryEvents`."""
 
-    starts: int  # number of the autopilot's start that the messages belong to
+    starts: int  # number of the autopilot's boot that the messages belong to
 
     def restart(self, starts: int) -> None:
-        """Begin anew after a restart of the autopilot; `starts` counts its starts."""
+        """Begin anew after a reboot of the autopilot; `starts` is the number of its boots so far."""
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
-        """Take a message; return the samples that are complete now, in order."""
+        """Process a message; return the samples that are now complete, in order of time."""
 
 
 class Autopilot:
     """One vehicle over MAVLink 2: ArduPilot's Copter or PX4's multicopter.
 
-    `receive` what a link gives and call `tick` ten times a second or more; send the datagrams of `pending`; read
+    Pass the bytes of a link to `receive`, and call `tick` at 10 Hz or more. Send the datagrams of `pending`, and read
     `notices`, `samples` and `telemetry`. All times are of one monotonic clock of ours, in nanoseconds.
 
     The vehicle is the first autopilot that sends a heartbeat. Messages of other senders are ignored.
 
     Args:
-        rates: Hz of further streams, or other rates of the default streams; 0: not requested.
-        events: makes GPS/INS rows and IMU samples of the telemetry; None: they are not made.
+        rates: Hz of further streams, or non-default rates of default streams, by message; 0: not requested.
+        events: maker of GPS/INS rows and IMU samples from the telemetry; None: no samples are made.
         component: our component number on the link.
     """
 
@@ -53,38 +53,38 @@ class Autopilot:
         self._refused: set[int] = set()
         self._heartbeat_ns: int | None = None
         self._now_ns = 0
-        self.vehicle: RemoteVehicle | None = None  # takes the orders; None: no heartbeat yet
+        self.vehicle: RemoteVehicle | None = None  # receiver of the orders; None: no heartbeat yet
 
     @property
     def telemetry(self) -> Telemetry | None:
-        """The newest report of everything received from the vehicle; it does not change later. None: nothing yet."""
+        """Snapshot of everything received from the vehicle so far; None: no vehicle yet."""
         return None if self.vehicle is None else self.vehicle.telemetry
 
     @property
     def messages(self) -> int:
-        """Number of messages received since the link was opened, of any sender."""
+        """Number of messages received since the link was opened, from any sender."""
         return self._framing.messages
 
     def pending(self) -> list[bytes]:
-        """Datagrams to send; each is handed out once."""
+        """Return the datagrams to send; each datagram is returned only once."""
         out, self._out = self._out, []
         return out
 
     def notices(self) -> list[Notice]:
-        """State changes of the vehicle, and its answers to orders, since the last call; each is handed out once."""
+        """Return the vehicle's changes of state and answers to orders since the last call."""
         out, self._notices = self._notices, []
         return out
 
     def samples(self) -> list[NavSample | ImuSample]:
-        """GPS/INS rows and IMU samples; each is handed out once."""
+        """Return the GPS/INS rows and IMU samples since the last call."""
         out, self._samples = self._samples, []
         return out
 
     def tick(self, now_ns: int) -> None:
-        """Let time pass: heartbeats, requests, retries.
+        """Send what is due now: heartbeats, requests, retries.
 
         Args:
-            now_ns: of our clock; never less than before.
+            now_ns: present time of our clock, never less than before.
         """
         self._now_ns = max(now_ns, self._now_ns)
         if self._heartbeat_ns is None or self._now_ns - self._heartbeat_ns >= 1_000_000_000:
@@ -95,20 +95,20 @@ class Autopilot:
             self.vehicle.tick(self._now_ns)
 
     def has_listener(self, now_ns: int) -> bool:
-        """Whether ticks still come, for a thread that gives orders while another one listens and ticks.
+        """Whether `tick` is still called; for a thread that sends orders while another thread listens and ticks.
 
         Args:
-            now_ns: of the clock that ticks.
+            now_ns: present time of the clock passed to `tick`.
 
         Returns:
-            False: they have stopped for more than a second, and over several calls. The vehicle counts as lost, and no
-            order may be sent: the state of the vehicle and its pilot are unknown.
+            False if ticks have stopped for more than a second, over several calls. The vehicle is then lost. No order
+            may be sent, as the state of the vehicle and its pilot are unknown.
         """
         self._now_ns = max(now_ns, self._now_ns)
         return self.vehicle is None or self.vehicle.has_listener(self._now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Take bytes as they came, in pieces of any length; no content can raise an exception."""
+        """Process received bytes, in pieces of any length; no content raises an exception."""
         self._now_ns = max(now_ns, self._now_ns)
         for received in self._framing.decode(data, now_ns):
             if received.component != mavlink.MAV_COMP_ID_AUTOPILOT1:
@@ -124,7 +124,6 @@ class Autopilot:
                 self._samples += events.feed(received.name, received.message, vehicle.clock)
 
     def _vehicle_of(self, heartbeat: ReceivedMessage) -> RemoteVehicle | None:
-        """The vehicle of an autopilot's heartbeat; None: there is none, or it is not supported."""
         m, system = heartbeat.message, heartbeat.system
         if m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
             return None

@@ -1,4 +1,4 @@
-"""The border: NED/FRD and sea level outside, ENU/FLU and the ellipsoid inside; both meet here alone."""
+"""Conversions between NED, FRD and sea level outside and ENU, FLU and the ellipsoid inside; nothing else converts."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ METRES_PER_DEGREE = 111_132.0  # of latitude
 
 
 def enu(north: float, east: float, down: float) -> F64:
-    """Return the components (3,) in ENU of a vector that is given in NED; any unit."""
+    """Return the ENU components (3,) of a vector given in NED, in the same unit."""
     return np.array([east, north, -down], dtype=np.float64)
 
 
 def ned(vector_world: ArrayLike) -> F64:
-    """Return the components (3,) in NED of a vector (3,) in ENU; any unit."""
+    """Return the NED components (3,) of a vector (3,) given in ENU, in the same unit."""
     return enu(*np.asarray(vector_world, dtype=np.float64))  # its own inverse
 
 
 def flu(x: float, y: float, z: float) -> F64:
-    """Return the components (3,) in FLU of a vector that is given in FRD; any unit."""
+    """Return the FLU components (3,) of a vector given in FRD, in the same unit."""
     return np.array([x, -y, -z], dtype=np.float64)
 
 
 def frd(vector_body: ArrayLike) -> F64:
-    """Return the components (3,) in FRD of a vector (3,) in FLU; any unit."""
+    """Return the FRD components (3,) of a vector (3,) given in FLU, in the same unit."""
     return flu(*np.asarray(vector_body, dtype=np.float64))  # its own inverse
 
 
 def world_from_body_of(ned_from_frd: F64) -> F64:
-    """Return rotations (..., 3, 3) of NED/FRD as those of ENU/FLU."""
+    """Convert rotations from NED-from-FRD to ENU-from-FLU, both (..., 3, 3)."""
     return np.asarray(ENU_FROM_NED @ ned_from_frd @ FRD_FROM_FLU)
 
 
 def world_from_body_of_quaternion(quaternion: ArrayLike) -> F64 | None:
-    """NED-from-FRD quaternion (w, x, y, z) as ENU-from-FLU matrix (3, 3); None: it is no rotation."""
+    """Convert a NED-from-FRD quaternion (w, x, y, z) to an ENU-from-FLU matrix (3, 3); None: it is no rotation."""
     try:
         return world_from_body_of(matrix_from_quaternion(quaternion))
     except ValueError:
@@ -51,48 +51,49 @@ def world_from_body_of_quaternion(quaternion: ArrayLike) -> F64 | None:
 
 
 def world_from_body_of_angles(roll: float, pitch: float, yaw: float) -> F64 | None:
-    """Roll, pitch, yaw of NED/FRD in radians as ENU-from-FLU matrix (3, 3); None: one is not finite."""
+    """Convert NED/FRD roll, pitch and yaw, rad, to an ENU-from-FLU matrix (3, 3); None: an angle is not finite."""
     return enu_from_flu(yaw, pitch, roll) if np.isfinite([roll, pitch, yaw]).all() else None
 
 
 def separation_of(ellipsoid: float, msl: float) -> float:
-    """Ellipsoid minus sea level from both heights of a receiver, metres; NaN where they are no two measurements.
+    """Return ellipsoidal height minus altitude above the sea from both values of a receiver, metres.
 
-    Receivers that know one height report it twice, or leave the other one unfilled.
+    NaN: the values are no independent measurements. Receivers that know one height report it twice, or leave the
+    other height unset.
     """
     separation = ellipsoid - msl
     return separation if 0.0 < abs(separation) <= FARTHEST_FROM_SEA else math.nan
 
 
 def metres_per_degree_east(place: Place) -> float:
-    """Return the metres of a degree of longitude at a place; not quite 0 at the poles."""
+    """Return the length of a degree of longitude at a position, metres; not quite 0 at the poles."""
     return METRES_PER_DEGREE * max(math.cos(math.radians(place.latitude)), 1e-6)
 
 
 def metres_between(a: Place, b: Place) -> float:
-    """Return the metres between two places that lie near to each other, across the date line as well."""
+    """Return the distance between two positions near each other, metres; correct across the date line."""
     north = (b.latitude - a.latitude) * METRES_PER_DEGREE
     east = math.remainder(b.longitude - a.longitude, 360.0) * metres_per_degree_east(a)
     return math.hypot(north, east, b.altitude_msl - a.altitude_msl)
 
 
 def shifted(place: Place, latitude: float, longitude: float, up: float) -> Place:
-    """Return the place some degrees north and east of another one, and some metres above it."""
+    """Return a position moved by `latitude` and `longitude` degrees and by `up` metres."""
     return Place(place.latitude + latitude, place.longitude + longitude, place.altitude_msl + up, place.above_home + up)
 
 
 @dataclass(frozen=True, eq=False)
 class EstimateTie:
-    """Our position and the autopilot's of the same instant, which tie our world to the autopilot's.
+    """Our position and the autopilot's at the same instant, which tie our world to the autopilot's coordinates.
 
-    The error that both share (GPS) cancels: a target keeps its place relative to the vehicle.
+    The error that both positions share (GPS) cancels: a target keeps its position relative to the vehicle.
     """
 
     local: LocalFrame
-    position_world: F64  # (3,) metres, ours
-    place: Place  # the autopilot's
+    position_world: F64  # (3,) metres, our position
+    place: Place  # the autopilot's position
 
     def place_of(self, target_world: ArrayLike) -> Place:
-        """Return a position (3,) of our world in the autopilot's coordinates, in error by as much as its own is."""
+        """Convert a target (3,) of our world to the autopilot's coordinates, including the autopilot's error."""
         lat, lon, height = self.local.to_geodetic(np.stack([self.position_world, np.asarray(target_world)]))
         return shifted(self.place, *(float(v[1] - v[0]) for v in (lat, lon, height)))

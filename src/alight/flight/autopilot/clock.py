@@ -1,4 +1,4 @@
-"""The autopilot's clock, converted to ours by TIMESYNC; the clock of time-outs; and the watch over the link."""
+"""The autopilot's clock, converted to ours by TIMESYNC; the clock of the time-outs; and the watch over the link."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from alight.arrays import F64
 
 _DRIFT = 50e-6  # 1-sigma of the rate of a crystal
-_FLOOR = 0.2e-3  # s, 1-sigma of an exchange without any waiting
-_JUMP = 0.02  # s, deviation of an answer beyond its round trip; a larger one means that the clock has jumped
+_FLOOR = 0.2e-3  # s, 1-sigma of an exchange without waiting
+_JUMP = 0.02  # s, deviation of an answer beyond its round trip above which the clock has jumped
 _SILENCE_NS = 1_500_000_000
-_BACK_NS = 1_000_000_000  # a clock that goes back by more was started again
-_HEARTBEAT_NS = 3_500_000_000  # without a heartbeat
-_SLOW_HEARTBEAT_NS = 1_900_000_000  # and of the autopilot's own time, in which a slow simulation sends one a second
-_NO_TICK_NS = 1_200_000_000  # longer than a TCP link takes to be opened again
+_BACK_NS = 1_000_000_000  # a clock that goes back by more was restarted
+_HEARTBEAT_NS = 3_500_000_000  # longest time without a heartbeat
+_SLOW_HEARTBEAT_NS = 1_900_000_000  # also of the autopilot's time: a slow simulation sends one per second of it
+_NO_TICK_NS = 1_200_000_000  # longer than a TCP link takes to reopen
 
 
 @dataclass(frozen=True)
@@ -27,49 +27,49 @@ class _Exchange:
 
 
 class VehicleClock:
-    """Offset and drift of the autopilot's clock against ours, from the round trips of TIMESYNC.
+    """Converts between the autopilot's clock and ours, by offset and drift from the round trips of TIMESYNC.
 
-    An answer was sent between request and receipt: its offset is known to half the round trip. The answers with the
-    shortest round trips are used; a line through them follows the drift.
+    An answer was sent between request and receipt, so its offset is known to half the round trip. Answers with
+    short round trips have the most weight; a line fitted to them follows the drift.
     """
 
     def __init__(self) -> None:
-        self._requested: deque[int] = deque(maxlen=50)  # that may still be answered
-        self._requests, self._request_ns = 0, 0  # since the start of the autopilot; the newest
+        self._requested: deque[int] = deque(maxlen=50)  # stamps of requests that may still be answered
+        self._requests, self._request_ns = 0, 0  # number since the autopilot's boot; the newest
         self._exchanges: deque[_Exchange] = deque(maxlen=300)  # a minute
-        self._fit: F64 = np.zeros(2)  # s from the base, s/s
+        self._fit: F64 = np.zeros(2)  # offset from the base, s; drift, s/s
         self._base: _Exchange | None = None
-        self._doubtful: _Exchange | None = None  # the last one did not fit the others
-        self.sigma = float("nan")  # s, of an instant converted now
+        self._doubtful: _Exchange | None = None  # the last exchange, if it contradicts the others
+        self.sigma = float("nan")  # s, 1-sigma of an instant converted now
 
     @property
     def known(self) -> bool:
-        """True once an answer has come: instants can be converted from one clock to the other."""
+        """Whether an answer has come, so that instants can be converted between the clocks."""
         return self._base is not None
 
     def is_request_due(self, now_ns: int) -> bool:
-        """True if the next TIMESYNC request is due: five times a second, at first ten times."""
+        """Whether the next TIMESYNC request is due: at 5 Hz, the first ten at 10 Hz."""
         return not self._requests or now_ns - self._request_ns >= (100_000_000 if self._requests < 10 else 200_000_000)
 
     def request(self, now_ns: int) -> int:
-        """Return the stamp for a TIMESYNC request; only answers with such a stamp are used."""
+        """Return the stamp for a TIMESYNC request now; only answers with such a stamp are used."""
         self._requests, self._request_ns = self._requests + 1, now_ns
         self._requested.append(now_ns)
         return now_ns
 
     def add_answer(self, requested_ns: int, theirs_ns: int, now_ns: int) -> bool:
-        """Take an answer to TIMESYNC. After a jump of the autopilot's clock the estimate begins anew.
+        """Process an answer to TIMESYNC. After a jump of the autopilot's clock the estimate begins anew.
 
-        A jump is accepted when two answers in turn agree on it: a simulated autopilot that had to wait for its machine
-        is late once, and catches up.
+        A jump is accepted when two consecutive answers agree on it. A single late answer is no jump: a simulated
+        autopilot may wait for its machine once and catch up.
 
         Args:
-            requested_ns: our stamp, as the answer repeats it.
+            requested_ns: our stamp of the request, as the answer repeats it.
             theirs_ns: the autopilot's clock when it answered.
             now_ns: our clock when the answer came.
 
         Returns:
-            False: no request of ours had this stamp, or it was answered before.
+            False if no request of ours had this stamp, or it was answered before.
         """
         if requested_ns not in self._requested or now_ns < requested_ns:
             return False
@@ -89,7 +89,7 @@ class VehicleClock:
         return True
 
     def restart(self) -> None:
-        """Forget all exchanges after a reboot: instants cannot be converted until the next answer."""
+        """Forget all exchanges after a reboot; instants cannot be converted until the next answer."""
         self._forget()
         self._requests = 0
 
@@ -119,10 +119,10 @@ class VehicleClock:
         self.sigma = float(np.hypot(np.sqrt(np.linalg.inv(information)[0, 0]), trip.min() / 4))
 
     def ours_ns(self, theirs_ns: int) -> int:
-        """Convert an instant of the autopilot's clock to ours.
+        """Convert an instant of the autopilot's clock to our clock.
 
         Raises:
-            ValueError: no exchange yet.
+            ValueError: no answer has come yet.
         """
         if self._base is None:
             raise ValueError("the autopilot's clock is not known yet")
@@ -130,21 +130,21 @@ class VehicleClock:
         return theirs_ns + self._base.offset_ns + round(float(self._fit[0] + self._fit[1] * dt) * 1e9)
 
     def theirs_ns(self, ours_ns: int) -> int:
-        """Convert an instant of our clock to the autopilot's; raises as `ours_ns`."""
+        """Convert an instant of our clock to the autopilot's clock; raises like `ours_ns`."""
         start = ours_ns - (0 if self._base is None else self._base.offset_ns)
         return start - (self.ours_ns(start) - ours_ns)  # the drift over the remainder is negligible
 
 
 class TimeoutClock:
-    """Clock of the time-outs: the autopilot's own, so that a slow simulation gets its time; ours while it is silent."""
+    """Clock of the time-outs: the autopilot's, as a simulation may be slow; ours while the autopilot is silent."""
 
     def __init__(self) -> None:
         self.t_ns = 0
         self._boot_ns: int | None = None
-        self._counted_ns: int | None = None  # of our clock: until when silence has been counted
+        self._counted_ns: int | None = None  # our clock: until when silence has been counted
 
     def add_stamp(self, boot_ns: int, now_ns: int) -> bool:
-        """Take a stamp of the autopilot's clock; True if it was started again."""
+        """Process a stamp of the autopilot's clock; return whether the autopilot has rebooted."""
         before, self._counted_ns = self._boot_ns, now_ns + _SILENCE_NS
         if before is None or boot_ns > before:
             self.t_ns += 0 if before is None else boot_ns - before
@@ -156,7 +156,7 @@ class TimeoutClock:
         return False
 
     def tick(self, now_ns: int) -> None:
-        """Let our own time pass while the autopilot is silent."""
+        """Advance by our own clock while the autopilot is silent."""
         if self._counted_ns is None:
             self._counted_ns = now_ns
         self.t_ns += max(now_ns - self._counted_ns, 0)
@@ -164,22 +164,22 @@ class TimeoutClock:
 
 
 class LinkWatch:
-    """Watch over the heartbeat (`tick`, of the listening thread), and over the ticks (`check`, of another thread)."""
+    """Watches the heartbeat (in `tick`, on the listening thread), and the calls of `tick` (in `check`, on another)."""
 
     def __init__(self) -> None:
         self.alive = True
-        self._heartbeat: tuple[int, int] | None = None  # the newest, ns of our clock and of the time-outs'
+        self._heartbeat: tuple[int, int] | None = None  # newest heartbeat, ns of our clock and of the time-outs' clock
         self._ticked_ns: int | None = None
-        self._checks = 0  # since the last tick
+        self._checks = 0  # checks since the last tick
 
     def on_heartbeat(self, now_ns: int, timeout_ns: int) -> bool:
-        """Take a heartbeat; True: the link was lost and is back."""
+        """Process a heartbeat; return whether the link was lost before and is back."""
         self._heartbeat = now_ns, timeout_ns
         back, self.alive = not self.alive, True
         return back
 
     def tick(self, now_ns: int, timeout_ns: int) -> str:
-        """Let time pass; return the reason if the vehicle was lost just now, else an empty string."""
+        """Check the heartbeat; return the reason if the vehicle was lost just now, else an empty string."""
         self._ticked_ns, self._checks = now_ns, 0
         if self._heartbeat is None:
             return ""
@@ -187,12 +187,12 @@ class LinkWatch:
         return self._lose("no heartbeat of the vehicle any more") if late else ""
 
     def check(self, now_ns: int) -> str:
-        """Check from another thread that ticks come; return the reason if the vehicle was lost just now."""
+        """Check from another thread that ticks come; return the reason if the vehicle was lost just now, else ""."""
         self._checks += 1
         return "" if self.has_ticks(now_ns) else self._lose("nobody listens to the link")
 
     def has_ticks(self, now_ns: int) -> bool:
-        """False: ticks have stopped, over several checks; a program that was itself suspended has checked once only."""
+        """Whether ticks come. One check without ticks is no evidence, as this program may have been suspended."""
         return self._ticked_ns is None or self._checks < 5 or now_ns - self._ticked_ns <= _NO_TICK_NS
 
     def _lose(self, why: str) -> str:

@@ -1,4 +1,4 @@
-"""Commands with their answers: sent again until answered, one at a time of each kind."""
+"""Commands and their answers: a command is repeated until answered, one command of each kind at a time."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from alight.flight.autopilot.dialect import mavlink
 from alight.records import FlightMode
 
 _TRIES = 6
-_ANSWER_NS = 1_000_000_000  # until a command is sent again
-_PROGRESS_NS = 30_000_000_000  # until one that is in progress counts as lost
+_ANSWER_NS = 1_000_000_000  # until an unanswered command is repeated
+_PROGRESS_NS = 30_000_000_000  # until a command that is in progress is treated as lost
 RESULTS = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "refused for now: the autopilot is not in a state for it",
@@ -29,7 +29,7 @@ class _Command:
     name: str
     number: int
     parameters: Sequence[float]
-    flies: bool  # moves the vehicle: never sent after a takeover
+    flies: bool  # whether it moves the vehicle: never sent after a takeover
     mode: FlightMode | None
     deadline_ns: int
     tries: int = 0
@@ -41,17 +41,18 @@ class CommandAnswer(NamedTuple):
     ticket: int
     ok: bool
     text: str
-    mode: FlightMode | None  # that the command leads to
-    refused: bool  # by an answer of the autopilot that no second try will change
+    mode: FlightMode | None  # mode that the command leads to
+    refused: bool  # whether the autopilot refused it for good
 
 
 class CommandQueue:
-    """COMMAND_LONG out, COMMAND_ACK in.
+    """Sends COMMAND_LONG and processes COMMAND_ACK.
 
-    An answer names the command and not its parameters. So one of each kind is under way at a time, and the different
-    kinds do not wait for each other: no request for a stream delays the order to land.
+    An answer names the kind of command (MAV_CMD) but not its parameters. So one command of each kind is under way at a
+    time. Different kinds do not wait for each other: no request for a stream delays the order to land.
 
     Args:
+        send: called with each message to send.
         target: system and component of the vehicle.
     """
 
@@ -64,12 +65,14 @@ class CommandQueue:
         self, name: str, number: int, parameters: Sequence[float], t_ns: int, *, flies: bool = True,
         mode: FlightMode | None = None, wait_ns: int = 0,
     ) -> int:  # fmt: skip
-        """Send a command, or line it up behind one of its kind; return the ticket that its answer will carry.
+        """Send a command, or queue it behind a command of its kind; return the ticket that its answer will carry.
 
         Args:
-            parameters: the first of its seven; the others are 0.
-            flies: it moves the vehicle, and is given up at a takeover.
-            wait_ns: until it is sent for the first time.
+            name, number: name of the command for its answer, and its MAV_CMD.
+            parameters: the first of the seven parameters; the rest are 0.
+            flies: whether the command moves the vehicle; such a command is dropped at a takeover.
+            mode: flight mode that the command leads to; None: it changes no mode.
+            wait_ns: delay before the command is first sent.
         """
         self._tickets += 1
         queue = self._queues.setdefault(number, deque())
@@ -79,24 +82,24 @@ class CommandQueue:
         return self._tickets
 
     def give_up(self, number: int) -> None:
-        """Give up, without an answer, the commands of a MAV_CMD."""
+        """Drop all commands of a MAV_CMD, without an answer."""
         self._queues.pop(number, None)
 
     def waiting(self, number: int) -> bool:
-        """True if a command of a MAV_CMD is under way or lined up."""
+        """Whether a command of a MAV_CMD is under way or queued."""
         return bool(self._queues.get(number))
 
     def waiting_modes(self) -> set[FlightMode]:
-        """Modes to which commands that are under way or lined up lead."""
+        """Return the modes to which the commands under way or queued lead."""
         return {c.mode for queue in self._queues.values() for c in queue if c.mode is not None}
 
     def drop(self, everything: bool = False) -> None:
-        """Give up, without an answer, the commands that move the vehicle, or all."""
+        """Drop the commands that move the vehicle or, with `everything`, all commands, without an answer."""
         for number, queue in list(self._queues.items()):
             self._queues[number] = deque(c for c in queue if not (everything or c.flies))
 
     def on_ack(self, number: int, result: int, t_ns: int) -> Iterator[CommandAnswer]:
-        """Yield the answer of a COMMAND_ACK to a command of ours; "in progress" only prolongs the wait."""
+        """Yield the answer that a COMMAND_ACK gives to a command of ours; "in progress" only extends the wait."""
         queue = self._queues.get(number)
         if not queue or not queue[0].tries:
             return
@@ -108,7 +111,7 @@ class CommandQueue:
         yield self._finish(queue, result == mavlink.MAV_RESULT_ACCEPTED, text, t_ns, refused)
 
     def tick(self, t_ns: int) -> list[CommandAnswer]:
-        """Send commands without an answer in time again; return the failure of those that were tried often enough."""
+        """Repeat commands that were not answered in time; return a failure for each that is not repeated any more."""
         out = []
         for queue in self._queues.values():
             if queue and t_ns >= queue[0].deadline_ns:

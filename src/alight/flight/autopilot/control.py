@@ -1,4 +1,4 @@
-"""Detection of a takeover: changes of mode that we did not order, and a pilot's sticks."""
+"""Detection of a takeover: by changes of mode that we did not order, and by a pilot's sticks."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Set
 from alight.flight.autopilot.firmware import Firmware
 from alight.records import FlightMode
 
-_REMEMBERED_NS = 6_000_000_000  # after our request, in which a change of mode counts as its effect
-_UNDER_WAY_NS = 400_000_000  # after a request, in which a heartbeat may have left before it, and copies may still come
+_REMEMBERED_NS = 6_000_000_000  # after our request, in which a change of mode is treated as its effect
+_UNDER_WAY_NS = 400_000_000  # after a request, in which heartbeats from before it, and copies, may still come
 _GRACE_NS = 2_000_000_000  # from the answer to an order until heartbeats must show its mode
-_MOVED = 150  # microseconds of a stick's 1000, from its position when we took control
+_MOVED = 150  # microseconds of a stick's range of 1000, from its position when we took control
 _ENDS = (FlightMode.LAND, FlightMode.RETURN)
 
 
 class ControlWatch:
-    """Distinguishes our changes of mode from somebody else's. We are in control from our first order to a takeover."""
+    """Distinguishes our changes of mode from others. We are in control from our first order to a takeover."""
 
     def __init__(self, firmware: Firmware) -> None:
         self._firmware = firmware
@@ -24,16 +24,16 @@ class ControlWatch:
         self._accepted_ns: int | None = None  # when the autopilot accepted it
         self._mode: tuple[FlightMode, str] | None = None
         self._neutral: tuple[int, ...] | None = None
-        self._flown: FlightMode | None = None  # of the newest heartbeat with motors armed, since our newest order
+        self._flown: FlightMode | None = None  # mode of the newest heartbeat with armed motors since our newest order
         self.in_control = False
 
     @property
     def mode_name(self) -> str:
-        """The autopilot's name for its mode; empty: no heartbeat yet."""
+        """The autopilot's name for its present mode; empty: no heartbeat yet."""
         return "" if self._mode is None else self._mode[1]
 
     def ordered(self, mode: FlightMode, t_ns: int) -> None:
-        """Take control and note that a mode was ordered: a change to it within six seconds is ours, once."""
+        """Take control and note an ordered mode; one change to it within six seconds is treated as ours."""
         if not self.in_control:
             self._neutral = None
         self.in_control, self._flown = True, None
@@ -41,19 +41,19 @@ class ControlWatch:
         self._newest, self._accepted_ns = mode, None
 
     def accepted(self, mode: FlightMode, t_ns: int) -> None:
-        """Note that an order was accepted only now: its effect counts from here, unless it was seen already."""
+        """Note that an ordered mode was accepted at `t_ns`: its effect is expected from then on, unless it was seen."""
         if mode in self._ordered_ns:
             self._ordered_ns[mode] = t_ns
         if mode is self._newest:
             self._accepted_ns = t_ns
 
     def released(self) -> None:
-        """Give control away; ordered modes are forgotten."""
+        """Give control away, and forget the ordered modes."""
         self.in_control, self._newest = False, None
         self._ordered_ns.clear()
 
     def rebooted(self) -> None:
-        """Give control away, and forget the mode and the neutral sticks."""
+        """Give control away, and forget the mode and the neutral position of the sticks."""
         self.released()
         self._mode = self._neutral = self._flown = None
 
@@ -61,11 +61,13 @@ class ControlWatch:
         self, mode: FlightMode, name: str, t_ns: int, unanswered: Set[FlightMode] = frozenset(),
         on_ground: bool = False, armed: bool = True,
     ) -> str:  # fmt: skip
-        """Take a heartbeat's mode; return the sign that somebody else has taken over, in words, or an empty string.
+        """Process the mode of a heartbeat; return the evidence of a takeover in words, or an empty string.
 
         Args:
-            unanswered: modes whose orders are still being sent; each try may bring the mode again.
-            armed: the motors run. PX4 leaves the landing mode as it stops them, for a mode in which it can be armed.
+            name: the autopilot's name for the mode.
+            unanswered: modes whose orders are still being sent; each attempt may cause the mode again.
+            on_ground: whether the vehicle is on the ground.
+            armed: whether the motors run. PX4 leaves the landing mode when it stops them.
         """
         before, self._mode = self._mode, (mode, name)
         self._flown = mode if armed else self._flown
@@ -81,9 +83,9 @@ class ControlWatch:
         return f"the mode went from {before[1]} to {name}, which we did not order"
 
     def _is_not_obeyed(self, mode: FlightMode, t_ns: int, on_ground: bool) -> bool:
-        """True if another mode is flown than the one that was accepted a while ago.
+        """Whether another mode is flown than the mode that was accepted a while ago.
 
-        A change within seconds of our own order looks like its effect: this distinguishes them later.
+        Somebody else's change within seconds of our own order looks like its effect; only this test detects it, later.
         """
         newest, accepted_ns = self._newest, self._accepted_ns
         if newest is None or accepted_ns is None or t_ns < accepted_ns + _GRACE_NS:
@@ -91,7 +93,7 @@ class ControlWatch:
         return newest not in (FlightMode.TAKE_OFF, mode) and not self._firmware.is_natural(newest, mode, on_ground)
 
     def _is_ours(self, mode: FlightMode, t_ns: int) -> bool:
-        """True if we have ordered this mode; once it is seen, this order and all earlier ones are used up."""
+        """Whether we have ordered this mode. Once the mode is seen, its order and all earlier orders are used up."""
         ordered_ns = self._ordered_ns.get(mode, -_REMEMBERED_NS)
         if t_ns - ordered_ns >= _REMEMBERED_NS:
             return False
@@ -100,7 +102,7 @@ class ControlWatch:
         return True
 
     def sticks(self, positions: tuple[int, ...]) -> str:
-        """Return which stick a pilot moved since we took over, in words, or an empty string."""
+        """Return which stick a pilot has moved since we took control, in words, or an empty string."""
         if not self.in_control:
             return ""
         if self._neutral is None:

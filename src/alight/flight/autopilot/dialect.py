@@ -1,4 +1,4 @@
-"""pymavlink's messages and constants of MAVLink 2, in ArduPilot's dialect, which contains the common ones."""
+"""pymavlink's messages and constants of MAVLink 2, in ArduPilot's dialect, which contains the common dialect."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from alight.flight.autopilot import border
 from alight.flight.autopilot.dialect import mavlink
 from alight.records import FlightMode, Telemetry
 
-_RATES: Mapping[str, float] = {  # Hz, of few kinds: ArduPilot keeps ten different intervals a link, the next is rounded
+_RATES: Mapping[str, float] = {  # Hz, few values: ArduPilot keeps ten different intervals per link, and rounds others
     "ATTITUDE_QUATERNION": 20.0,
     "GLOBAL_POSITION_INT": 10.0,
     "GPS_RAW_INT": 5.0,
@@ -38,49 +38,52 @@ class Firmware(ABC):
 
     name: str
     rates: Mapping[str, float]  # Hz of the messages to request
-    repeats_setpoints: bool  # whether a set-point must be sent again and again
-    takes_speeds: bool  # as commands; else the distance to a set-point is its speed
+    repeats_setpoints: bool  # whether a set-point must be sent repeatedly
+    takes_speeds: bool  # whether speeds are commands; else the distance to a set-point sets the speed
     natural: Mapping[tuple[FlightMode, FlightMode], bool] = MappingProxyType({})  # changes of mode that it makes by
     # itself at the end of a task; True: on the ground only, as in the air they are a takeover
-    high_site: float  # metres above its home, from which its LAND comes down fast
-    modes: Mapping[str, FlightMode]  # by its own names; others are OTHER
+    high_site: float  # metres above home from which its LAND descends fast
+    modes: Mapping[str, FlightMode]  # by the autopilot's names; other names are OTHER
     parameters: Mapping[FlightMode, tuple[float, ...]]  # of MAV_CMD_DO_SET_MODE, after the base mode
 
     @abstractmethod
     def mode_name(self, custom_mode: int) -> str:
-        """The autopilot's own name for a heartbeat's custom mode."""
+        """Return the autopilot's name of a heartbeat's custom mode."""
 
     @abstractmethod
     def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
+        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF for a climb to `height` metres above home."""
 
     @abstractmethod
     def reach(self, speed: float, upright: bool) -> float:
-        """Distance in metres of a set-point at which it still flies at a speed (m/s), over the ground or upright."""
+        """Return the distance, m, to a set-point at which the vehicle still flies at `speed`, m/s.
+
+        A nearer set-point slows the vehicle down. `upright`: whether the distance is vertical, else level.
+        """
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
-        """Make the LANDING_TARGET of a target (3,) metres from the vehicle, world axes; None: this one uses none.
+        """Return the LANDING_TARGET message of a target; None: this firmware uses no targets.
 
         Args:
-            t_ns: instant at which this held, our clock.
+            t_ns: instant of the relative position and attitude, our clock.
             target_world: (3,) metres from the vehicle to the target, world axes.
-            world_from_body: (3, 3) attitude of that instant.
+            world_from_body: (3, 3) attitude at that instant.
         """
         return None
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
-        """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own name for it."""
+        """Return the mode of a heartbeat's custom mode, and the autopilot's name of it."""
         name = self.mode_name(custom_mode)
         return self.modes.get(name, FlightMode.OTHER), name
 
     def is_natural(self, before: FlightMode, after: FlightMode, on_ground: bool) -> bool:
-        """True if the autopilot makes this change by itself at the end of a task."""
+        """Whether the autopilot makes this change of mode by itself at the end of a task."""
         ground_only = self.natural.get((before, after))
         return ground_only is not None and (on_ground or not ground_only)
 
 
 class ArduPilotFirmware(Firmware):
-    """ArduPilot's Copter, helicopters included."""
+    """ArduPilot's Copter, including helicopters."""
 
     name = "ArduPilot"
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
@@ -106,24 +109,26 @@ class ArduPilotFirmware(Firmware):
     }
 
     def mode_name(self, custom_mode: int) -> str:
-        """Copter's name; the number where it has none."""
+        """Return Copter's name of the mode; the number if it has no name."""
         names = _COPTER.split()
         return names[custom_mode] if custom_mode < len(names) else str(custom_mode)
 
     def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Above the home."""
+        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF: zeros, and the height above home."""
         return (0.0, 0.0, 0.0, height)
 
     def reach(self, speed: float, upright: bool) -> float:
-        """Its position controller (of all releases so far) brakes with half of the acceleration, with a margin here.
+        """Return the distance, m, that a set-point needs for flight at `speed`, m/s.
 
-        v = sqrt(a (d - a / 4)), and v = d (gain 1/s) near the target; half a second passes until the next set-point.
+        Copter's position controller (of all releases so far) brakes with half of its acceleration a, so that
+        v = sqrt(a (d - a / 4)) at the distance d, and v = d (gain 1/s) near the target. The result includes 0.5 s of
+        flight until the next set-point.
         """
         braking = 1.0 if upright else 2.5  # m/s^2: WPNAV_ACCEL_Z, WPNAV_ACCEL
         return speed**2 / braking + braking / 4 + 0.5 * speed
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
-        """Make it with angles and position in body axes, not levelled: ArduPilot applies its own attitude."""
+        """Return the LANDING_TARGET in body axes, not levelled, as ArduPilot applies its own attitude."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
         return mavlink.MAVLink_landing_target_message(
             time_usec=t_ns // 1000, target_num=0, frame=mavlink.MAV_FRAME_BODY_FRD, angle_x=math.atan2(y, z),
@@ -133,7 +138,7 @@ class ArduPilotFirmware(Firmware):
 
 
 class Px4Firmware(Firmware):
-    """PX4's multicopter. LAND is AUTO.LAND, not its precision landing, which climbs and searches without reports."""
+    """PX4's multicopter. LAND is AUTO.LAND, as the precision landing climbs and searches without reports."""
 
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
@@ -143,7 +148,7 @@ class Px4Firmware(Firmware):
         (FlightMode.TAKE_OFF, FlightMode.HOLD): False,
         (FlightMode.LAND, FlightMode.HOLD): True,
     }
-    high_site = 4.0  # it slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
+    high_site = 4.0  # LAND slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
     modes: Mapping[str, FlightMode] = {
         "OFFBOARD": FlightMode.GUIDED,
         "AUTO.MISSION": FlightMode.MISSION,
@@ -165,18 +170,18 @@ class Px4Firmware(Firmware):
     _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
 
     def mode_name(self, custom_mode: int) -> str:
-        """Main mode in the third byte, sub-mode in the fourth."""
+        """Return PX4's name of the mode: main mode in the third byte of `custom_mode`, sub-mode in the fourth."""
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         name = self._main[main] if main < len(self._main) else str(main)
         return f"AUTO.{self._auto[sub] if sub < len(self._auto) else sub}" if name == "AUTO" else name
 
     def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Above sea level; NaN keeps the place and the heading of the vehicle."""
+        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF: NaN (keep heading and position), altitude above the sea."""
         home = telemetry.home or telemetry.place
         return (math.nan, math.nan, math.nan, math.nan if home is None else home.altitude_msl + height)
 
     def reach(self, speed: float, upright: bool) -> float:
-        """Its speed is the distance times MPC_XY_P; that of the height, MPC_Z_P, is 1.0."""
+        """Return the distance, m: PX4 flies at MPC_XY_P (0.95/s) times the distance, or MPC_Z_P (1.0/s)."""
         return speed / 0.95
 
 

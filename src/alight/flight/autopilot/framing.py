@@ -1,4 +1,4 @@
-"""Bytes to messages and back. A damaged message is lost, but no message after it."""
+"""Conversion between bytes and messages. A damaged message is lost, but no message after it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ _MARKER = re.compile(bytes([mavlink.PROTOCOL_MARKER_V1]) + b"|" + bytes([mavlink
 
 
 class ReceivedMessage(NamedTuple):
-    """A message with its sender, and two flags that mark one overtaken by newer messages."""
+    """A received message with its sender, and two flags that mark a message overtaken by newer messages."""
 
     message: Any
     name: str
     system: int
     component: int
-    late: bool  # overtaken by a newer one of its own kind: of no use as a state
-    overtaken: bool  # by a newer one of any kind
+    late: bool  # overtaken by a newer message of its kind: not usable as a state
+    overtaken: bool  # overtaken by a newer message of any kind
 
 
 class _Sequence:
-    """Sequence numbers of one sender, unwrapped."""
-
     def __init__(self) -> None:
         self._newest: int | None = None
         self._newest_ns = 0
@@ -32,16 +30,15 @@ class _Sequence:
         self._recent: deque[tuple[int, str, int]] = deque(maxlen=100)  # fewer than numbers until they wrap
 
     def is_copy(self, sequence: int, name: str, checksum: int) -> bool:
-        """Remember a message; True: a copy of it is among the recent ones."""
         entry = (sequence, name, checksum)
         repeated = entry in self._recent
         self._recent.append(entry)
         return repeated
 
     def overtaken(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
-        """Sort in a message; return whether a newer one of its kind, and whether any newer one, came before it.
+        """Add a message; return whether a newer one of its kind, and whether any newer one, came before it.
 
-        After a second without a newer number, an old one is a new start.
+        After a second without a newer number, an old number is treated as a restart of the sender.
         """
         if self._newest is None or now_ns - self._newest_ns > 1_000_000_000:
             self._newest, self._newest_ns = sequence, now_ns
@@ -57,29 +54,29 @@ class _Sequence:
 
 
 class Framing:
-    """MAVLink 2 by pymavlink's packing and checksums, with a search for frames that loses no good one.
+    """Packs and decodes MAVLink 2 with pymavlink, but finds the frames itself, so that no intact message is lost.
 
-    pymavlink's own search trusts the length in a damaged header and drops whatever lies within it.
+    pymavlink's own search trusts the length in a damaged header, and drops whatever lies within that length.
     """
 
     def __init__(self, system: int, component: int) -> None:
-        self.messages = 0  # received since the link was opened
+        self.messages = 0  # number received since the link was opened
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         self._buffer = bytearray()
         self._senders: dict[tuple[int, int], _Sequence] = {}
 
     def set_sender(self, system: int, component: int) -> None:
-        """Send with another address from now on."""
+        """Set the address from which messages are sent."""
         self._mavlink.srcSystem, self._mavlink.srcComponent = system, component
 
     def encode(self, message: Any) -> bytes:
-        """Pack a message with the next sequence number."""
+        """Return the bytes of a message with the next sequence number."""
         data = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return data
 
     def decode(self, data: bytes, now_ns: int) -> list[ReceivedMessage]:
-        """Take bytes as they come, in pieces of any length; return the whole messages, without copies."""
+        """Process received bytes, in pieces of any length; return the complete messages, without repeated ones."""
         self._buffer += data
         out = []
         while (message := self._next()) is not None:
@@ -92,20 +89,19 @@ class Framing:
         return out
 
     def _next(self) -> Any | None:
-        """The next message, removed from the buffer; None: no whole one is there. A false marker costs one byte."""
+        """Remove the next message from the buffer and return it; None: the buffer has no complete message."""
         while (marker := _MARKER.search(self._buffer)) is not None:
             del self._buffer[: marker.start()]
             if len(self._buffer) < 3 or len(self._buffer) < (length := self._frame_length()):
                 return None
             message = self._parsed(self._buffer[:length])
-            del self._buffer[: 1 if message is None else length]
+            del self._buffer[: 1 if message is None else length]  # a false marker costs one byte
             if message is not None:
                 return message
         self._buffer.clear()
         return None
 
     def _frame_length(self) -> int:
-        """Length in bytes of the frame that the buffer seems to start with: header, payload, checksum, signature."""
         version, payload, flags = self._buffer[:3]
         if version == mavlink.PROTOCOL_MARKER_V1:
             return int(mavlink.HEADER_LEN_V1) + payload + 2
@@ -113,7 +109,7 @@ class Framing:
         return int(mavlink.HEADER_LEN_V2) + payload + 2 + int(signature)
 
     def _parsed(self, frame: bytearray) -> Any | None:
-        """The message of a frame; None: it is damaged, or unknown, so that its checksum cannot be tested."""
+        """Return the message of a frame; None: it is damaged, or unknown, so that its checksum cannot be tested."""
         if frame[0] == mavlink.PROTOCOL_MARKER_V2 and frame[2] & ~mavlink.MAVLINK_IFLAG_SIGNED:
             return None
         try:

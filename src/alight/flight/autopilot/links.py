@@ -1,4 +1,4 @@
-"""Links to an autopilot: UDP, TCP and serial by name. They wait no longer than a time-out, and reopen after a break."""
+"""Links to an autopilot by name: UDP, TCP and serial. Reading has a time-out; a broken link is opened again."""
 
 from __future__ import annotations
 
@@ -33,24 +33,25 @@ NAMES = (
 
 
 class Port(Protocol):
-    """An open socket or serial port; `send` does not wait (BlockingIOError: it is full). All may raise OSError."""
+    """An open socket or serial port. `send` never waits (BlockingIOError: it is full). Methods may raise OSError."""
 
     def fileno(self) -> int: ...
-    def receive(self) -> list[bytes]: ...  # one entry a datagram or chunk
+    def receive(self) -> list[bytes]: ...  # one entry per datagram or chunk
     def send(self, data: bytes) -> None: ...
     def close(self) -> None: ...
 
 
 class Link:
-    """Bytes in and out. A broken link is opened again by itself; `broken` holds the reason while it is not open.
+    """Sends and receives bytes. A broken link is opened again; until then `broken` holds the reason.
 
-    One thread reads, and it alone reopens a broken link: no other thread closes a socket that it waits on, except by
-    `close` at the end. Any thread may write.
+    One thread reads, and only this thread reopens a broken link. So no other thread closes a socket that the reader
+    waits on, except by `close` at the end. Any thread may write.
 
     Args:
-        connect: opens its port, for the first time and after a break; raises OSError.
-        patient: a connection that is refused at first is tried again later.
-        retry: s between attempts to open a broken link.
+        name: name of the link, for messages.
+        connect: opens the port, at first and after a break; raises OSError.
+        patient: whether a connection that is refused at first is tried again later.
+        retry: seconds between attempts to open a broken link.
     """
 
     def __init__(self, name: str, connect: Callable[[], Port], patient: bool = False, retry: float = 1.0) -> None:
@@ -67,7 +68,7 @@ class Link:
             self._wait(e)
 
     def read(self, timeout: float = 0.0) -> list[bytes]:
-        """Return the received bytes, one entry a datagram or chunk; wait for them at most `timeout` seconds."""
+        """Return the received bytes, one entry per datagram or chunk; wait for them at most `timeout` seconds."""
         if self.broken and not self._reopened():
             time.sleep(min(timeout, self._retry))
             return []
@@ -80,7 +81,7 @@ class Link:
             return []
 
     def write(self, data: bytes) -> bool:
-        """Send; False: the link is broken or full, and the bytes are lost (the protocol sends again)."""
+        """Send bytes; return False if the link is broken or full and the bytes are lost (the protocol repeats them)."""
         if self.broken:  # do not wait: to open it again may take a second
             return False
         with self._lock:
@@ -95,7 +96,7 @@ class Link:
         return True
 
     def close(self) -> None:
-        """Close the socket or the port for good."""
+        """Close the link for good."""
         self._closed = True
         self._let_go()
 
@@ -110,7 +111,6 @@ class Link:
         self._wait(error)
 
     def _wait(self, error: Exception) -> None:
-        """Note the reason why it is not open, and the time of the next attempt."""
         self.broken = str(error) or type(error).__name__
         self._again = time.monotonic() + self._retry
 
@@ -132,13 +132,13 @@ class Link:
 
 
 class _UdpPort:
-    """Datagrams. A listening port answers every sender of the last ten seconds; another one writes to one address."""
+    """A UDP socket. If it listens, it answers all senders of the last ten seconds; else it writes to one address."""
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.fileno, self.close = self._socket.fileno, self._socket.close
-        self._listen, self._peers = listen, dict[Any, float]()  # s, their newest datagram
+        self._listen, self._peers = listen, dict[Any, float]()  # s, newest datagram by sender
         try:
             self._address = (host if listen else socket.gethostbyname(host), port)
             if listen:
@@ -165,7 +165,7 @@ class _UdpPort:
 
 
 class _StreamPort:
-    """Bytes in order. The rest of a message that was sent in part goes first; until then no other message is sent."""
+    """A byte stream. The rest of a message that was sent in part goes first; until then, nothing else is sent."""
 
     def __init__(self, port: Any, receive: Callable[[int], bytes], send: Callable[[bytes], int], gone: str) -> None:
         self._port, self._receive, self._send, self._gone = port, receive, send, gone
@@ -194,10 +194,7 @@ class _StreamPort:
 
 
 class _TcpServer:
-    """A server (ArduPilot's SITL, a telemetry bridge), whose name is resolved once: its name server may be lost, too.
-
-    Nobody listens to the link while it is connected, so an attempt takes two seconds at first and half a second later.
-    """
+    """Connects to a TCP server. Its name is resolved only once, as the name server may be lost, too."""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
@@ -208,13 +205,13 @@ class _TcpServer:
         if first:
             found = socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM)
             self._resolved = list(dict.fromkeys((str(a[4][0]), int(a[4][1])) for a in found))
-        opened = self._connected(2.0 if first else 0.5)
+        opened = self._connected(2.0 if first else 0.5)  # s; nobody reads the link meanwhile
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         opened.setblocking(False)
         return _StreamPort(opened, opened.recv, opened.send, "the other side has closed the connection")
 
     def _connected(self, timeout: float) -> socket.socket:
-        """Connect to the first address that answers, the only one from then on; all of them share the time-out."""
+        """Connect to the first address that answers, within `timeout` in all; later only that address is used."""
         error: OSError | None = None
         for address in self._resolved:
             try:
@@ -228,10 +225,7 @@ class _TcpServer:
 
 
 def _serial_port(device: str, baud: int) -> Port:
-    """Open a serial port, as a telemetry radio or the autopilot's own USB.
-
-    It is written by the system call: pyserial's write without a time-out tries again until there is room.
-    """
+    """Open a serial port; it is written by the system call, as pyserial's write waits until there is room."""
     try:
         import serial
     except ImportError as e:
@@ -244,7 +238,6 @@ def _serial_port(device: str, baud: int) -> Port:
 
 
 def _connector(name: str) -> Callable[[], Port]:
-    """How to open a link by its name."""
     kind, _, rest = name.partition(":")
     where, _, number = rest.rpartition(":")
     is_complete = bool(where) and number.isdigit()
@@ -262,12 +255,12 @@ def open_link(name: str, patient: bool = False, retry: float = 1.0) -> Link:
 
     Args:
         name: `udp:0.0.0.0:14550`, `udpout:192.168.1.10:14555`, `tcp:127.0.0.1:5760` or `serial:/dev/ttyACM0:57600`.
-        patient: try a TCP server that does not answer yet again and again, like a broken link.
-        retry: s between attempts to open a broken link.
+        patient: whether to retry a TCP server that does not answer yet, like a broken link.
+        retry: seconds between attempts to open a broken link.
 
     Raises:
         InputError: the name is malformed, or there is no such host or device.
-        OutputError: the port is taken, or there is no permission for it.
+        OutputError: the port is in use, or there is no permission for it.
         MissingExtraError: pyserial is not installed.
     """
     try:

@@ -1,4 +1,4 @@
-"""The autopilot's reported positions: those that the vehicle can have reached, for half a minute."""
+"""The autopilot's reported positions of the last half minute, without positions that cannot have been reached."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from alight.records import Place
 from alight.records.telemetry import HIGHEST
 
 _KEPT = 300  # positions
-_CARRIED_NS = 1_500_000_000  # extrapolation of a report by its velocity, where reports are late or few
-_BACK_NS = 400_000_000  # before a report
-_NO_SPEED = np.iinfo(np.int16).max  # where it is not filled
+_CARRIED_NS = 1_500_000_000  # longest extrapolation of a report, where reports are late or few
+_BACK_NS = 400_000_000  # longest extrapolation backwards, before a report
+_NO_SPEED = np.iinfo(np.int16).max  # value of a speed that is not set
 _stamp = attrgetter("boot_ns")
 
 
 @dataclass(frozen=True, eq=False)
 class PositionReport:
-    """GLOBAL_POSITION_INT."""
+    """Position and velocity of one GLOBAL_POSITION_INT."""
 
     boot_ns: int  # the autopilot's clock
     place: Place
     velocity_ned: F64  # (3,) m/s
 
     def at(self, boot_ns: int) -> Place:
-        """Return the place extrapolated by its velocity to another instant of the autopilot's clock."""
+        """Return the position at another instant of the autopilot's clock, extrapolated by the velocity."""
         north, east, down = self.velocity_ned * ((boot_ns - self.boot_ns) * 1e-9)
         return shifted(self.place, north / METRES_PER_DEGREE, east / metres_per_degree_east(self.place), -down)
 
     def can_precede(self, new: PositionReport) -> bool:
-        """True if the vehicle can have flown from here to the place of a new report."""
-        dt = min(abs(new.boot_ns - self.boot_ns) * 1e-9, 60.0)  # s: an older report limits the places no further
+        """Whether the vehicle can have flown from this position to the position of a new report."""
+        dt = min(abs(new.boot_ns - self.boot_ns) * 1e-9, 60.0)  # s: an older report limits the positions no further
         speed = max(float(np.linalg.norm(self.velocity_ned)), 30.0)  # m/s
         error = 55.0  # m, of a report, plus the correction of an estimator
         return metres_between(self.at(self.boot_ns + round(dt * 1e9)), new.place) <= error + speed * dt
 
 
 def place_of(latitude: int, longitude: int, altitude: int, above_home: int) -> Place | None:
-    """Return a place of MAVLink's integers, 1e-7 degrees and mm; None: they are no place, or not filled.
+    """Return the position of MAVLink's integers, in 1e-7 degrees and mm; None: they are impossible or not set.
 
-    A latitude and longitude of exactly 0 are sent while the position is unknown.
+    Latitude and longitude of exactly 0 are sent while the position is unknown.
     """
     off_earth = abs(latitude) > 90e7 or abs(longitude) > 180e7 or max(abs(altitude), abs(above_home)) > HIGHEST * 1e3
     if off_earth or (latitude == 0 and longitude == 0):
@@ -58,7 +58,7 @@ def place_of(latitude: int, longitude: int, altitude: int, above_home: int) -> P
 
 
 def report_of(m: Any) -> PositionReport | None:
-    """Return a GLOBAL_POSITION_INT as a report; None: its numbers are impossible or not filled."""
+    """Return the report of a GLOBAL_POSITION_INT; None: its values are impossible or not set."""
     place, speeds = place_of(m.lat, m.lon, m.alt, m.relative_alt), (m.vx, m.vy, m.vz)
     if place is None or max(map(abs, speeds)) >= _NO_SPEED:
         return None
@@ -66,33 +66,33 @@ def report_of(m: Any) -> PositionReport | None:
 
 
 class PositionLog:
-    """Accepted reports in order of time.
+    """Accepted position reports in order of time.
 
     A report is accepted if the vehicle can have flown there. After a jump, reports are accepted once they have agreed
-    for a second: an estimator may begin anew somewhere else, and must not be rejected for ever.
+    with each other for a second: an estimator may restart elsewhere, and must not be rejected forever.
     """
 
     def __init__(self) -> None:
         self._reports: list[PositionReport] = []
-        self._arrivals: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # our clock, and the autopilot's stamp
-        self._newest: PositionReport | None = None  # accepted last
-        self._doubted: PositionReport | None = None  # the newest after a jump
-        self._doubted_since_ns = 0  # the first one that it agrees with
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # our clock, and the autopilot's stamp, ns
+        self._newest: PositionReport | None = None  # report accepted last
+        self._doubted: PositionReport | None = None  # newest report after a jump
+        self._doubted_since_ns = 0  # stamp of the first report that it agrees with
 
     @property
     def doubted(self) -> bool:
-        """True if the newest reports contradict the accepted ones."""
+        """Whether the newest reports contradict the accepted reports."""
         return self._doubted is not None
 
     def add(self, report: PositionReport, now_ns: int) -> bool:
-        """Take a report that came at `now_ns` of our clock; False: it is not accepted."""
+        """Process a report that came at `now_ns` of our clock; return whether it is accepted."""
         if self._newest is not None and not self._newest.can_precede(report):
             if self._doubted is None or not self._doubted.can_precede(report):
                 self._doubted_since_ns = report.boot_ns
             self._doubted = report
             if report.boot_ns - self._doubted_since_ns < 1_000_000_000:
                 return False
-            self._reports.clear()  # they are of another estimate
+            self._reports.clear()  # they belong to another estimate
         self._newest, self._doubted = report, None
         insort(self._reports, report, key=_stamp)  # the link may reorder them
         del self._reports[:-_KEPT]
@@ -100,9 +100,9 @@ class PositionLog:
         return True
 
     def at(self, boot_ns: int) -> Place | None:
-        """Return the position at an instant of the autopilot's clock, extrapolated by the nearest report's velocity.
+        """Return the position at an instant of the autopilot's clock, extrapolated from the nearest report.
 
-        None: too far from every report, or the newest ones contradict the accepted ones.
+        None: no report is near that instant, or the newest reports contradict the accepted reports.
         """
         after = bisect_left(self._reports, boot_ns, key=_stamp)
         beside = self._reports[max(after - 1, 0) : after + 1]
@@ -112,14 +112,14 @@ class PositionLog:
         return min(near, key=lambda report: abs(report.boot_ns - boot_ns)).at(boot_ns)
 
     def age(self, boot_ns: int) -> float:
-        """Seconds from the newest report to an instant of the autopilot's clock; inf: there is none."""
+        """Return the seconds from the newest report to an instant of the autopilot's clock; inf: no report."""
         return (boot_ns - self._reports[-1].boot_ns) * 1e-9 if self._reports else math.inf
 
     def oldest(self, now_ns: int, clock: VehicleClock) -> float:
-        """Greatest age of the newest report during the last five seconds, in seconds; inf: there is none.
+        """Return the greatest age that the newest report had during the last five seconds, in seconds; inf: no report.
 
         Args:
-            clock: the autopilot's, known.
+            clock: the autopilot's clock, which must be known.
         """
         recent = [a for a in self._arrivals if now_ns - a[0] <= 5_000_000_000]
         ends = [*(later[0] for _, later in pairwise(recent)), now_ns]

@@ -22,27 +22,27 @@ from alight.flight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
-_FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a new start
+_FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a reboot
 
 
 class StatusText(NamedTuple):
-    """A text, and whether it is mere information."""
+    """A text of the autopilot; `ok` is False for errors."""
 
     text: str
     ok: bool
 
 
 class TextJoiner:
-    """Joins the pieces of one text, which carry one number. Lost pieces are left out."""
+    """Joins the pieces of a long text, which carry the same number. Lost pieces are skipped."""
 
     def __init__(self) -> None:
-        self._number = self._next = self._since_ns = 0  # of the text that is being joined, of its next piece
+        self._number = self._next = self._since_ns = 0  # number of the text that is joined, and of its next piece
         self._pieces: list[StatusText] = []
 
     def add(self, message: Any, now_ns: int) -> list[StatusText]:
-        """Take a STATUSTEXT; return the texts that it completes: one, two, or none if a piece is to come.
+        """Process a STATUSTEXT; return the texts that it completes: none, one or two.
 
-        A piece of less than 50 characters is the last one.
+        A piece of less than 50 characters is the last piece of its text.
         """
         over = self._joined() if message.id != self._number else []
         if self._pieces and message.chunk_seq < self._next:
@@ -52,7 +52,7 @@ class TextJoiner:
         return over + (self._joined() if not message.id or len(message.text) < 50 else [])
 
     def overdue(self, now_ns: int) -> list[StatusText]:
-        """Return the text whose next piece does not come within a second, as far as it came."""
+        """Return the incomplete text whose next piece has not come within a second, else an empty list."""
         return self._joined() if now_ns - self._since_ns > 1_000_000_000 else []
 
     def _joined(self) -> list[StatusText]:
@@ -64,18 +64,17 @@ class Displacement(NamedTuple):
     """Displacement of a vehicle by the autopilot's own estimate."""
 
     vector: F64 | None  # (3,) metres; None: unknown, as its positions are late or have jumped
-    jumped: bool = False  # they contradict each other
+    jumped: bool = False  # whether the positions contradict each other
 
 
 class RemoteVehicle:
-    """A vehicle on the link; `Autopilot` makes it.
+    """A vehicle on the link, made by `Autopilot`.
 
-    Every order returns a ticket at once. Its outcome comes later as a notice with this ticket.
-    `set_mode` and `take_off` take control. After a takeover, no message that moves the vehicle is sent until one of
-    them is called again.
+    Commands return a ticket at once; the outcome comes later as a notice with this ticket. `set_mode` and `take_off`
+    take control. After a takeover, no message that moves the vehicle is sent until one of these is called again.
 
     Args:
-        rates: Hz of further streams, or other rates of the firmware's; 0: not requested.
+        rates: Hz of further streams, or non-default rates of default streams, by message; 0: not requested.
     """
 
     def __init__(
@@ -92,49 +91,49 @@ class RemoteVehicle:
         self._streams = StreamKeeper(wanted, self._commands)
         self._guidance = Guidance(firmware, address, send, self._commands)
         self._now_ns = 0
-        self.starts = 1  # counted up by each reboot
+        self.starts = 1  # number of the autopilot's boots so far
 
     # reports
 
     @property
     def telemetry(self) -> Telemetry:
-        """The newest report of everything received from the vehicle; it does not change later."""
+        """Snapshot of everything received from the vehicle so far."""
         return self._state.telemetry(self._now_ns)
 
     @property
     def alive(self) -> bool:
-        """True if its heartbeat comes, and a thread listens for it."""
+        """Whether heartbeats come, and a thread listens for them."""
         return self._link.alive
 
     @property
     def in_control(self) -> bool:
-        """True from our first order to a takeover: we fly."""
+        """Whether we are in control: from our first order to a takeover."""
         return self._control.in_control
 
     def place_at(self, t_ns: int) -> Place | None:
         """Return the autopilot's estimate of its position at an instant of our clock, extrapolated by its velocity.
 
-        None: no report near that instant, its reports have jumped, or the clocks are not tied.
+        None: no report is near that instant, the reports have jumped, or the clocks are not tied.
         """
         return self._state.positions.at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
 
     @property
     def place_jumped(self) -> bool:
-        """True if its newest positions contradict the accepted ones."""
+        """Whether the newest positions contradict the accepted positions."""
         return self._state.positions.doubted
 
     @property
     def place_age(self) -> float:
-        """Age of its newest position, seconds; inf: there is none."""
+        """Age of the newest position, seconds; inf: no position."""
         return self._state.positions.age(self.clock.theirs_ns(self._now_ns)) if self.clock.known else math.inf
 
     @property
     def oldest_place(self) -> float:
-        """Greatest age of its newest position during the last five seconds, in seconds; inf: there is none."""
+        """Greatest age that the newest position had during the last five seconds, in seconds; inf: no position."""
         return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
-        """Tie our position to the autopilot's of the same instant.
+        """Tie our position to the autopilot's position at the same instant of our clock.
 
         Returns:
             The tie; None: the autopilot has no position near that instant.
@@ -143,7 +142,7 @@ class RemoteVehicle:
         return None if place is None else EstimateTie(local, position_world, place)
 
     def displacement(self, local: LocalFrame, since_ns: int, now_ns: int) -> Displacement:
-        """Return its displacement between two instants of our clock, by its own estimate, in the axes of `local`."""
+        """Return the displacement between two instants of our clock by the autopilot's estimate, in axes of `local`."""
         if self.place_jumped:
             return Displacement(None, jumped=True)
         then, now = self.place_at(since_ns), self.place_at(now_ns)
@@ -157,18 +156,18 @@ class RemoteVehicle:
 
     @property
     def missing_streams(self) -> list[str]:
-        """Names of messages that were requested and do not come."""
+        """Names of requested messages that do not come."""
         return self._streams.missing(self._timeouts.t_ns)
 
     @property
     def stream_rates(self) -> dict[str, StreamRate]:
-        """Rates of the messages that come, by name."""
+        """Rates of the messages that come, by name of the message."""
         return self._streams.rates(self._timeouts.t_ns)
 
     # orders
 
     def set_mode(self, mode: FlightMode) -> int:
-        """Fly in this mode from now on; the newest order counts. Guided flight begins where the vehicle is."""
+        """Order a flight mode instead of any earlier mode; return the ticket. Guided flight begins at the vehicle."""
         number, now = mavlink.MAV_CMD_DO_SET_MODE, self._state.newest
         guided = mode is FlightMode.GUIDED
         begins = guided and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED
@@ -185,15 +184,15 @@ class RemoteVehicle:
         return self._commands.submit(f"mode {mode.value}", number, parameters, t_ns, mode=mode, wait_ns=wait_ns)
 
     def arm(self) -> int:
-        """Start the motors; refused by the autopilot while its own checks fail."""
+        """Start the motors; return the ticket. The autopilot refuses while its own checks fail."""
         return self._commands.submit("arm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), self._timeouts.t_ns)
 
     def disarm(self) -> int:
-        """Stop the motors; refused in the air."""
+        """Stop the motors; return the ticket. The autopilot refuses in the air."""
         return self._commands.submit("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), self._timeouts.t_ns)
 
     def take_off(self, height: float) -> int:
-        """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
+        """Climb to `height` metres above home (ArduPilot: in guided mode); return the ticket."""
         mode, t_ns = FlightMode.TAKE_OFF, self._timeouts.t_ns
         self._control.ordered(mode, t_ns)
         self._guidance.forget_speeds()
@@ -211,7 +210,7 @@ class RemoteVehicle:
         """Fly to a set-point (in guided mode). It is repeated if the autopilot needs that.
 
         Returns:
-            False: not sent, somebody else flies.
+            False if it is not sent, as somebody else flies.
 
         Raises:
             ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
@@ -222,15 +221,15 @@ class RemoteVehicle:
         return self._control.in_control
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
-        """Report the target of a precision landing, twenty times a second while it lands.
+        """Report the target of a precision landing; call it twenty times per second during the landing.
 
         Args:
-            t_ns: instant at which this held, our clock.
+            t_ns: instant of the relative position and attitude, our clock.
             target_world: (3,) metres from the vehicle's reference point to the target, world axes.
-            world_from_body: (3, 3) attitude of that instant.
+            world_from_body: (3, 3) attitude at that instant.
 
         Returns:
-            False: not sent; somebody else flies, or it is a PX4, whose landing uses none.
+            False if it is not sent: somebody else flies, or the autopilot (PX4) uses no targets.
         """
         sent = self.firmware.landing_target(t_ns, target_world, world_from_body) if self._control.in_control else None
         if sent is not None:
@@ -245,7 +244,7 @@ class RemoteVehicle:
     # time
 
     def tick(self, now_ns: int) -> None:
-        """Let time pass: requests, retries, set-points."""
+        """Send what is due now: requests, retries, set-points."""
         self._now_ns = now_ns
         self._timeouts.tick(now_ns)
         self._note_lost(self._link.tick(now_ns, self._timeouts.t_ns))
@@ -260,7 +259,7 @@ class RemoteVehicle:
             self._aim(self._guidance.target)
 
     def has_listener(self, now_ns: int) -> bool:
-        """As `Autopilot.has_listener`."""
+        """Whether `tick` is still called; see `Autopilot.has_listener`."""
         self._now_ns = max(now_ns, self._now_ns)  # so that the last messages grow old
         self._note_lost(self._link.check(now_ns))
         return self._link.has_ticks(now_ns)
@@ -272,7 +271,7 @@ class RemoteVehicle:
     # messages
 
     def on_message(self, received: ReceivedMessage, now_ns: int) -> bool:
-        """Take a message of the vehicle; False: it is no telemetry, not accepted, or overtaken by a newer one."""
+        """Process a message of the vehicle; return False if it is no telemetry, not accepted, or overtaken."""
         self._now_ns = max(now_ns, self._now_ns)
         m, name = received.message, received.name
         if name in ("COMMAND_ACK", "TIMESYNC", "STATUSTEXT"):
@@ -304,7 +303,6 @@ class RemoteVehicle:
             self._on_stamp(m.tc1)
 
     def _on_stamp(self, boot_ns: int) -> None:
-        """Take a stamp of the autopilot's clock, which shows if it was started again."""
         if not self._timeouts.add_stamp(boot_ns, self._now_ns):
             return
         self.starts += 1

@@ -16,17 +16,17 @@ from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.firmware import Firmware
 from alight.records import Place
 
-CLIMB = 3.0  # m/s upwards, which no set-point contains
-_SPEED_AGAIN_NS = 2_000_000_000  # until its speeds are
-Reach = Callable[[float, bool], float]  # metres, of a speed in m/s, over the ground or upright
+CLIMB = 3.0  # m/s upwards: set-points have no climb speed
+_SPEED_AGAIN_NS = 2_000_000_000  # until the speeds are sent again
+Reach = Callable[[float, bool], float]  # distance, m, by speed, m/s, and whether it is vertical
 
 
 @dataclass(frozen=True, eq=False)
 class Setpoint:
-    """A position or a velocity that the vehicle is to reach, in our world; None: left to the autopilot."""
+    """A position or a velocity in our world that the vehicle is to reach; None: left to the autopilot."""
 
     position_world: F64 | None = None  # (3,) metres
-    velocity_world: F64 | None = None  # (3,) m/s; with a position: the speed there
+    velocity_world: F64 | None = None  # (3,) m/s; with a position: the velocity there
     heading: float | None = None  # rad, clockwise from north; None: ArduPilot turns the nose towards its flight
     speed: float = math.inf  # m/s over the ground on the way to a position; inf: the autopilot's own
     sink: float = math.inf  # m/s downwards on the way to a position
@@ -34,7 +34,7 @@ class Setpoint:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A set-point in the autopilot's own estimate of position: it can be sent again and means the same."""
+    """A set-point in the autopilot's own coordinates, which means the same when it is sent again."""
 
     place: Place | None
     velocity_ned: F64 | None = None
@@ -44,10 +44,11 @@ class Target:
 
     @classmethod
     def of(cls, setpoint: Setpoint, tie: EstimateTie | None) -> Target:
-        """Tie a set-point to the autopilot's estimate.
+        """Convert a set-point to the autopilot's coordinates.
 
         Raises:
-            ValueError: it has neither position nor velocity, or a number is not finite, or a position has no tie.
+            ValueError: it has no position and no velocity, a value is not finite, a speed is not above 0, or a position
+                has no tie.
         """
         position, velocity = setpoint.position_world, setpoint.velocity_world
         given = [v for v in (position, velocity) if v is not None]
@@ -63,20 +64,21 @@ class Target:
         return cls(tie.place_of(position), velocity_ned, setpoint.heading, setpoint.speed, setpoint.sink)
 
     def near(self, here: Place, reach: Reach) -> Target:
-        """The set-point of now on the way to the same place: short, but so far that the vehicle does not slow down.
+        """Return the set-point to send now: near the vehicle, but so far ahead that the vehicle does not slow down.
 
-        An autopilot flies on to its last position after a takeover by the sticks, a lost link, or the end of this
-        program, so that one is near.
+        An autopilot flies on to its last set-point after a takeover by the sticks, a lost link, or the end of this
+        program. So the set-point is near.
 
         Args:
-            reach: distance at which the autopilot still flies at a speed.
+            here: position of the vehicle.
+            reach: returns the distance to a set-point at which the autopilot still flies at a speed.
         """
         if self.place is None:
             return self
         away = metres_between(here, replace(self.place, altitude_msl=here.altitude_msl))
         share = min(1.0, reach(self.speed, False) / max(away, 1e-6))
         way = self.place.altitude_msl - here.altitude_msl
-        higher = min(max(way, -reach(self.sink, True)), reach(CLIMB, True)) - way  # than the place, for now
+        higher = min(max(way, -reach(self.sink, True)), reach(CLIMB, True)) - way  # than the target, for now
         return replace(self, place=Place(
             here.latitude + share * (self.place.latitude - here.latitude),
             here.longitude + share * (self.place.longitude - here.longitude),
@@ -85,7 +87,7 @@ class Target:
         ))  # fmt: skip
 
     def message(self, t_ns: int, system: int, component: int) -> Any:
-        """Make the message: a place above sea level, or a velocity in the local frame."""
+        """Return the MAVLink message: a position above sea level, or a velocity in the local frame."""
         ignored = ["AX", "AY", "AZ", "YAW_RATE"]
         ignored += [] if self.place is not None else ["X", "Y", "Z"]
         ignored += [] if self.velocity_ned is not None else ["VX", "VY", "VZ"]
@@ -103,10 +105,10 @@ class Target:
 
 
 class Guidance:
-    """Sends the set-points of a target, each near the vehicle, and its speeds as commands where the firmware needs it.
+    """Sends set-points towards a target, each near the vehicle, and its speeds as commands if the firmware needs them.
 
-    ArduPilot goes back to its own speeds whenever it starts its guided controller anew (a change of mode, the end of a
-    take-off, a position after a velocity), and does not report it: they are sent again and again.
+    ArduPilot resets its speeds whenever its guided controller restarts (a change of mode, the end of a take-off, a
+    position after a velocity), and does not report this. So the speeds are sent again and again.
     """
 
     def __init__(
@@ -114,14 +116,18 @@ class Guidance:
     ) -> None:
         self._firmware, self._address, self._send, self._commands = firmware, address, send, commands
         self.target: Target | None = None
-        self._ahead: Target | None = None  # on the way to it, as it was sent last
-        self._sent_ns = self.since_ns = 0  # the newest set-point; since when they have been sent without a pause
+        self._ahead: Target | None = None  # set-point sent last, on the way to the target
+        self._sent_ns = self.since_ns = 0  # newest set-point; since when they are sent without a pause
         self._speeds, self._speeds_ns = (math.inf, math.inf), -_SPEED_AGAIN_NS
-        self._tickets: set[int] = set()  # of speeds
+        self._tickets: set[int] = set()  # tickets of the commands of speeds
         self._refused = False
 
     def aim(self, target: Target, here: Place | None, now_ns: int) -> None:
-        """Send a set-point near the vehicle towards a target; without its place, the last one again, or the target."""
+        """Send a set-point towards a target, near the vehicle.
+
+        Args:
+            here: position of the vehicle; None: unknown, so the last set-point is sent again, or the target.
+        """
         if self.target is None:
             self.since_ns, self._ahead = now_ns, None
         elif (target.place is None) is not (self.target.place is None):
@@ -130,20 +136,20 @@ class Guidance:
         if here is not None:
             self._ahead = target.near(here, self._firmware.reach)
         elif target.place is None or self._ahead is None or self._ahead.place is None:
-            self._ahead = target  # else the last one again while the place is unknown: the whole way is too far
+            self._ahead = target  # else the last one again while the position is unknown: the target is too far
         self._send(self._ahead.message(now_ns, *self._address))
 
     def is_due(self, now_ns: int) -> bool:
-        """True if the set-point must be sent again: five times a second, where the firmware needs that."""
+        """Whether the set-point must be sent again: at 5 Hz if the firmware needs that."""
         repeated = self.target is not None and self._firmware.repeats_setpoints
         return repeated and now_ns - self._sent_ns >= 200_000_000
 
     def forget_speeds(self) -> None:
-        """Send the speeds again with the next set-point, as the controller was started anew."""
+        """Send the speeds again with the next set-point, as the controller was restarted."""
         self._speeds_ns = -_SPEED_AGAIN_NS
 
     def keep_speeds(self, t_ns: int) -> None:
-        """Send the speeds of the target, if they are new or were sent a while ago; infinite: the autopilot's own."""
+        """Send the speeds of the target if they are new or were sent a while ago; infinite speeds are not sent."""
         if self.target is None or not self._firmware.takes_speeds:
             return
         speeds, number = (self.target.speed, self.target.sink), mavlink.MAV_CMD_DO_CHANGE_SPEED
@@ -157,7 +163,10 @@ class Guidance:
                 self._tickets.add(self._commands.submit("speed", number, (kind, speed, -1.0), t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:
-        """Take an answer; True: it is one to a speed and not the first refusal, so that it need not be reported."""
+        """Process an answer; return whether it is to a speed command and need not be reported.
+
+        Only the first refusal is reported.
+        """
         if ticket not in self._tickets:
             return False
         self._tickets.discard(ticket)

@@ -1,4 +1,4 @@
-"""Streams: requested message by message, and again whenever one stops or becomes slow.
+"""Streams: each message is requested by name, and again whenever it stops or becomes slow.
 
 A ground station on the same link may request other rates; ArduPilot obeys the newest request.
 """
@@ -13,20 +13,20 @@ from typing import NamedTuple
 from alight.flight.autopilot.commands import CommandQueue
 from alight.flight.autopilot.dialect import mavlink
 
-_PATIENCE_NS = 2_000_000_000  # a stream counts as stopped after this and three of its periods
-_SUBSTITUTES = {"HIGHRES_IMU": "RAW_IMU"}  # of ArduPilot's small boards and older versions
+_PATIENCE_NS = 2_000_000_000  # a stream is treated as stopped after this and three of its periods
+_SUBSTITUTES = {"HIGHRES_IMU": "RAW_IMU"}  # for ArduPilot's small boards and older versions
 _FIRST_NS, _LONGEST_NS = 3_000_000_000, 60_000_000_000  # between two requests for a stream that does not come
 
 
 class StreamRate(NamedTuple):
-    """Messages a second."""
+    """Measured and wanted rate of one message, Hz."""
 
     measured: float  # NaN: not counted yet
     wanted: float
 
     @property
     def slow(self) -> bool:
-        """True if so few come that they are requested again; a link that loses and reorders halves the rate."""
+        """Whether the rate is below 30 % of the wanted rate; loss and reordering on a link only halve it."""
         return self.measured < 0.3 * self.wanted
 
 
@@ -36,7 +36,7 @@ class _Stream:
     received_ns: float = -math.inf
     requested_ns: int | None = None
     wait_ns: int = _FIRST_NS
-    begin_ns: int | None = None  # of the count
+    begin_ns: int | None = None  # start of the count
     count: int = 0  # messages after the one at `begin_ns`
     measured: float = math.nan  # Hz, of the newest full count
 
@@ -57,18 +57,16 @@ class _Stream:
             self.wait_ns = self.wait_ns if self.rates.slow else _FIRST_NS
 
     def is_missing(self, t_ns: int) -> bool:
-        """True if it has not come yet, or comes no more."""
         return t_ns - self.received_ns > _PATIENCE_NS + 3e9 / self.rate
 
     def is_due(self, t_ns: int) -> bool:
-        """True if it must be requested now."""
         if self.requested_ns is None:
             return True
         return (self.is_missing(t_ns) or self.rates.slow) and t_ns - self.requested_ns > self.wait_ns
 
 
 class StreamKeeper:
-    """Keeps the streams of a vehicle flowing (it sends only requested messages, and forgets requests at a reboot)."""
+    """Keeps streams flowing: a vehicle sends only requested messages, and forgets the requests at a reboot."""
 
     def __init__(self, rates: Mapping[str, float], commands: CommandQueue) -> None:
         self._streams = {name: _Stream(rate) for name, rate in rates.items()}
@@ -81,14 +79,14 @@ class StreamKeeper:
         self._tickets.clear()
 
     def on_message(self, name: str, t_ns: int) -> None:
-        """Note that a message has come, of a stream or not."""
+        """Note that a message has come; a message that was not requested has no effect."""
         if name in self._streams:
             self._streams[name].on_message(t_ns)
 
     def on_answer(self, ticket: int, refused: bool) -> bool:
-        """Take an answer; False: it belongs to no request for a stream.
+        """Process an answer; return whether it belongs to a request for a stream.
 
-        A message that the autopilot does not have is replaced by one of the same content, if there is one.
+        A message that the autopilot refuses is replaced by a message with the same content, if there is one.
         """
         name = self._tickets.pop(ticket, None)
         other = _SUBSTITUTES.get(name or "")
@@ -109,9 +107,9 @@ class StreamKeeper:
                 self._tickets[ticket] = name
 
     def missing(self, t_ns: int) -> list[str]:
-        """Return the names of the messages that were requested and have not come, or come no more."""
+        """Return the names of requested messages that have not come, or no longer come."""
         return [n for n, s in self._streams.items() if s.is_missing(t_ns)]
 
     def rates(self, t_ns: int) -> dict[str, StreamRate]:
-        """Return the rates of the messages that come, by name."""
+        """Return the rates of the messages that come, by name of the message."""
         return {n: s.rates for n, s in self._streams.items() if not s.is_missing(t_ns)}

@@ -18,8 +18,8 @@ from alight.flight.autopilot.vehicle_state import attitude_of, gps_quality
 from alight.geometry import LocalFrame, slerp, so3_exp
 from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, is_absolute
 
-_GAP_NS = 300_000_000  # between two attitudes, at most, to turn from one to the other
-_REACH_NS = 100_000_000  # from an attitude, at most, to turn on at its rate
+_GAP_NS = 300_000_000  # longest interval between two attitudes that is interpolated
+_REACH_NS = 100_000_000  # longest extrapolation of an attitude by its rates
 IMU_UNITS = {  # units of the rates, rad/s, and of the force, m/s^2; the best first
     "HIGHRES_IMU": (1.0, 1.0),
     "RAW_IMU": (milli, milli * g),
@@ -35,38 +35,37 @@ class _Attitude:
 
 
 class TelemetryEvents:
-    """Rows of GPS/INS from the autopilot's own solution, with its receiver's accuracies, on our clock.
+    """Makes GPS/INS rows from the autopilot's own solution, and IMU samples, on our clock.
 
-    A row is made for each GLOBAL_POSITION_INT with the attitude of the same instant, interpolated. It leaves as soon as
-    an attitude of a later instant has come. HIGHRES_IMU, RAW_IMU (as ArduPilot scales it) or SCALED_IMU become IMU
-    samples: the first of these that comes, as the others repeat it with less. No sample is given out before TIMESYNC
-    has tied the clocks.
+    A row is made for each GLOBAL_POSITION_INT, with the attitude interpolated to the same instant and the receiver's
+    accuracies. It is returned once a later attitude has come. IMU samples are made from the best of HIGHRES_IMU,
+    RAW_IMU (as ArduPilot scales it) and SCALED_IMU. No sample is returned before TIMESYNC has tied the clocks.
 
     Args:
-        local: the world; None: made at the first good position.
-        separation: metres, ellipsoid minus sea level; None: the receiver's (`alt_ellipsoid`). MAVLink's
-            altitudes are above sea level, and without either no position is given out.
+        local: the world frame; None: made at the first good position.
+        separation: ellipsoidal height minus altitude above the sea, metres; None: as reported by the receiver
+            (`alt_ellipsoid`). If it is unknown, rows have no position, as MAVLink's altitudes are above sea level.
     """
 
     def __init__(self, local: LocalFrame | None = None, separation: float | None = None) -> None:
         self.local = local
         self._given_separation = math.nan if separation is None else separation
         self._attitudes: deque[_Attitude] = deque(maxlen=10)
-        self._waiting: deque[Any] = deque()  # GLOBAL_POSITION_INT, of which 20 wait for an attitude
+        self._waiting: deque[Any] = deque()  # GLOBAL_POSITION_INT; up to 20 wait for an attitude
         self.restart(1)
 
     def restart(self, starts: int) -> None:
-        """Begin anew after a restart of the autopilot, whose starts are counted; the world stays."""
-        self.starts = starts  # number of the autopilot's start that these events belong to
+        """Begin anew after a reboot of the autopilot, but keep the world; `starts` is the number of boots so far."""
+        self.starts = starts  # number of the autopilot's boot that these events belong to
         self._gps: GpsQuality | None = None
         self._flags: int | None = None
-        self._imu_rank = len(IMU_UNITS)  # of the best kind that has come
+        self._imu_rank = len(IMU_UNITS)  # rank of the best IMU message that has come
         self._attitudes.clear()
         self._waiting.clear()
 
     @property
     def missing(self) -> str:
-        """Reason why no position is given out; empty: nothing is missing."""
+        """Reason why GPS/INS rows have no position, in words; empty: they have one."""
         if self._gps is None or self._gps.fix < FIX_3D:
             return "the autopilot's GPS has no 3D fix"
         if self._flags is not None and not is_absolute(self._flags):
@@ -81,7 +80,7 @@ class TelemetryEvents:
         return given if not math.isnan(given) else math.nan if gps is None else gps.separation
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> list[NavSample | ImuSample]:
-        """Take a message of the vehicle; return the samples that are complete now, in order."""
+        """Process a message of the vehicle; return the samples that are now complete, in order of time."""
         if name == "GPS_RAW_INT":
             self._gps = gps_quality(message)
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
@@ -100,7 +99,6 @@ class TelemetryEvents:
             self._attitudes.append(_Attitude(boot_ns, world_from_body, rates))
 
     def _imu(self, name: str, m: Any, clock: VehicleClock) -> list[ImuSample]:
-        """The sample of a message, if it is one of the best kind that comes."""
         rank = list(IMU_UNITS).index(name) if name in IMU_UNITS else len(IMU_UNITS)
         if rank == len(IMU_UNITS) or rank > self._imu_rank:
             return []
@@ -158,6 +156,5 @@ class TelemetryEvents:
 
 
 def _sigmas(horizontal: float, vertical: float) -> F64 | None:
-    """Sigmas (3,) of east, north, up, in the unit given; None: not reported."""
     known = np.isfinite([horizontal, vertical]).all()
     return np.array([horizontal, horizontal, vertical]) if known else None

@@ -18,13 +18,13 @@ from alight.records import PRE_ARM, Battery, GpsQuality, Landed, Telemetry
 
 
 def boot_time_ns(message: Any) -> int | None:
-    """Stamp of a message on the autopilot's clock, ns; None: the message has none."""
+    """Return the stamp of a message on the autopilot's clock, ns; None: the message has no stamp."""
     stamp = getattr(message, "time_boot_ms", None)
     return None if stamp is None else int(stamp) * 1_000_000
 
 
 def attitude_of(m: Any) -> tuple[F64 | None, F64]:
-    """Attitude (3, 3) from ATTITUDE or ATTITUDE_QUATERNION, None if it is none; and the rates (3,), rad/s, FLU."""
+    """Return the attitude (3, 3) of ATTITUDE or ATTITUDE_QUATERNION, None if invalid, and the FLU rates (3,), rad/s."""
     rates = border.flu(m.rollspeed, m.pitchspeed, m.yawspeed)
     if hasattr(m, "q1"):
         return border.world_from_body_of_quaternion([m.q1, m.q2, m.q3, m.q4]), rates
@@ -32,7 +32,7 @@ def attitude_of(m: Any) -> tuple[F64 | None, F64]:
 
 
 def gps_quality(m: Any) -> GpsQuality:
-    """Quality from GPS_RAW_INT; the accuracies are extensions of MAVLink 2, and 0 where they are not filled."""
+    """Return the quality of a GPS_RAW_INT; NaN for accuracies that are not set (extensions of MAVLink 2)."""
     return GpsQuality(
         int(m.fix_type),
         0 if m.satellites_visible == 255 else int(m.satellites_visible),
@@ -68,7 +68,7 @@ def _landed(m: Any) -> dict[str, Any]:
 
 
 def _wind(m: Any) -> dict[str, Any]:
-    """Wind of ArduPilot's WIND: the direction from which it comes, in degrees, and speeds in m/s."""
+    """Return the field of ArduPilot's WIND: direction from which the wind comes, degrees; speeds, m/s."""
     towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else math.nan
     return _wind_ned(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 
@@ -78,7 +78,7 @@ def _wind_ned(*wind_ned: float) -> dict[str, Any]:
     return {"wind_world": border.enu(*wind_ned) if known else np.full(3, math.nan)}
 
 
-_FIELDS: Mapping[str, Callable[[Any], dict[str, Any]]] = {  # of the telemetry, by the message that they are from
+_FIELDS: Mapping[str, Callable[[Any], dict[str, Any]]] = {  # fields of the telemetry, by message
     "ATTITUDE": _attitude,
     "ATTITUDE_QUATERNION": _attitude,
     "EKF_STATUS_REPORT": lambda m: {"estimator_flags": int(m.flags)},
@@ -107,19 +107,19 @@ class VehicleState:
         return replace(self.newest, ages={name: (now_ns - t) * 1e-9 for name, t in self._received_ns.items()})
 
     def is_on_ground(self, now_ns: int) -> bool:
-        """True if it stands on the ground: disarmed, or landed by its own report of the last two seconds."""
+        """Whether the vehicle is on the ground: disarmed, or landed by its report of the last two seconds."""
         reported_ns = self._received_ns.get("EXTENDED_SYS_STATE")
         recent = reported_ns is not None and now_ns - reported_ns < 2_000_000_000
         return (recent and self.newest.landed is Landed.GROUND) or not self.newest.armed
 
     def rebooted(self) -> None:
-        """Forget everything but the mode; the vehicle counts as disarmed."""
+        """Forget everything but the mode; the vehicle is treated as disarmed."""
         self.newest = replace(Telemetry(self._firmware.name), mode=self.newest.mode)
         self.positions = PositionLog()
         self.sticks = None
 
     def on_message(self, name: str, m: Any, now_ns: int) -> bool:
-        """Take a message of the vehicle that came at `now_ns` of our clock; False: it is not accepted."""
+        """Process a message of the vehicle that came at `now_ns` of our clock; return whether it is accepted."""
         self._received_ns[name] = now_ns
         boot_ns = boot_time_ns(m)
         if boot_ns is not None:
@@ -138,7 +138,7 @@ class VehicleState:
         return True
 
     def _on_position(self, m: Any, now_ns: int) -> bool:
-        """Take a position; an impossible one is ignored, and after a jump the place is unknown until reports agree."""
+        """Process a position; ignore an impossible one. After a jump the position is unknown until reports agree."""
         report = report_of(m)
         if report is None:
             return False

@@ -1,1 +1,1 @@
-"""The executive: states, events and orders to the vehicle."""
+"""The executive: states, events and orders of a landing in flight."""

@@ -1,4 +1,4 @@
-"""The way down on a place, and reasons to break it off besides a verdict on the place."""
+"""The descent onto a site, and reasons to abort it other than a refusal by a verdict."""
 
 from __future__ import annotations
 
@@ -15,46 +15,48 @@ from alight.settings import ExecutiveSettings, StageSettings
 
 
 def is_too_low_to_abort(left: float, keys: ExecutiveSettings) -> bool:
-    """True if a landing is not broken off any more, `left` metres above its place."""
+    """Whether a landing that is `left` metres above its site is too low to be aborted."""
     return left < keys.abort_height
 
 
 def is_near_ground(left: float, keys: ExecutiveSettings) -> bool:
-    """True if a landing, `left` metres above its place, outlives degraded motion and pictures that show little.
+    """Whether a landing, `left` metres above its site, goes on despite degraded motion and unusable pictures.
 
-    From 2 m above grass the whole picture sways, and counts as moving.
+    Seen from 2 m, swaying grass fills the picture and is treated as moving.
     """
     return left < keys.degraded_height
 
 
 class Descent:
-    """Orders of a landing: over the place first, then slowly down; back over it while it may still be broken off."""
+    """Orders of a landing: fly over the site, then descend slowly; return over the site if the vehicle drifts off."""
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._cruise = settings.executive, settings.route.cruise_speed
         self.begin(0.0)
 
     def begin(self, t: float) -> None:
-        """Begin a landing, at a time in seconds."""
+        """Begin a landing at the time `t`, in seconds."""
         self._begun = t
         self._taken = deque(
             [t] * self._keys.refusals_to_abort, self._keys.refusals_to_abort
-        )  # s, newest exposures of the last verdicts
-        self._flown, self._high = deque[tuple[float, float]](), 0.0  # s, and metres above the place; the most of them
-        self._low_at: float | None = None  # s, when it was first too low to break off
-        self._over = False  # the vehicle is over the place, and comes down
-        self._kept: float | None = None  # metres up, kept until it is over the place
-        self._unseen = 0  # verdicts in a row that do not see the place whole
-        self._p = deque[float](maxlen=self._keys.last_verdicts)  # P(safe) of the last ones that do
+        )  # s, the newest exposure of each of the last verdicts
+        self._flown, self._high = deque[tuple[float, float]](), 0.0  # (s, metres above the site); the greatest height
+        self._low_at: float | None = None  # s, when it was first too low to abort
+        self._over = False  # whether the vehicle is over the site and descends
+        self._kept: float | None = None  # metres up, held until the vehicle is over the site
+        self._unseen = 0  # consecutive verdicts that do not see the whole site
+        self._p = deque[float](maxlen=self._keys.last_verdicts)  # P(safe) by the last verdicts that see it
 
     def judged(self, taken: float, found: Opinion, left: float) -> bool:
-        """Take a new verdict; True: the last ones together refuse the place.
+        """Add a new verdict; return whether the last verdicts together refuse the site.
 
-        They do if several in a row see too little of it, or if it has come into doubt and stays there: one low
-        P(safe) may come from swaying grass. Near the ground neither is a reason (`is_near_ground`).
+        They refuse it if several consecutive verdicts see too little of it, or if the median of P(safe) is low. A
+        single low P(safe) may come from swaying grass. Near the ground neither is a reason (`is_near_ground`).
 
         Args:
-            taken: s, the newest exposure that the verdict holds.
+            taken: time of the newest exposure in the map of the verdict, s.
+            found: opinion of the verdict on the site.
+            left: height of the vehicle above the site, metres.
         """
         self._taken.append(taken)
         if is_near_ground(left, self._keys):
@@ -68,7 +70,7 @@ class Descent:
         return len(self._p) == self._p.maxlen and median(self._p) < self._keys.abort_median
 
     def too_long(self, t: float, left: float) -> str:
-        """Reason, in words, if the landing takes too long, or the newest verdict is too old; empty: neither."""
+        """Return the reason if the landing takes too long or the newest verdict is too old, else an empty string."""
         if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
@@ -76,15 +78,15 @@ class Descent:
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:
-        """Reason, in words, if no touchdown is reported for too long on the last metres; empty: it may still come."""
+        """Return the reason if no touchdown is reported for too long on the last metres, else an empty string."""
         waited = 0.0 if self._low_at is None else t - self._low_at
         return f"for {waited:.0f} s on the last metres" if waited > self._keys.hold else ""
 
     def _is_checked(self, left: float) -> bool:
-        """Whether the last verdicts, as many as end a landing, saw the place from `unchecked` metres above or lower.
+        """Whether the vehicle has descended less than `unchecked` metres since the oldest of the last few verdicts.
 
-        So whoever comes to the place while the vehicle is more than that above `abort_height` is seen in time, however
-        slow the verdicts are.
+        Those verdicts suffice for an abort. So an object that enters the site while the vehicle is still high is seen
+        in time, however slow the verdicts are.
         """
         first = self._taken[0]
         while len(self._flown) > 1 and self._flown[1][0] <= first:
@@ -92,22 +94,22 @@ class Descent:
         return not self._keys.look_again or self._flown[0][1] - left < self._keys.unchecked
 
     def _has_enough_verdicts(self, left: float) -> bool:
-        """True if enough verdicts to break the landing off have come, or will come on the way down."""
+        """Whether enough verdicts for an abort have come, or will come during the descent."""
         waits = left - self._keys.degraded_height < self._keys.unchecked and not is_near_ground(left, self._keys)
         return not (waits and self._keys.look_again) or len(self._p) == self._p.maxlen
 
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
-        """Return the order for now.
+        """Return the order for the situation `now`, `left` metres above the site.
 
-        It waits over the place where verdicts do not keep up with it, and from low down until there are enough of them
-        to break the landing off. If the vehicle's position in the frame of the place is not known, it sinks straight
-        down: it is too low to break off.
+        The vehicle waits over the site while verdicts do not keep up with the descent, and before the last metres until
+        there are enough verdicts for an abort. If its position in the frame of the site is unknown, the vehicle is too
+        low to abort and sinks straight down.
         """
         low, sink = is_too_low_to_abort(left, self._keys), self._keys.landing_speed
         self._flown.append((now.t, left))
         self._high = max(self._high, left)
         self._low_at = now.t if low and self._low_at is None else self._low_at
-        speed = self._keys.aside_speed * (0.5 if low else 1.0)  # at last it must not drift
+        speed = self._keys.aside_speed * (0.5 if low else 1.0)  # it must not drift on the last metres
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
@@ -119,5 +121,5 @@ class Descent:
             self._kept = None
             return Order("land", at, speed, sink, down=True)
         up = float(now.position[2])
-        self._kept = up if self._kept is None else min(self._kept, up + 0.3)  # more was an error of the estimate
+        self._kept = up if self._kept is None else min(self._kept, up + 0.3)  # a larger rise is an estimation error
         return Order("land", at, self._cruise, sink, down=False, height=self._kept)

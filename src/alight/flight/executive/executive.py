@@ -1,8 +1,9 @@
-"""The executive: it looks at a place from lower and lower, until the place is a site or is refused.
+"""The executive: it looks at a location from lower and lower, until the location is a site or is refused.
 
-No I/O and no clock: `tick` takes the situation and returns the order to the vehicle. Far away there are candidates,
-near by there are sites. A place is flown to and looked at from beside it: one camera straight above sees no parallax.
-It is looked at again from half the height, until the lowest look confirms it. Only then the landing begins.
+No I/O and no clock: `tick` takes the situation and returns the order to the vehicle. From far away the map shows
+candidates, from near by it shows sites. The vehicle flies to a location and looks at it from beside it, as a single
+camera straight above sees no parallax. It looks again from half the height, until the lowest look confirms the
+location. Only then the landing begins.
 """
 
 from __future__ import annotations
@@ -37,45 +38,39 @@ from alight.records.executive import (
 from alight.settings import StageSettings
 
 S, E = FlightState, FlightEvent
-LOOK_SPEED = 0.4  # of the cruise speed, across a place
-Event = tuple[FlightEvent | None, str]  # with its reason in words; None: nothing has happened
+LOOK_SPEED = 0.4  # share of the cruise speed, along a look leg
+Event = tuple[FlightEvent | None, str]  # event and its reason in words; None: nothing has happened
 
 
 @dataclass
 class _Frame:
-    """The frame of the motion, and the ground in it."""
-
     id: int = 0
     home: F64 | None = None  # (3,) metres, where the search begins
     ground: float | None = None  # metres up
-    above: float | None = None  # metres above it, as known last
+    above: float | None = None  # metres, last known height above the ground
     lanes: SearchLanes | None = None
 
 
 @dataclass
 class _Visit:
-    """The place that is visited: flown to, looked at, landed on."""
-
     place: Site
-    height: float  # metres, of the present look above it
-    left: float = math.inf  # metres above the place, as known last
-    refusals: int = 0  # verdicts in a row
-    doubts: int = 0  # lowest looks
+    height: float  # metres above the location, of the present look
+    left: float = math.inf  # metres above the location, last known
+    refusals: int = 0  # consecutive verdicts that refuse the location
+    doubts: int = 0  # lowest looks after which it was in doubt
 
 
 @dataclass
 class _Stage:
-    """What happens in the present state; it begins anew with each."""
-
     since: float  # s
-    way: F64 | None = None  # (3,) metres, to fly to
+    way: F64 | None = None  # (3,) metres, point to fly to
     across: F64 | None = None  # (3,) metres, end of the look leg
     leg_done: float | None = None  # s, when the last leg ended
-    crowded: list[float] = field(default_factory=list)  # s, verdicts in a row that show something beside the way
+    crowded: list[float] = field(default_factory=list)  # s, consecutive verdicts that show an obstacle beside the path
 
 
 class Executive:
-    """One landing. Call `tick` several times a second."""
+    """Decides on the orders of one landing. Call `tick` several times per second."""
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._route, self._margin = settings.executive, settings.route, settings.sites.margin
@@ -86,18 +81,18 @@ class Executive:
         self._descent = Descent(settings)
         self._frame, self._stage = _Frame(), _Stage(math.inf)
         self._visit: _Visit | None = None
-        self._leg: LookLeg | None = None  # the last one planned
+        self._leg: LookLeg | None = None  # leg planned last
         self._held = S.SEARCH  # the state before HOLD
         self._judged = 0  # number of the newest verdict that was used
 
     @property
     def target(self) -> Site | None:
-        """The place that is visited; None: none is."""
+        """Site or candidate that is visited; None: no location is visited."""
         return None if self._visit is None else self._visit.place
 
     @property
     def need(self) -> Need | None:
-        """Verdicts that it needs now; None: none. While a look leg is flown they are few: a look counts at its end."""
+        """Verdicts needed now; None: no verdicts. Few are needed along a look leg, as a look is judged at its end."""
         crosses, place = self.state is S.LOOK and self._stage.across is not None, self.target
         seconds = CROSSING if crosses else JUDGE_EVERY.get(self.state)
         about = None if place is None else np.array([place.east, place.north])
@@ -106,7 +101,7 @@ class Executive:
     # -- the step
 
     def tick(self, now: Situation) -> Order:
-        """Decide on the order for now; transitions and looks go into `diary`."""
+        """Return the order for the present situation; add transitions and looks to `diary`."""
         if math.isinf(self._stage.since):
             self._stage.since = now.t
         self._limits.observe(now)
@@ -117,7 +112,6 @@ class Executive:
         return self._order(now)
 
     def _observe(self, now: Situation) -> None:
-        """Note the frame, the ground height, and the height above the place that is visited."""
         frame, at = self._frame, now.position
         if at is not None and frame.home is None:
             frame.home, frame.id = at.copy(), now.frame_id
@@ -131,20 +125,18 @@ class Executive:
 
     @property
     def _left(self) -> float:
-        """Metres above the place that is visited, as known last."""
+        """Last known height above the visited location, metres; inf: unknown, or no location is visited."""
         return math.inf if self._visit is None else self._visit.left
 
     def _seen(self, now: Situation) -> MapVerdict | None:
-        """The newest verdict, if it is on a map of this frame."""
         return None if now.seen is None or now.seen.frame_id != self._frame.id else now.seen
 
     # -- events
 
     def _event(self, now: Situation) -> Event:
-        """The most urgent event."""
         if self.state in (S.LANDED, S.HANDED_OVER):
             return None, ""
-        if now.standing and self.state in (S.COMMIT, S.RETURN):  # before the pilot: motors off, some change the mode
+        if now.standing and self.state in (S.COMMIT, S.RETURN):  # before the pilot: some change the mode as motors stop
             return E.TOUCHED_DOWN, "the autopilot says so"
         if now.pilot:
             return E.PILOT, "the mode was changed, or the sticks were moved"
@@ -179,12 +171,12 @@ class Executive:
             return E.NEW_FRAME, f"frame {now.frame_id}"
         if self.state is S.COMMIT and (why := self._descent.too_long(now.t, self._left)):
             return E.WAITED, why
-        return over if over is not None and (self.state, over[0]) in TABLE else None  # else it goes on looking
+        return over if over is not None and (self.state, over[0]) in TABLE else None  # else no effect in this state
 
     def _progress(self, now: Situation) -> Event:
         assert now.position is not None or self.state is S.ABORT
         if self.state is S.HOLD:
-            recovered = now.t - self._limits.missing_at >= self._keys.degraded  # a flicker does not end a hold
+            recovered = now.t - self._limits.missing_at >= self._keys.degraded  # a brief recovery does not end a hold
             return (E.RECOVERED, "") if recovered else (None, "")
         if self.state is S.SEARCH:
             return self._searching(now)
@@ -212,7 +204,7 @@ class Executive:
         waited = now.t - self._stage.since
         if now.position is None:
             return (E.WAITED, "the motion is not known") if waited > self._limits.patience(now) else (None, "")
-        if self._stage.way is None:  # the position was not known before: only now it can climb
+        if self._stage.way is None:  # the position was unknown before: the climb is planned now
             self._climb(now)
         if self._stage.way is not None and now.position[2] > self._stage.way[2] - self._keys.arrived:
             return E.CLEAR, ""
@@ -227,7 +219,7 @@ class Executive:
                 fallen = f"P(safe) has fallen to {p_safe_text(found.p_safe)}" if judged else ""
                 return E.REFUSED, ": ".join(filter(None, (fallen, found.why)))
             if found.standing in (Standing.SITE, Standing.CANDIDATE):
-                # a landing comes down where it was begun: no step to the side near the ground
+                # a landing keeps its location: no step to the side near the ground
                 visit.place = replace(visit.place, p_safe=found.p_safe) if lands else found.place
             stage.crowded = [*stage.crowded, now.t] if self._is_beside(now, visit) else []
         if len(stage.crowded) >= k.refusals_to_abort or (stage.crowded and now.t - stage.crowded[0] > k.wait):
@@ -239,7 +231,7 @@ class Executive:
         return (E.ARRIVED, "") if self._reached(now, stage.way) else self._stuck(now, stage.way)
 
     def _stuck(self, now: Situation, to: F64 | None) -> Event:
-        """The event if it waits in vain at a place: for the end of its way, or for a verdict."""
+        """Return the event if the vehicle comes no nearer to the point `to`, or (None) waits too long for a verdict."""
         if to is None:
             late = now.t - self._stage.since > self._keys.wait
             return (E.WAITED, "something stands beside every way across it") if late else (None, "")
@@ -247,7 +239,6 @@ class Executive:
         return (E.WAITED, f"it comes no nearer for {self._keys.hold:.0f} s") if stuck else (None, "")
 
     def _looking(self, now: Situation, visit: _Visit, found: Opinion | None) -> Event:
-        """Event of a look, which is over when a verdict includes the whole leg."""
         stage, k = self._stage, self._keys
         if not k.look_again:
             return E.CONFIRMED, f"P(safe) {p_safe_text(visit.place.p_safe)}, not looked at again"
@@ -269,14 +260,13 @@ class Executive:
         visit.doubts += candidate
         if candidate and visit.doubts < k.refusals_to_abort:
             stage.leg_done = None
-            self._plan(self._leg_across(now, visit))  # once more, from the other side
+            self._plan(self._leg_across(now, visit))  # look once more, from the other side
             return None, ""
         if standing is Standing.REFUSED and visit.refusals < k.refusals_to_abort:
             return None, ""
         return E.REFUSED, f"{standing.value} from {visit.height:.1f} m: {found.why}"
 
     def _opinion(self, now: Situation, visit: _Visit) -> Opinion | None:
-        """The opinion of a new verdict on the place; None where there is no new one."""
         seen, k, low = self._seen(now), self._keys, self.state is S.COMMIT
         if seen is None or seen.number <= self._judged:
             return None
@@ -313,7 +303,6 @@ class Executive:
             self._begin_look(now, self._visit)
 
     def _begin_look(self, now: Situation, visit: _Visit) -> None:
-        """Plan the way to a look, or along its leg."""
         if self.state is S.APPROACH and not self._keys.look_again:
             self._stage.way = np.array([visit.place.east, visit.place.north, visit.place.up + visit.height])
             return
@@ -329,11 +318,11 @@ class Executive:
         self._stage.way = None if at is None else np.array([*at[:2], max(at[2], up)])
 
     def _follow(self, now: Situation) -> None:
-        """Follow to a new frame: places of the old one are forgotten, and the search begins about here."""
+        """Continue in a new frame: forget the locations of the old frame, and search about the present position."""
         assert now.position is not None
         above = self._frame.above
         self._frame = frame = _Frame(now.frame_id, now.position.copy(), self._frame.ground, above)
-        if above is not None and frame.home is not None:  # it stays the same, in a frame of another height
+        if above is not None and frame.home is not None:  # the height above ground stays
             frame.ground = float(now.position[2]) - above
             frame.home[2] = frame.ground + self._keys.search_height
         self._visit, self._stage.way = None, None
@@ -366,7 +355,6 @@ class Executive:
         return Order("fly", to, speed, sink)
 
     def _plan(self, leg: LookLeg | None) -> None:
-        """Fly to the start of a leg, or along it; None: no leg is clear, and the next verdict refuses the place."""
         self._leg = leg
         if leg is not None and self.state is S.LOOK:
             self._stage.across = leg.end
@@ -374,14 +362,14 @@ class Executive:
             self._stage.way = leg.start
 
     def _leg_across(self, now: Situation, visit: _Visit) -> LookLeg | None:
-        """The leg across the place with no obstacle beside it, else the earlier one; None: there is none."""
+        """Return the look leg over the newest map; see `LookPlanner.across`. None: no leg is clear."""
         return self._looks.across(visit.place, visit.height, now, self._seen(now), self._leg)
 
     def _is_open(self, now: Situation) -> Callable[[Site], bool]:
         return partial(self._looks.is_open, now=now, seen=self._seen(now))
 
     def _is_beside(self, now: Situation, visit: _Visit) -> bool:
-        """True if an obstacle stands beside the way to a look or across a place; another leg is planned if possible."""
+        """Whether an obstacle is beside the path to, across or down to the location; plan another leg if possible."""
         seen, ground, across = self._seen(now), visit.place.up, self._stage.across
         if now.position is None or seen is None:
             return False

@@ -1,4 +1,4 @@
-"""The limits of wind, battery and time, of waiting, and of degraded motion."""
+"""Limits of wind, battery and time, of waiting, and of degraded motion."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ NEAR_A_PLACE = (FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT)
 
 
 class AttemptLimits:
-    """What ends an attempt or a wait. Call `observe` at every tick."""
+    """Limits that end an attempt or a wait. Call `observe` at every tick."""
 
     def __init__(self, keys: ExecutiveSettings) -> None:
         self._keys = keys
         self._begun: float | None = None  # s, start of the landing
-        self._since: dict[FlightEvent, float] = {}  # s, when each was first beyond its limit
+        self._since: dict[FlightEvent, float] = {}  # s, since when each quantity exceeds its limit
         self._sound_at = -math.inf  # s, when the motion was last not degraded
         self.missing_at = -math.inf  # s, when motion or pictures were last missing
 
     def observe(self, now: Situation) -> None:
-        """Note the start of the landing, and the time when the motion was last not degraded."""
+        """Note the start of the landing, and the last time at which the motion was not degraded."""
         self._begun = now.t if self._begun is None else self._begun
         if now.state is not MotionState.DEGRADED:
             self._sound_at = now.t
 
     def exceeded(self, now: Situation) -> tuple[FlightEvent, str] | None:
-        """The limit that is exceeded, with its numbers in words; None: none is. Call it at every tick.
+        """Return the event of an exceeded limit and its values in words; None: no limit is exceeded.
 
-        Wind and battery count after some time beyond their limits: a gust and a short dip of the voltage do not.
+        Call it at every tick. Wind and battery must exceed their limits for some time: a gust or a short dip of the
+        voltage has no effect.
         """
         k, beyond = self._keys, dict[FlightEvent, str]()
         if now.wind_speed > k.most_wind:
@@ -49,13 +50,14 @@ class AttemptLimits:
         return None
 
     def patience(self, now: Situation) -> float:
-        """Seconds to wait for lost motion or pictures: longer if the vehicle keeps its place and does not drift."""
+        """Return the seconds to wait for lost motion or pictures: more if the autopilot can hold its position."""
         return self._keys.hold if now.holds else self._keys.wait
 
     def is_too_weak(self, now: Situation, state: FlightState, left: float) -> bool:
-        """True if the motion has been degraded for too long for a state (before HOLD, if it holds).
+        """Whether the motion has been degraded for too long for `state` (during HOLD, the state before it).
 
-        Near the ground it does not end a landing, as long as the autopilot holds its place; `left`: m above that.
+        In a landing near the ground (`left`: metres above the site), degraded motion is accepted if the autopilot
+        can hold its position.
         """
         if state is FlightState.COMMIT and now.holds and is_near_ground(left, self._keys):
             return False

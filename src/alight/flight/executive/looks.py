@@ -1,4 +1,4 @@
-"""Looks at a place: their heights, their legs past it, and what one decides."""
+"""Looks at a location: their heights, their legs across it, and the decision after each look."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ from alight.records.executive import FlightEvent, MapVerdict, Situation
 from alight.settings import ExecutiveSettings, StageSettings
 
 E = FlightEvent
-ABOUT = 1.05  # a look from up to this factor of a height counts as one from there
-TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # of a look leg, tried in turn
+ABOUT = 1.05  # a look from up to this multiple of a height is treated as a look from that height
+TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # turns of a leg, tried in order
 ROOMY = (
-    2.0  # times the least distance to obstacles, preferred if some leg has it: a gust carries the vehicle metres off
+    2.0  # times the least distance to obstacles, preferred if a leg has it: a gust may displace the vehicle by metres
 )
 
 
 @dataclass(frozen=True, eq=False)
 class LookLeg:
-    """A leg across a place, at one height, against the wind if there is one; straight above there is no parallax."""
+    """A level path across a location, against the wind if there is any: a camera straight above sees no parallax."""
 
-    place: F64  # (3,) metres, at the height of the look
-    half: float  # metres, half its length
-    position: F64  # (3,) metres, of the vehicle
-    downwind: F64 | None  # (2,) unit vector, where the air goes; None: calm, or not known
-    turned: float = 0.0  # rad, from the direction that suits the wind and the vehicle best
+    place: F64  # (3,) metres, location at the height of the look
+    half: float  # metres, half the length of the leg
+    position: F64  # (3,) metres, position of the vehicle
+    downwind: F64 | None  # (2,) unit vector in which the air moves; None: calm, or unknown
+    turned: float = 0.0  # rad, from the direction that best suits the wind and the vehicle
 
     @property
     def start(self) -> F64:
-        """(3,) metres: downwind of the place, so that the leg leads against the wind; else on the vehicle's side."""
+        """Start of the leg, (3,) metres: downwind of the location; without wind, on the side of the vehicle."""
         return self._beside(self._side if self.downwind is None else self._turn(self.downwind))
 
     @property
     def end(self) -> F64:
-        """(3,) metres: on the side of the place opposite to the vehicle."""
+        """End of the leg, (3,) metres: on the side of the location opposite to the vehicle."""
         return self._beside(-self._side)
 
     def is_clear(self, ways: ClearWay, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
-        """True if it is free from end to end, wherever the vehicle joins it; arguments as of `ClearWay.is_free`."""
+        """Whether the whole leg is free, wherever the vehicle joins it; see `ClearWay.is_free` for the arguments."""
         return ways.is_free(2 * self.place - self.end, self.end, ground, seen, times)
 
     def cleared(self, ways: ClearWay, ground: float, seen: MapVerdict) -> LookLeg | None:
-        """Turn it as little as possible, so that no obstacle stands beside it, at `ROOMY` times that if possible.
+        """Return the leg, turned as little as possible so that no obstacle is beside it; None: no turn is clear.
 
-        None: something stands beside it, whichever way it is turned. Arguments as of `ClearWay.is_free`.
+        A leg at `ROOMY` times the least distance to obstacles is preferred. See `ClearWay.is_free` for the arguments.
         """
         free: LookLeg | None = None
         for turned in (replace(self, turned=turn) for turn in TURNS):
@@ -65,12 +65,12 @@ class LookLeg:
 
     @property
     def _side(self) -> F64:
-        """(2,) unit vector from the place to the vehicle's side, along the wind where there is one."""
+        """Unit vector (2,) from the location to the side of the vehicle, along the wind if there is any."""
         away = self.position[:2] - self.place[:2]
         if self.downwind is not None:
             along = self._turn(self.downwind)
             return along if float(along @ away) >= 0.0 else -along
-        distance = float(np.hypot(*away))  # within 0.3 m it is straight above
+        distance = float(np.hypot(*away))  # within 0.3 m the vehicle is treated as straight above
         return self._turn(away / distance if distance > 0.3 else np.array([0.0, 1.0]))
 
     def _turn(self, v: F64) -> F64:
@@ -79,22 +79,25 @@ class LookLeg:
 
 
 class LookPlanner:
-    """Look legs over the newest map."""
+    """Plans look legs over the newest map."""
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
         self._keys, self._route, self._clear_way = settings.executive, settings.route, clear_way
-        self._open: dict[Site, bool] = {}  # by the newest verdict
-        self._number = -1  # of it
+        self._open: dict[Site, bool] = {}  # whether a location can be crossed, by the newest verdict
+        self._number = -1  # number of that verdict
 
     def first_height(self, place: Site, now: Situation) -> float:
-        """Height of the first look at a place, metres above it: of its next view, or a share of the present one."""
+        """Return the height of the first look, metres above the location, by its next view or the present height."""
         assert now.position is not None
         least, up = self._keys.commit_height, float(now.position[2]) - place.up
         wanted = place.look.height if place.look is not None else up * self._route.look_share
         return float(np.clip(wanted, least, max(up, least)))
 
     def next_height(self, height: float) -> float:
-        """Height of the look after one from `height`, metres: half of it, down to that for a place in doubt."""
+        """Return the height, metres above the location, of the look that follows a look from `height`.
+
+        It is a share of `height`, but at least `commit_height`. Looks at a location in doubt go down to `nearest`.
+        """
         k = self._keys
         least = k.commit_height if height > k.commit_height * ABOUT else k.nearest
         return min(height, max(least, height * self._route.look_share))
@@ -102,13 +105,15 @@ class LookPlanner:
     def across(
         self, place: Site, height: float, now: Situation, seen: MapVerdict | None, flown: LookLeg | None = None
     ) -> LookLeg | None:
-        """The leg across a place, turned as little as possible, so that no obstacle is beside it; None: none is clear.
+        """Return the leg across a location, turned as little as possible so that it is clear; None: no leg is clear.
 
-        The turns begin at the bearing of the vehicle; while it flies to a leg, other legs are planned.
+        Turns are measured from the wind or, in calm, from the bearing of the vehicle; so the leg may change in flight.
 
         Args:
-            seen: the newest verdict on a map of this frame; None: no obstacles are known.
-            flown: the leg that was planned before: taken where it crosses this place, and no other leg is clear.
+            place: site or candidate to look at.
+            height: height of the look above the location, metres.
+            seen: newest verdict on a map of this frame; None: no obstacles are known.
+            flown: leg planned before; returned if it crosses this location and no other leg is clear.
         """
         assert now.position is not None
         half = max(self._keys.look_base * height, self._keys.least_base)
@@ -122,7 +127,7 @@ class LookPlanner:
         return flown if same and flown.is_clear(self._clear_way, place.up, seen) else None
 
     def is_open(self, place: Site, now: Situation, seen: MapVerdict | None) -> bool:
-        """True if a place can be crossed at the height of its first look; arguments as of `across`."""
+        """Whether a location can be crossed at the height of its first look; see `across` for the arguments."""
         if seen is None or now.position is None or not self._keys.look_again:
             return True
         if seen.number != self._number:
@@ -135,10 +140,12 @@ class LookPlanner:
 def look_outcome(
     found: Opinion, height: float, better: Site | None, keys: ExecutiveSettings
 ) -> tuple[FlightEvent, str] | None:
-    """Return the event of a look and its reason; None: the place is refused, or in doubt from the lowest look.
+    """Return the event of a look and its reason; None: the location is refused, or in doubt from the lowest look.
 
     Args:
-        better: a place elsewhere for which one in doubt is left.
+        found: opinion on the location after the look.
+        height: height of the look above the location, metres.
+        better: another location, for which a location in doubt is given up; None: there is none.
     """
     seen_from = f"P(safe) {p_safe_text(found.p_safe)} from {height:.1f} m"
     candidate, lowest = found.standing is Standing.CANDIDATE, height <= keys.commit_height * ABOUT

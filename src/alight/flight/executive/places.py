@@ -1,4 +1,4 @@
-"""Places: the opinion of a verdict on one, and those that a search has seen and refused."""
+"""Locations: the opinion of a verdict on a location, and the locations that a search has seen and refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from alight.settings import StageSettings
 
 
 class Standing(Enum):
-    """The verdict on one place."""
+    """The result of a verdict for one location."""
 
     SITE = "site"
     CANDIDATE = "candidate"
@@ -27,12 +27,12 @@ class Standing(Enum):
 
 @dataclass(frozen=True)
 class Opinion:
-    """Opinion of one verdict on one place."""
+    """Opinion of one verdict on one location: its standing, P(safe) and reason."""
 
     standing: Standing
-    place: Site  # moved to the listed place that counts as it
+    place: Site  # the listed site or candidate that is treated as the location
     p_safe: float
-    why: str = ""  # reason why it is no site
+    why: str = ""  # reason why it is not a site
 
 
 def opinion(
@@ -43,15 +43,18 @@ def opinion(
     free: Callable[[Site], bool] = lambda listed: True,
     margin: float = 0.0,
 ) -> Opinion:
-    """Look up the verdict on one place.
+    """Return the opinion of a verdict on a location.
 
-    A listed place near by counts as it. For a place that is not listed, its cell decides: it may be good ground that is
-    not listed because of a better place a few metres away. Where it keeps no margin, it is a candidate at best.
+    A site or candidate that is listed near by is treated as the same location. Otherwise the cell of the location
+    decides: good ground is not listed if a better location lies a few metres away. A cell without the margin is a
+    candidate at best.
 
     Args:
-        same: metres within which a listed place is the same.
-        least: P(safe) below which a place that is only in doubt counts as refused.
-        free: True if a listed place may count as it.
+        place: location to judge.
+        seen: the verdict.
+        same: distance in metres within which a listed location is treated as the same.
+        least: P(safe) below which an unlisted location is refused.
+        free: returns whether a listed location may be treated as the same.
         margin: metres to the nearest refused touchdown that a site keeps; listed sites keep it already.
     """
     listed = [s for s in seen.sites.listed if free(s)]
@@ -80,22 +83,22 @@ def opinion(
 
 
 class KnownPlaces:
-    """Listed places as they were seen last, without those that were refused."""
+    """Sites and candidates as last seen, without the refused locations."""
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys = settings.executive
         self._noted: list[Site] = []
-        self._noted_by = 0  # verdict
+        self._noted_by = 0  # number of the newest verdict noted
         self._refused: list[tuple[float, float]] = []
 
     @property
     def fates(self) -> str:
-        """Reason why no place was landed on, in words to end a sentence with; empty: no place was known."""
+        """Reason why no location was landed on, as the end of a sentence; empty: no location was known."""
         refused = f"; {len(self._refused)} places were refused from near by" if self._refused else ""
         return f"{refused}; something stands beside what is left" if self.best() is not None else refused
 
     def note(self, seen: MapVerdict) -> None:
-        """Remember the listed places of a new verdict, in place of earlier ones on the same ground."""
+        """Remember the listed locations of a new verdict; forget earlier ones on ground that it sees."""
         if seen.number <= self._noted_by:
             return
         self._noted_by = seen.number
@@ -104,48 +107,46 @@ class KnownPlaces:
         self._noted = [*compress(self._noted, unseen), *listed]
 
     def refuse(self, place: Site | None) -> None:
-        """Never visit a place again."""
+        """Exclude a location from all later visits; None has no effect."""
         if place is not None:
             self._refused.append((place.east, place.north))
 
     def is_refused(self, place: Site) -> bool:
-        """True if the place is, or lies beside, one that was refused."""
+        """Whether a location is at or near a refused location."""
         return any(math.hypot(place.east - e, place.north - n) < self._keys.banned for e, n in self._refused)
 
     def forget(self) -> None:
-        """Forget all places, noted and refused."""
+        """Forget all locations, noted and refused."""
         self._refused.clear()
         self._noted.clear()
 
     def best(self, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
-        """The best place known that was not refused before: sites first, then candidates by P(safe) and kind of ground.
+        """Return the best location that was not refused; None: there is none.
+
+        Sites come first, then candidates, by P(safe) and land cover. After k candidates were refused from near by, the
+        next candidate is a site with probability 1 / (k + 2) (rule of succession). After many refusals, candidates are
+        not worth the time and the battery.
 
         Args:
-            is_open: True if a way across a place is clear.
-
-        After k candidates refused from near by, the next one is a site with a probability of 1 / (k + 2) (rule of
-        succession). When that is small, they are not worth the time and the battery.
+            is_open: returns whether a path across a location is clear.
         """
         hopeless = len(self._refused) >= self._keys.visits
         counts = (p for p in self._ranked() if p.kind == "site" or not hopeless)
         return next(filter(is_open, counts), None)
 
     def _ranked(self) -> list[Site]:
-        """Places that were not refused: sites, then candidates by P(safe).
-
-        Bare and paved ground counts more: near looks settle doubt there, not on grass.
-        """
-        plain = {Terrain.BARE: self._keys.plain, Terrain.PAVED: self._keys.plain}
+        """Return the locations that were not refused: sites, then candidates, each by P(safe) and land cover."""
+        plain = {Terrain.BARE: self._keys.plain, Terrain.PAVED: self._keys.plain}  # near looks settle doubt here
         free = [p for p in self._noted if not self.is_refused(p)]
         return sorted(free, key=lambda p: (p.kind == "site", p.p_safe + plain.get(p.terrain, 0.0)), reverse=True)
 
     def worth_a_visit(self, place: Site) -> bool:
-        """True if the search is broken off for a place: a site, or a good candidate as long as few were refused."""
+        """Whether a search is interrupted for a location: a site, or a good candidate while few were refused."""
         few = len(self._refused) < self._keys.tries_at_once
         return place.kind == "site" or (few and place.p_safe >= self._keys.probable)
 
     def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
-        """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""
+        """Return a location to visit instead of one in doubt: worth a visit and clearly better; None: there is none."""
         others = (
             p for p in self._ranked() if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned
         )

@@ -1,4 +1,4 @@
-"""The executive's table: which event takes a landing from which state to which. Everything else changes nothing."""
+"""The executive's transition table: the next state by present state and event. Other events change nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from alight.records.executive import FlightEvent, FlightState
 S, E = FlightState, FlightEvent
 
 FLYING = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND, S.COMMIT, S.ABORT, S.HOLD)
-ABOVE = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND)  # before the landing is begun
+ABOVE = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND)  # before the landing begins
 AT_A_PLACE = (S.APPROACH, S.LOOK, S.DESCEND)
 ENDS = (S.LANDED, S.RETURN, S.HANDED_OVER)
 JUDGE_EVERY = {S.SEARCH: 2.0, S.APPROACH: 2.0, S.LOOK: 0.6, S.DESCEND: 1.5, S.COMMIT: 0.5}  # s between two verdicts
@@ -31,7 +31,7 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
     out |= {(S.COMMIT, E.UNFELT): S.HANDED_OVER}
     out |= {(S.COMMIT, E.TOUCHED_DOWN): S.LANDED, (S.RETURN, E.TOUCHED_DOWN): S.LANDED}
     out |= {(S.ABORT, E.CLEAR): S.SEARCH, (S.ABORT, E.WAITED): S.HANDED_OVER}
-    # what breaks a landing off, unless it is too low for that (`is_too_low_to_abort`)
+    # events that abort a landing, unless it is too low (`is_too_low_to_abort`)
     breaks_off = E.NAVIGATION_LOST, E.CAMERA_LOST, E.WIND, E.WAITED, E.REFUSED, E.NEW_FRAME
     out |= {(S.COMMIT, e): S.ABORT for e in breaks_off}
     return out

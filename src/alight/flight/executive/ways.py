@@ -1,4 +1,4 @@
-"""Ways: those free of obstacles, the next point on the present one, and the lanes of a search."""
+"""Paths free of obstacles, the next point on the present path, and the lanes of a search."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from alight.records import Site
 from alight.records.executive import FlightState, MapVerdict
 from alight.settings import ExecutiveSettings, StageSettings
 
-LOW = 0.5  # of its height: most clearance of a look leg above obstacles beside it
+LOW = 0.5  # share of its height: greatest clearance of a look leg above obstacles beside it
 NEARER = 0.5  # m, least progress towards a point
 
 
 class ClearWay:
-    """Ways over the newest map.
+    """Paths clear of the obstacles on the newest map.
 
-    A way over obstacles of doubtful height is flown at the height of the search: the map had 3 m for most of a tree
-    of 10 m, and a landing flew into it. So is a long way over ground that is not all mapped. A place is not crossed
-    low down beside anything tall, whatever its height in the map.
+    A path over obstacles of doubtful height is flown at the search height: a map once showed 3 m for most of a tree of
+    10 m, and a landing flew into it. A long path over partly unmapped ground is flown there too. A location is not
+    crossed at low height beside a tall obstacle, whatever its height in the map.
     """
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._clearance, lander = settings.executive, settings.route.clearance, settings.lander
         self._beside = max(self._clearance, 2.0 * max(lander.radius, lander.rotor_radius or 0.0))  # m
-        self._number = -1  # of the verdict
-        self._obstructions: Obstructions | None = None  # on its map
+        self._number = -1  # number of the verdict
+        self._obstructions: Obstructions | None = None  # on the map of that verdict
 
     def level(self, start: F64, to: F64, seen: MapVerdict, at_a_place: bool = False) -> float:
-        """Metres up at which the way from above one point (3,) to above another is clear.
+        """Return the height, metres up, at which a level path from over `start` (3,) to over `to` (3,) is clear.
 
-        `at_a_place`: it leads from one look at a place to the next, and only mapped obstacles count.
+        Args:
+            at_a_place: whether the path joins two looks at one location; then only mapped obstacles are used.
         """
         grid, k = seen.elevation.grid, self._keys
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
@@ -43,10 +44,10 @@ class ClearWay:
         return max(below.clear, seen.ground + k.search_height) if unsure and not at_a_place else below.clear
 
     def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
-        """True if a level way (3,) near a place may be flown: no obstacle beside it is tall, or reaches up to the way.
+        """Whether a level path near a location is free: no obstacle beside it is tall or reaches up to the path.
 
-        "Tall" means a rise by more than `executive.rise`. "Beside" means within `route.clearance`, or twice the
-        lander's radius if that is more, times `times`.
+        "Tall" means a rise of more than `executive.rise` above `ground`, metres up. "Beside" means within `times` times
+        `route.clearance`, or twice the lander's radius if that is more. `start` and `to` are (3,) metres.
         """
         grid, width = seen.elevation.grid, times * self._beside
         reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
@@ -61,7 +62,7 @@ class ClearWay:
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
 
     def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
-        """True if nothing tall stands beside the way down on a place, as beside the lowest look at it."""
+        """Whether no tall obstacle is beside the path down to a location, at the distances used for its lowest look."""
         above = np.array([place.east, place.north, place.up + self._keys.commit_height])
         return self.is_free(above, above, place.up, seen)
 
@@ -72,33 +73,34 @@ class ClearWay:
 
 
 class Course:
-    """The way that is flown now."""
+    """The path that is flown now, and the next point on it."""
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
         self._keys, self._clear_way = settings.executive, clear_way
         self.begin()
 
     def begin(self) -> None:
-        """Begin another way, and forget the one before."""
-        self._rises: F64 | None = None  # (2,) metres, place where it climbs to be clear
-        self._from: F64 | None = None  # (2,) metres, start of the way
-        self._to = np.full(2, np.nan)  # and its end
-        self._level: float | None = None  # metres up, kept while the vehicle is beside it
-        self._next = np.full(3, np.inf)  # metres, last point that it was ordered to
-        self._nearest = math.inf  # m, least distance from there
-        self._nearer_at: float | None = None  # s, when it last came nearer; None: it was not ordered anywhere yet
+        """Begin another path, and forget the previous path."""
+        self._rises: F64 | None = None  # (2,) metres, where the vehicle climbs to be clear
+        self._from: F64 | None = None  # (2,) metres, start of the path
+        self._to = np.full(2, np.nan)  # (2,) metres, end of the path
+        self._level: float | None = None  # metres up, held while the vehicle is beside the path
+        self._next = np.full(3, np.inf)  # (3,) metres, last ordered point
+        self._nearest = math.inf  # m, least distance to that point so far
+        self._nearer_at: float | None = None  # s, when the vehicle last came nearer; None: no point was ordered
 
     def next_point(self, position: F64, to: F64, seen: MapVerdict | None, state: FlightState) -> F64:
-        """Next point to fly to, (3,) metres.
+        """Return the next point to fly to, (3,) metres.
 
         Args:
-            to: (3,) metres, end of the way.
-            seen: the newest verdict on a map of this frame; None: no obstacles are known.
+            position: position of the vehicle, (3,) metres.
+            to: end of the path, (3,) metres.
+            seen: newest verdict on a map of this frame; None: no obstacles are known.
         """
         if state in (FlightState.APPROACH, FlightState.DESCEND):
             to = self._downwards(position, to)
         near = math.hypot(*(to[:2] - position[:2])) < 2 * self._keys.arrived
-        # no obstacle stands beside a look leg or about its start, but one may at the end of a lane
+        # look legs and their starts are clear of obstacles, but the end of a lane may not be
         if state is not FlightState.LOOK and not (near and state is not FlightState.SEARCH):
             to = self._upwards(position, to, seen, state is FlightState.DESCEND)
         if not float(np.linalg.norm(to - self._next)) < NEARER:
@@ -106,17 +108,14 @@ class Course:
         return to
 
     def is_stuck(self, t: float, position: F64) -> bool:
-        """True if the vehicle has come no nearer to the ordered point for `executive.hold` seconds."""
+        """Whether the vehicle has come no nearer to the ordered point for `executive.hold` seconds."""
         left = float(np.linalg.norm(self._next - position))
         if self._nearer_at is None or left < self._nearest - NEARER:
             self._nearest, self._nearer_at = left, t
         return t - self._nearer_at > self._keys.hold
 
     def _upwards(self, position: F64, to: F64, seen: MapVerdict | None, at_a_place: bool) -> F64:
-        """Next point, up first where a mapped obstacle is in the way: above the start of the climb, against any wind.
-
-        `at_a_place`: it leads from one look at a place to the next.
-        """
+        """Return `to` or, if a mapped obstacle is in the path, first a point straight above the start of the climb."""
         level = float(to[2])
         if seen is not None:
             level = max(level, self._clear_way.level(position, to, seen, at_a_place))
@@ -127,9 +126,9 @@ class Course:
         return np.array([*to[:2], level])
 
     def _downwards(self, position: F64, to: F64) -> F64:
-        """Next point on a way down to a place: level to its end, while the vehicle is beside the way.
+        """Return the end of a descent or, while the vehicle is off the path, the point above it at the held height.
 
-        Obstacles beside the way were looked for within a few metres, and a gust may carry the vehicle as far.
+        The path was checked for obstacles within a few metres, and a gust may displace the vehicle as far.
         """
         if self._from is None or not np.array_equal(to[:2], self._to):
             self._from, self._to, self._level = position[:2].copy(), to[:2].copy(), None
@@ -145,34 +144,34 @@ class Course:
 
 
 class SearchLanes:
-    """The lanes of a search, one after the other.
+    """The lanes of a search, flown one after the other.
 
-    The outermost lies so far inside that its pictures reach the rim of the searched square.
+    The outermost lane lies so far inside the searched square that its pictures reach the edge of the square.
 
     Args:
-        home: (3,) metres, the middle of the square; at the search height above the ground, as far as known.
+        home: middle of the square, (3,) metres, at the search height above the ground, as far as that is known.
     """
 
     def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
-        shown = 0.75 * keys.search_height  # m, shorter side of the ground in a picture
+        shown = 0.75 * keys.search_height  # m, shorter side of a picture on the ground
         self._corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
         self._arrived = keys.arrived
         self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
         self._corner = next(self._corners)
-        self.over = False  # True: all was searched
+        self.over = False  # whether the whole square was searched
 
     def end(self, ground: float | None) -> F64:
-        """(3,) metres, the end of this lane, at the search height above the known ground."""
+        """Return the end of the present lane, (3,) metres, at the search height above `ground` (None: as at `home`)."""
         return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
 
     def fly(self, position: F64 | None, ground: float | None) -> None:
-        """Begin the next lane where the end of this one is reached, or end the search.
+        """Begin the next lane if the end of the present lane is reached, or end the search.
 
-        The end counts from above it as well: a tall obstacle may stand beside it.
+        The end is also reached from above it, as a tall obstacle may be there.
 
         Args:
-            position: (3,) metres, of the vehicle; None: not known.
-            ground: metres up, as far as known.
+            position: position of the vehicle, (3,) metres; None: unknown.
+            ground: ground height, metres up; None: unknown.
         """
         if position is None:
             return
@@ -183,16 +182,16 @@ class SearchLanes:
 
 
 def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:
-    """Corners of a square spiral outwards, to the rim of a square: ground near the start comes first.
+    """Yield the corners (east, north) of a square spiral from the middle of a square outwards to its edge.
 
     Args:
-        centre: (2,) or (3,) metres, of the square.
-        side: metres, of the square.
-        lane: metres between neighbouring turns, at most: they are spread evenly.
+        centre: centre of the square, (2,) or (3,) metres.
+        side: side of the square, metres.
+        lane: greatest distance between neighbouring turns, metres; the turns are spread evenly.
     """
     turns = max(1, math.ceil(side / lane - 1e-9))
     lane = side / turns
-    begin = -0.5 * lane if turns % 2 else 0.0  # an odd number of turns ends half a lane off its beginning
+    begin = -0.5 * lane if turns % 2 else 0.0  # with an odd number of turns, the end lies half a lane off the start
     east, north = float(centre[0]) + begin, float(centre[1]) + begin
     yield east, north
     steps = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)]

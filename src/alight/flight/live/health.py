@@ -15,36 +15,36 @@ POSE, STEP, VERDICT = "frame to pose", "map step", "frame to verdict"
 
 
 class LaneState(Enum):
-    """The state of a lane's process."""
+    """State of the process of a lane."""
 
     WAITING = "waiting"  # for work
     BUSY = "busy"
-    LATE = "late"  # busy for longer than 0.9 s; not killed yet
+    LATE = "late"  # busy for longer than 0.9 s, but not killed yet
     STARTING = "starting"  # its process is new
     LOST = "lost"  # given up
 
 
 class Watch:
-    """Times, counts and states of a flight, from all its threads. Memory does not grow with the flight."""
+    """Collects times, counts and states of a flight from all its threads, in constant memory."""
 
     def __init__(self, lanes: Sequence[str]) -> None:
         self._lock = threading.Lock()
         self._arrived: OrderedDict[int, float] = OrderedDict()
-        self._state = {lane: (LaneState.STARTING, 0.0) for lane in lanes}  # and s, since when
+        self._state = {lane: (LaneState.STARTING, 0.0) for lane in lanes}  # state, and since when in s
         self._motions: deque[float] = deque(maxlen=100)
         self.timings = Timings(history=False)
         self.counts: Counter[str] = Counter()
         self.restarts: Counter[str] = Counter()
 
     def arrived(self, t_ns: int) -> None:
-        """Note the time at which an exposure arrived."""
+        """Note that the exposure stamped `t_ns` arrives now."""
         with self._lock:
             self._arrived[t_ns] = time.perf_counter()
             if len(self._arrived) > 1000:
                 self._arrived.popitem(last=False)
 
     def reached(self, what: str, t_ns: int) -> None:
-        """Take the time since an exposure arrived, under the name `what`; a pose counts for the rate as well."""
+        """Record as `what` the time since the exposure stamped `t_ns` arrived; poses also set the frame rate."""
         now = time.perf_counter()
         with self._lock:
             if (then := self._arrived.get(t_ns)) is not None:
@@ -54,7 +54,7 @@ class Watch:
 
     @contextmanager
     def work(self, lane: str, what: str = "") -> Iterator[None]:
-        """Count a lane as busy meanwhile, and take the time under the name `what`, if given; a failure is not timed."""
+        """Mark a lane as busy within the context; on success, record the duration under the name `what`, if given."""
         begin, after = time.perf_counter(), LaneState.STARTING
         self.enter(lane, LaneState.BUSY)
         try:
@@ -67,17 +67,17 @@ class Watch:
                 self.enter(lane, after)
 
     def enter(self, lane: str, state: LaneState) -> None:
-        """Note the new state of a lane."""
+        """Set the state of a lane."""
         self._state[lane] = state, time.perf_counter()
 
     def state(self, lane: str) -> LaneState:
-        """The state of a lane now; busy for longer than 0.9 s is late."""
+        """Return the present state of a lane; a lane that is busy for longer than 0.9 s is late."""
         state, since = self._state[lane]
         late = state is LaneState.BUSY and time.perf_counter() - since > 0.9
         return LaneState.LATE if late else state
 
     def line(self, effort: int) -> str:
-        """State, rates and counts of the lanes now, as a line for a terminal; `effort`: of mapping."""
+        """Return states, rates and counts of the lanes as one line of text; `effort` is the effort of mapping."""
         now = time.perf_counter()
         with self._lock:
             recent = [t for t in self._motions if now - t < 3.0]

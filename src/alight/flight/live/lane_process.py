@@ -1,7 +1,7 @@
-"""A lane in a process of its own, which is replaced when it raises, dies or does not answer.
+"""A lane in a process of its own, which is replaced if it raises, dies or does not answer.
 
-The interpreter lets one thread run at a time, and a thread that hangs cannot be ended. So each lane has a process. All
-are forked from the fork server of `multiprocessing`, which has imported everything (`preload`).
+The interpreter runs one thread at a time, and a thread that hangs cannot be ended. So each lane has a process. All
+processes are forked from the fork server of `multiprocessing`, which has imported all modules (`preload`).
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from alight import compiled
 log = logging.getLogger(__name__)
 
 START = 30.0  # s that a lane may take until it is ready
-POLL = 0.05  # s between two tests of a process that does not answer
-HARD_TIMEOUT_FACTOR = 6.0  # times its patience, after which a process is lost whatever it does
-# beside the lanes, what the command's script imports: each new process runs the imports of that script
+POLL = 0.05  # s between two checks of a process that does not answer
+HARD_TIMEOUT_FACTOR = 6.0  # times its patience, after which a process is lost in any case
+# the lanes, and the imports of the command's script, which each new process runs
 PRELOAD = ["alight.flight.live.preload", "alight.cli"]
 
 
 class LaneLost(Exception):  # noqa: N818  (an event of the flight; the flight goes on)
-    """A lane raised, died or did not answer in time; its process is gone. The message gives the reason."""
+    """A lane raised, died or did not answer in time, and its process was killed. The message gives the reason."""
 
 
 @dataclass(frozen=True)
 class LaneSpec:
-    """Recipe of a lane: `make(*given, memory)`, called in its process, returns the object whose methods are called."""
+    """Recipe of a lane: `make(*given, memory)`, called in the lane's process, returns the object that does the work."""
 
     name: str
     make: Callable[..., Any]
     given: tuple[Any, ...]
     patience: float = START  # s without an answer, after which the process is lost
-    memory: str = ""  # attribute of the lane with which one that replaces it begins; empty: none
-    first: Any = None  # memory of the first one
+    memory: str = ""  # attribute of the lane that is passed to its replacement; empty: no attribute
+    first: Any = None  # memory of the first process
     niceness: int = 0  # larger: lower priority
 
 
 class Reply(NamedTuple):
-    """The result of a call, or its failure as text."""
+    """Reply of a lane to a call: the result, or the failure as text."""
 
     result: Any
     memory: Any
@@ -62,19 +62,19 @@ class Reply(NamedTuple):
 
 
 class LaneProcess:
-    """A lane as its caller sees it: methods of the lane are called in its process.
+    """Proxy of a lane: a method that is called here runs in the lane's process.
 
-    Each call raises `LaneLost` if the lane raises, dies or does not answer; the next call goes to a new process.
+    A call raises `LaneLost` if the lane raises, dies or does not answer; the next call goes to a new process.
 
     Args:
         spec: recipe of the lane.
-        on_lost: called with the lane's name and the reason each time.
+        on_lost: called with the lane's name and the reason whenever a process is lost.
     """
 
     def __init__(self, spec: LaneSpec, on_lost: Callable[[str, str], None] = lambda lane, why: None) -> None:
         self.memory, self.patience = spec.first, spec.patience
         self.compiled: set[str] = set()  # loops compiled in flight; after the warm-up there should be none
-        self.given_up = ""  # the reason why there will be no other process
+        self.given_up = ""  # reason why no other process is started; empty: one is started after a loss
         self._spec, self._on_lost, self._ready = spec, on_lost, False
         self._start()
         atexit.register(self.close)  # or `multiprocessing` would wait for a process that waits for this one
@@ -85,10 +85,10 @@ class LaneProcess:
         return partial(self.call, method)
 
     def call(self, method: str, *given: Any) -> Any:
-        """Call a method of the lane, wait for its result and return it.
+        """Call a method of the lane in its process; wait for the result and return it.
 
         Raises:
-            LaneLost: it raised, died, or gave no answer within `patience` seconds.
+            LaneLost: the lane raised, died, or gave no answer within `patience` seconds.
         """
         if self.given_up:
             raise LaneLost(self.given_up)
@@ -107,17 +107,17 @@ class LaneProcess:
             raise
 
     def wait_until_ready(self) -> None:
-        """Wait until the lane is made.
+        """Wait until the lane is made in its process.
 
         Raises:
-            LaneLost: it could not be made.
+            LaneLost: the lane could not be made.
         """
         if not self._ready:
             self._answer("start", START)
             self._ready = True
 
     def close(self) -> None:
-        """End the process for good; a call that waits for its answer gets `LaneLost`."""
+        """End the process for good; a call in progress raises `LaneLost`."""
         atexit.unregister(self.close)
         self.given_up = self.given_up or "the flight is over"
         self._process.kill()
@@ -134,7 +134,7 @@ class LaneProcess:
 
     @staticmethod
     def _send(line: Connection, request: tuple[str, tuple[Any, ...]]) -> None:
-        """Send on a thread: a process that hangs does not take its request."""
+        """Send a request; runs on a thread of its own, as it blocks if the process hangs."""
         with contextlib.suppress(OSError):
             line.send(request)
 
@@ -152,9 +152,10 @@ class LaneProcess:
         return reply.result
 
     def _answers_within(self, patience: float) -> bool:
-        """Wait for an answer; a process that is ready to run but gets no processor time is given more time.
+        """Wait for an answer; return whether it came within `patience` seconds.
 
-        A process that sleeps is not given more, nor is one that has used `patience` seconds of processor time.
+        A process that is ready to run but gets no processor time is given more time. A process that sleeps, or has used
+        `patience` seconds of processor time, gets no more.
         """
         begin, pid = time.monotonic(), self._process.pid
         worked = _activity(pid).seconds
@@ -174,14 +175,14 @@ class LaneProcess:
 
 
 class Activity(NamedTuple):
-    """Processor time of a process so far, and whether it is ready to run."""
+    """Processor time that a process has used, and whether the process is ready to run."""
 
     seconds: float  # of processor time
-    wants_to_run: bool  # it runs, or waits for a processor or the disk
+    wants_to_run: bool  # whether it runs, or waits for a processor or the disk
 
 
 def _activity(pid: int | None) -> Activity:
-    """Activity from /proc; without it a process counts as not ready to run, and only the clock counts."""
+    """Return the activity of a process from /proc; without /proc, zero time and not ready to run."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except (OSError, ValueError):
@@ -190,7 +191,7 @@ def _activity(pid: int | None) -> Activity:
 
 
 def serve(line: Connection, spec: LaneSpec, memory: tuple[Any, ...]) -> None:
-    """Run a lane in this process: make it, then answer one call after the other until the line is closed."""
+    """Run a lane in this process: make it, then answer one call after another until the connection is closed."""
     for s in (signal.SIGINT, signal.SIGTERM):
         signal.signal(s, signal.SIG_IGN)  # the flight ends its lanes itself, after it has taken their results
     multiprocessing.set_start_method("spawn", force=True)  # else Numba makes a lock that a killed process leaves behind

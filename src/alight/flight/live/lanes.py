@@ -1,4 +1,4 @@
-"""The three lanes as their processes make them."""
+"""Makers of the three lanes, called in the lanes' processes."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from alight.settings import StageSettings
 
 
 class NavigationProcess(FilterLane):
-    """The navigation lane: tracker and filter, one batch after the other."""
+    """The navigation lane: tracker and filter, fed with one batch at a time."""
 
     def __init__(self, rig: Rig, settings: StageSettings, frame_id: int) -> None:
         super().__init__(rig, settings, history=False, frame_id=frame_id)
 
     def take(self, batch: FrameBatch) -> Navigation | None:
-        """As `FilterLane.take`; the result is returned without the pictures."""
+        """Process a batch and return the result without its pictures; see `FilterLane.take`."""
         found = super().take(batch)
         return None if found is None else replace(found, frame=Frame(found.frame.t_ns, ()))
 
 
 def make_mapping(rig: Rig, settings: StageSettings, folder: Path) -> RecursiveMapper:
-    """Make the mapping lane; tiles that the vehicle has left behind go to a file in `folder`."""
+    """Make the mapping lane; map tiles that the vehicle has left behind are stored in a file in `folder`."""
     compiled.load_cached(parallel=True)
     compiled.use_threads(compiled.most_threads())
     return RecursiveMapper(rig, settings, FileStore(folder), Timings(), history=False)
 
 
 def make_judging(settings: StageSettings, appearance: terrain.Model | None, memory: JudgingMemory) -> JudgingLane:
-    """Make the judging lane with the memory of the one that it replaces."""
+    """Make the judging lane, with the memory of the lane that it replaces."""
     compiled.load_cached(parallel=True)
     return JudgingLane(settings, appearance, Timings(), memory)

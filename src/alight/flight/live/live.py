@@ -1,8 +1,8 @@
 """A live run: each lane in a process of its own, fed through mailboxes that hold few items.
 
-A lane that is too slow leaves out the oldest exposures; a lane that raises or hangs is replaced, and begins anew. The
-exposures that each lane used are the `schedule`. A `Pipeline` with the same events and that schedule does the same in
-turn and gives the same bits. Memory does not grow with the flight unless the whole schedule is kept.
+A lane that is too slow drops the oldest exposures; a lane that raises or hangs is replaced and begins anew. The
+exposures that each lane used are the `schedule`. A `Pipeline` with the same events and schedule runs the lanes in turn
+and gives the same bits. Memory does not grow with the flight unless the whole schedule is kept.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ NAVIGATION, MAPPING, JUDGING = LANES = ("navigation", "mapping", "judging")
 
 @dataclass(frozen=True)
 class Listener:
-    """Functions that are called with results as soon as they exist, each on its lane's thread."""
+    """Functions that are called with results as soon as they exist, each on the thread of its lane."""
 
     motion: Callable[[Motion], None] = lambda motion: None
     verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
@@ -52,23 +52,23 @@ class Listener:
 
 @dataclass(frozen=True, eq=False)
 class LiveOptions:
-    """Options of a live run. `drop`: a lane that is busy leaves out the oldest exposure (flight); else all wait."""
+    """Options of a live run. `drop`: whether a busy lane drops the oldest exposure (flight), else the sender waits."""
 
     listener: Listener = field(default_factory=Listener)
     recorder: Recorder | None = None
     drop: bool = True
     waiting: int = 2  # exposures that may wait for the navigation lane, and for the mapping lane
-    schedule: int | None = 1000  # last entries of the schedule that are kept; None: all of them
+    schedule: int | None = 1000  # number of last entries of the schedule that are kept; None: all entries
     folder: Path | None = None  # for tiles that the vehicle has left behind; None: the system's temporary folder
     appearance: terrain.Model | None = None
-    imu: ImuNoise | None = None  # stated for the IMU
-    real_time: bool = False  # find late events and clocks that jump, by the arrival of the events
-    makers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)  # of lanes that replace the usual ones
-    policy: FlightPolicy | None = None  # of the mapping and judging lanes; None: one by `sites.every`
+    imu: ImuNoise | None = None  # noise stated for the IMU
+    real_time: bool = False  # whether to find late events and clock jumps by the arrival of the events
+    makers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)  # non-default makers of lanes
+    policy: FlightPolicy | None = None  # policy of the mapping and judging lanes; None: by `sites.every`
 
 
 class Live:
-    """The three lanes as processes. Feed events in the order of arrival, `finish` at the end.
+    """The three lanes as processes. Feed events in order of arrival, and call `finish` at the end.
 
     Raises:
         SettingsError: the settings are for recordings only.
@@ -86,7 +86,7 @@ class Live:
         drop, waiting = options.drop, options.waiting
         self._batches = Mailbox[FrameBatch](waiting, self._later_batch if drop else None)
         self._exposures = Mailbox[Navigation](waiting, self._later_exposure if drop else None)
-        # the newest exposure that a map holds, the map, and (2,) metres in its frame, a place that it shows as well
+        # newest exposure in a map, the map, and a location that it must show, (2,) metres in its frame
         self._maps = Mailbox[tuple[int, MapSnapshot, F64 | None]](1, (lambda old, new: new) if drop else None)
         self.policy, self._judge_waits = options.policy or FlightPolicy(settings.sites.every), threading.Event()
         self._failed: list[BaseException] = []
@@ -101,7 +101,7 @@ class Live:
         self.lanes = {
             s.name: LaneProcess(replace(s, make=options.makers.get(s.name, s.make)), self._replaced) for s in specs
         }
-        steps: Sequence[tuple[Callable[[], None], tuple[Mailbox[Any], ...]]] = (  # and the mailboxes closed then
+        steps: Sequence[tuple[Callable[[], None], tuple[Mailbox[Any], ...]]] = (  # and mailboxes to close after each
             (self._navigate, (self._batches, self._exposures)),
             (self._map, (self._exposures, self._maps)),
             (self._judge, (self._maps,)),
@@ -114,17 +114,17 @@ class Live:
 
     @property
     def schedule(self) -> Schedule:
-        """The exposures that each lane has used so far; complete after `finish`, where all of it was kept."""
+        """Exposures that each lane has used so far; complete after `finish` if the whole schedule is kept."""
         return Schedule(**{kind: tuple(entries) for kind, entries in self._used.items()})
 
     @property
     def health(self) -> str:
-        """State, rates and counts of the lanes at this moment, in one line."""
+        """Present states, rates and counts of the lanes as one line."""
         return self.watch.line(self.policy.effort_control.effort)
 
     @property
     def counts(self) -> dict[str, int]:
-        """Exposures used and left out, by lane and reason; restarts of each lane; loops compiled in flight."""
+        """Exposures used and dropped, by lane and reason; restarts of each lane; loops compiled in flight."""
         late = self._clocks.late if self._clocks else {}
         self.watch.counts |= {f"{name} that came late": n for name, n in late.items() if n}
         restarts = {f"{name}: restarted": n for name, n in self.watch.restarts.items()}
@@ -132,14 +132,14 @@ class Live:
 
     @property
     def compiled(self) -> list[str]:
-        """Names of the loops that were compiled in flight; they should be none."""
+        """Names of the loops that were compiled in flight; empty after a complete warm-up."""
         return sorted(set[str]().union(*(lane.compiled for lane in self.lanes.values())))
 
     def wait_until_ready(self) -> None:
-        """Wait until the navigation lane is made; the others may take longer.
+        """Wait until the navigation lane is made; the other lanes may take longer.
 
         Raises:
-            AlightError: it cannot be made.
+            AlightError: the navigation lane cannot be made.
         """
         try:
             self.lanes[NAVIGATION].wait_until_ready()
@@ -147,10 +147,10 @@ class Live:
             raise AlightError(f"the navigation lane is lost: it cannot be started: {e}") from e
 
     def feed(self, event: Event) -> None:
-        """Take an event; the listener gets motions and verdicts.
+        """Process an event; motions and verdicts go to the listener.
 
         Raises:
-            AlightError: the navigation lane cannot be started again.
+            AlightError: the navigation lane cannot be restarted.
         """
         self._raise()
         stamped = event if self._clocks is None else self._clocks.stamped(event, time.perf_counter())
@@ -166,10 +166,10 @@ class Live:
             self._batches.put(batch)
 
     def finish(self) -> Decision:
-        """Wait until all is done, and judge the map as it is then; the lanes end.
+        """Wait until all events are processed, judge the final map, and end the lanes.
 
         Raises:
-            AlightError: the navigation lane could not be started again.
+            AlightError: the navigation lane could not be restarted, or a lane was lost at the end.
         """
         try:
             self._batches.put(self._batcher.rest())
@@ -187,7 +187,7 @@ class Live:
             self.close()
 
     def close(self) -> None:
-        """End all lanes, whatever they do; `finish` does it as well."""
+        """End all lanes, even busy lanes; `finish` calls this too."""
         for box in (self._batches, self._exposures, self._maps):
             box.close()
         self._judge_waits.set()
@@ -206,7 +206,7 @@ class Live:
     # -- the threads
 
     def _use(self, kind: str, t_ns: int, **value: Any) -> None:
-        """Add an exposure to a list of the schedule, with its `effort` or the place that it is `about`."""
+        """Add an exposure to a list of the schedule, with its `effort` or the location that it is `about`."""
         self._used[kind].append(t_ns)
         for name, v in value.items():
             self._used[name].append(v)
@@ -226,7 +226,6 @@ class Live:
         self._note("clocks", sentence)
 
     def _replaced(self, lane: str, why: str) -> None:
-        """Report that a process is lost; the flight goes on."""
         self.watch.restarts[lane] += 1
         if self.lanes[lane].given_up:
             self.watch.enter(lane, LaneState.LOST)
@@ -322,7 +321,6 @@ class Live:
             anew = due is not None and not self._pass_to_judging(navigation, due.about)
 
     def _pass_to_judging(self, navigation: Navigation, about: F64 | None) -> bool:
-        """Pass the map on to be judged; False: the mapping lane was lost."""
         try:
             seen = self.lanes[MAPPING].call("snapshot", about)
         except LaneLost:

@@ -1,4 +1,4 @@
-"""Mailboxes between threads, which hold few items."""
+"""Mailboxes of limited size, which pass items between threads."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class Closed(Exception):  # noqa: N818  (not an error: the end of a mailbox)
 
 
 class Mailbox(Generic[T]):
-    """At most `size` items between two threads; where it is full, the sender waits, or the oldest two become one."""
+    """A queue of at most `size` items between threads; if full, the oldest two are merged, or the sender waits."""
 
     def __init__(self, size: int, merge: Callable[[T, T], T] | None = None) -> None:
         self._items, self._size, self._merge = deque[T](), size, merge
         self._changed, self._closed = Condition(), False
 
     def put(self, item: T) -> None:
-        """Add an item; one that is added after `close` has no effect."""
+        """Add an item. If the mailbox is full, merge its oldest two items or, without `merge`, wait."""
         with self._changed:
             while self._merge is None and len(self._items) >= self._size and not self._closed:
                 self._changed.wait()
@@ -33,10 +33,10 @@ class Mailbox(Generic[T]):
             self._changed.notify_all()
 
     def get(self) -> T:
-        """Wait for an item and take it.
+        """Wait for an item; remove the oldest item and return it.
 
         Raises:
-            Closed: it is empty and will stay so.
+            Closed: the mailbox is empty and closed.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)
@@ -47,7 +47,7 @@ class Mailbox(Generic[T]):
             return item
 
     def close(self) -> None:
-        """Close it for new items; those in it can still be taken."""
+        """Close the mailbox: nobody waits for it any longer; items in it can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

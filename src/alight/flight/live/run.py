@@ -1,4 +1,4 @@
-"""A live run from its start to its end: events in as they come, a folder of results out."""
+"""A live run from start to end: events in as they come, a folder of results out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from alight.sources import Source
 log = logging.getLogger(__name__)
 
 RECORDING = "recording.mcap"
-MOST_CELLS = 2_000_000  # of the map of the whole flight
+MOST_CELLS = 2_000_000  # cells of the map of the whole flight
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class LiveRequest:
     out: Path  # the folder of the results; the recording goes there while the flight lasts
     settings: Settings
     record: bool = True
-    real_time: bool = False  # the events come from sensors: late ones and clocks that jump are found by their arrival
+    real_time: bool = False  # whether events come from sensors: late events and clock jumps are found by arrival
     overwrite: bool = False
     inputs: Sequence[Path] = ()  # files that the source reads; they may not lie in `out`
 
@@ -40,13 +40,13 @@ def fly_live(
     source: Source, events: Iterator[Event], request: LiveRequest,
     on_health: Callable[[str], None] = lambda line: None,
 ) -> RunResult:  # fmt: skip
-    """Run the lanes on events as they come, until there are no more or Ctrl-C is pressed.
+    """Run the lanes on events as they come, until the events end or Ctrl-C is pressed; return the result.
 
     Args:
-        source: of the events.
-        events: its events, each when it is due.
+        source: source of the events.
+        events: events of the source, each yielded when it is due.
         request: folder and options.
-        on_health: called with the health of the lanes in one line, about twice a second.
+        on_health: called with the state of the lanes as one line, about twice per second.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written.
@@ -69,10 +69,10 @@ def fly_live(
 
 
 class LiveRun:
-    """The lanes with their recording, from the start to the result. Feed `live`, then `finish`; `close` in any case.
+    """The lanes of a live run and their recording. Feed `live`, then call `finish`; call `close` in any case.
 
-    A recording in the folder is replaced with the finished run that it is of. That of a run that did not end is kept
-    under another name. It raises as `fly_live`.
+    A finished run in the folder is replaced together with its recording. The recording of a run that did not end is
+    kept under another name. Raises the errors of `fly_live`.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class LiveRun:
         self.live = Live(source.rig, settings, options)
 
     def finish(self) -> RunResult:
-        """Wait until all is done, judge the map of the whole flight, and end the lanes and the recording.
+        """Wait until all events are processed, judge the map of the whole flight, and end the lanes and the recording.
 
         Raises:
-            AlightError: no image has come, or a lane could not be started again.
+            AlightError: no image has come, or a lane could not be restarted.
         """
         if not self.live.watch.counts["frames"]:
             raise AlightError(
@@ -112,13 +112,13 @@ class LiveRun:
         return replace(result, counts=counts)
 
     def close(self) -> None:
-        """End the lanes and the recording; a second call has no effect."""
+        """End the lanes and the recording; further calls have no effect."""
         self.live.close()
         if self.recorder is not None:
             self.recorder.close()
 
 
 def for_flight(settings: Settings) -> Settings:
-    """Limit the map of the whole flight to a size that a small computer can judge at the end: 500 bytes a cell."""
+    """Return settings that limit the final map to a size that a small computer can judge, at 500 bytes per cell."""
     most = min(settings.elevation.most_cells, MOST_CELLS)
     return settings.model_copy(update={"elevation": settings.elevation.model_copy(update={"most_cells": most})})

@@ -1,9 +1,9 @@
-"""Reliable stamps: late events are found, and a jump of a sensor's clock is corrected.
+"""Reliable stamps: late events are found, and jumps of a sensor's clock are corrected.
 
-Stamps come from the sensors; the arrival only serves to find a jump of a clock. A stamp is behind its arrival by a
-delay that varies little. One that is ahead of that by more than `JUMP` is a jump of the clock, as no event comes from
-the future. One that is behind by more is late, and left out; when a stream stays behind for two seconds, its clock has
-jumped back. The jump is taken out of all later stamps, so that time is continuous.
+Stamps come from the sensors; arrival times only serve to find jumps of a clock. A stamp precedes its arrival by a
+delay that varies little. A stamp that is ahead of this delay by more than `JUMP` is a jump of the clock, as no event
+comes from the future. An event whose stamp is behind by more is late and dropped. If a stream stays behind for two
+seconds, its clock has jumped back. A jump is subtracted from all later stamps, so that time is continuous.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ STREAMS: dict[type, str] = {Frame: "frames", NavSample: "GPS/INS rows", ImuSampl
 
 @dataclass
 class StreamClock:
-    """The clock of one stream.
+    """The clock of one stream of events.
 
     Args:
-        on_jump: called with a sentence on each jump.
+        on_jump: called with a sentence about each jump.
     """
 
     name: str
     on_jump: Callable[[str], None]
-    late: int = 0  # events left out
+    late: int = 0  # number of dropped events
     _shift_ns: int = 0  # added to all stamps
-    _ahead: float | None = None  # s, stamp less arrival, of the last event on time
-    _behind: list[tuple[float, float]] = field(default_factory=list)  # arrivals of late events, and their delays in s
+    _ahead: float | None = None  # s, stamp minus arrival of the last event on time
+    _behind: list[tuple[float, float]] = field(default_factory=list)  # s, (arrival, delay) of late events
 
     def stamp(self, t_ns: int, arrival: float) -> int | None:
-        """Return a stamp with all jumps taken out; None: the event is late and must be left out.
+        """Return a stamp corrected for all jumps of the clock; None: the event is late and must be dropped.
 
         Args:
             t_ns: stamp of the event.
-            arrival: s of a steady clock.
+            arrival: arrival of the event by a steady clock, s.
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
         if self._ahead is None:
@@ -74,7 +74,7 @@ class StreamClocks:
         self.streams = {kind: StreamClock(name, on_jump) for kind, name in STREAMS.items()}
 
     def stamped(self, event: Event, arrival: float) -> Event | None:
-        """As `StreamClock.stamp` for an event of any stream."""
+        """Return an event with its stamp corrected (see `StreamClock.stamp`); None: the event is late, drop it."""
         t_ns = self.streams[type(event)].stamp(event.t_ns, arrival)
         if t_ns is None:
             return None
@@ -82,5 +82,5 @@ class StreamClocks:
 
     @property
     def late(self) -> dict[str, int]:
-        """Number of events that were left out, by stream."""
+        """Number of dropped late events, by name of the stream."""
         return {c.name: c.late for c in self.streams.values()}

@@ -1,4 +1,4 @@
-"""The autopilot's telemetry as GPS/INS of a live run: a thread that listens, and events in the order of arrival."""
+"""The autopilot's telemetry as GPS/INS of a live run: a listening thread, and events in order of arrival."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from alight.sources.live import LiveSource, as_they_arrive
 log = logging.getLogger(__name__)
 
 READ = 0.02  # s that a read may wait
-PATIENCE = 30.0  # s until the autopilot must give a position
+PATIENCE = 30.0  # s, longest wait for a position of the autopilot
 
 
 class TelemetryFeed:
     """Listens to an autopilot, and requests the streams that a flight needs. Stamps are of this machine's steady clock.
 
     Args:
-        link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
-        separation: metres, ellipsoid minus sea level; None: the receiver's.
-        rates: Hz of further streams, as of `Autopilot`.
+        link: name of the link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`.
+        separation: ellipsoidal height minus altitude above the sea, metres; None: as reported by the receiver.
+        rates: Hz of further streams, by message; see `Autopilot`.
 
     Raises:
         InputError: the link cannot be opened.
@@ -37,18 +37,18 @@ class TelemetryFeed:
         self.link = open_link(link)
         self.events_of = TelemetryEvents(None, separation)
         self.autopilot = Autopilot(rates, self.events_of)
-        self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
+        self.lock = threading.Lock()  # guards the autopilot, which gets orders from several threads
         self._samples: queue.Queue[Event] = queue.Queue()
-        self._sending = threading.Lock()  # orders leave at once, and do not wait for the listener
+        self._sending = threading.Lock()  # orders are sent at once, without waiting for the listener
         self._ended, self._located = threading.Event(), False
         self._trouble = ""  # the newest error of the listener
         threading.Thread(target=self._listen, daemon=True).start()
 
     def wait_for_position(self) -> LocalFrame:
-        """Wait until the autopilot has a position; return the world with its origin there.
+        """Wait until the autopilot reports a position; return the world frame with its origin there.
 
         Raises:
-            InputError: it has none within `PATIENCE` seconds, with the reason.
+            InputError: no position came within `PATIENCE` seconds; the message gives the reason.
         """
         end = time.monotonic() + PATIENCE
         while not self.located:
@@ -63,13 +63,13 @@ class TelemetryFeed:
 
     @property
     def located(self) -> bool:
-        """True if the autopilot has a position."""
+        """Whether the autopilot has reported a position."""
         return self._located and self.events_of.local is not None
 
     def flush(self) -> None:
-        """Send the messages of orders. Call it twenty times a second: it tests whether the listener still runs.
+        """Send pending messages. Call it twenty times per second: it also checks that the listener runs.
 
-        If it does not, the vehicle counts as lost and nothing is sent: a pilot's takeover could not be noticed.
+        If the listener does not run, the vehicle is treated as lost and nothing is sent: no takeover would be noticed.
         """
         with self.lock:
             deaf = not self.autopilot.has_listener(time.monotonic_ns())
@@ -86,7 +86,7 @@ class TelemetryFeed:
                 self.link.write(datagram)
 
     def events(self) -> Iterator[Event]:
-        """Rows of GPS/INS and IMU samples as they come, until `close`."""
+        """Yield rows of GPS/INS and IMU samples as they come, until `close`."""
         while not self._ended.is_set():
             try:
                 yield self._samples.get(timeout=READ)
@@ -99,7 +99,7 @@ class TelemetryFeed:
         self.link.close()
 
     def _listen(self) -> None:
-        """Listen until `close`, whatever happens: a flight must not go on without telemetry."""
+        """Listen until `close`, despite any error: a flight must not go on without telemetry."""
         try:
             while not self._ended.is_set():
                 try:
@@ -128,7 +128,7 @@ class TelemetryFeed:
 
 
 def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
-    """Combine pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
+    """Combine a source of pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
 
     Raises:
         InputError: the source is a recording, or the autopilot gives no position.

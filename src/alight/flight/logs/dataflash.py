@@ -1,4 +1,4 @@
-"""ArduPilot's log, `.bin`, by pymavlink."""
+"""ArduPilot's log, `.bin`, read by pymavlink."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from alight.flight.autopilot import border
 from alight.flight.logs.logged import AutopilotLog, LoggedStream, quaternions
 from alight.records import FIX_3D, InputError, MissingExtraError
 
-MAGIC = b"\xa3\x95"  # before each message
-FIELDS = {  # of the messages that are read
+MAGIC = b"\xa3\x95"  # bytes before each message
+FIELDS = {  # fields to read, by message
     "ATT": ("Roll", "Pitch", "Yaw"), "POS": ("Lat", "Lng", "Alt"),
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "XKF1": ("VN", "VE", "VD"), "NKF1": ("VN", "VE", "VD"), "GPA": ("HAcc", "VAcc", "SAcc"),
@@ -23,10 +23,11 @@ FIELDS = {  # of the messages that are read
 
 
 def read_dataflash(path: Path) -> AutopilotLog:
-    """Read a log of ArduPilot: the first IMU, receiver and core of the estimator.
+    """Read a log of ArduPilot: its first IMU, first receiver and first core of the estimator.
 
     Raises:
-        InputError: it is none, or is damaged.
+        InputError: the file is not a log of ArduPilot, or is damaged.
+        MissingExtraError: pymavlink is not installed.
     """
     try:
         from pymavlink import DFReader

@@ -1,4 +1,4 @@
-"""What an autopilot logged, in its own units, and the tables of GPS/INS and IMU that are made of it."""
+"""The streams of an autopilot's log in its own units, and the tables of GPS/INS and IMU made from them."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from alight.records import InputError
 from alight.sources.source import Findings
 from alight.sources.streams import Table, rising, usable_imu, usable_nav
 
-GAP = 0.5  # s between two rows of a stream across which it is interpolated
-RESET = 1.0  # s by which a clock that goes backwards has begun anew
+GAP = 0.5  # s, longest interval between two rows that is interpolated
+RESET = 1.0  # s; a clock that goes back by more was restarted
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedStream:
-    """One stream of a log: a row a time, NaN where not measured."""
+    """One stream of a log, one row per time; NaN: not measured."""
 
-    name: str = ""  # of its messages
-    t_ns: I64 = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) the autopilot's clock
+    name: str = ""  # name of its messages
+    t_ns: I64 = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) autopilot's clock
     values: F64 = field(default_factory=lambda: np.empty((0, 0)))  # (N, D)
 
     @classmethod
     def of(cls, name: str, t_ns: I64, *columns: F64) -> LoggedStream:
-        """Gather columns (N,)."""
+        """Make a stream from columns (N,) of values."""
         return cls(name, np.asarray(t_ns, np.int64), np.stack([np.asarray(c, np.float64) for c in columns], axis=-1))
 
     def where(self, keep: Mask) -> LoggedStream:
-        """Return the rows that `keep` (N,) marks."""
+        """Return the stream of the rows at which the mask `keep` (N,) is true."""
         return LoggedStream(self.name, self.t_ns[keep], self.values[keep])
 
     @property
     def in_order(self) -> LoggedStream:
-        """The finite rows whose times rise; one wrong time does not cost those after it."""
+        """The stream of the finite rows with rising times. A single wrong time does not remove the rows after it."""
         rows = self.where(np.asarray(np.isfinite(self.values).all(axis=1)))
         if (np.diff(rows.t_ns) > 0).all():
             return rows
         return rows.where(np.array(rising(rows.t_ns.tolist()), bool))
 
     def at(self, t_ns: I64) -> F64:
-        """(M, D) values at other times, interpolated; NaN where no row is near. The rows must be in order."""
+        """Return the values (M, D) interpolated at `t_ns` (M,); NaN where no row is near. Rows must be in order."""
         if not len(self.t_ns):
             return np.full((len(t_ns), self.values.shape[1]), np.nan)
         near, seconds, own = _covered(self.t_ns, t_ns), _seconds(t_ns, self.t_ns[0]), _seconds(self.t_ns, self.t_ns[0])
@@ -54,54 +54,55 @@ class LoggedStream:
 
 @dataclass(frozen=True, eq=False)
 class AutopilotLog:
-    """Streams of one start of an autopilot, NED and FRD, altitudes above the sea."""
+    """Streams of one log between two boots of the autopilot: NED and FRD, altitudes above sea level."""
 
     attitude: LoggedStream  # w, x, y, z of ned_from_frd
     position: LoggedStream  # latitude, longitude [degrees], altitude above the sea [m]
     velocity: LoggedStream  # north, east, down [m/s]
     accuracy: LoggedStream  # horizontal, vertical [m], speed [m/s]; 1-sigma, NaN: not reported
     gyroscope: LoggedStream  # x, y, z [rad/s]
-    accelerometer: LoggedStream  # x, y, z [m/s^2], the rows of the gyroscope
-    separations: F64  # (N,) m, ellipsoid minus sea level; NaN: not reported
+    accelerometer: LoggedStream  # x, y, z [m/s^2], at the times of the gyroscope
+    separations: F64  # (N,) m, ellipsoidal height minus altitude above the sea; NaN: not reported
 
     @property
     def length(self) -> float:
-        """Seconds from the first position to the last."""
+        """Seconds from the first position to the last; 0 without positions."""
         t = self.position.t_ns
         return float(t.max() - t.min()) * 1e-9 if len(t) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedFlight:
-    """A log as GPS/INS and IMU in the columns of a flight log, on the autopilot's clock."""
+    """A log as tables of GPS/INS and IMU with the columns of a flight log, stamped by the autopilot's clock."""
 
-    local: LocalFrame  # about its first position
+    local: LocalFrame  # origin at the first position
     nav: Table
     imu: Table | None
-    found: tuple[str, ...]  # one line a stream: messages, rows, rate, span
+    found: tuple[str, ...]  # one line per stream: messages, rows, rate, span
 
 
 def quaternions(roll: F64, pitch: F64, yaw: F64) -> list[F64]:
-    """Quaternions w, x, y, z, (N,) each, of angles (N,) in radians."""
+    """Return the quaternion columns w, x, y, z, (N,) each, of roll, pitch and yaw (N,) in radians."""
     q = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_quat()
     return [q[:, 3], q[:, 0], q[:, 1], q[:, 2]]
 
 
 def streams_of(log: AutopilotLog, path: str, separation: float | None, findings: Findings) -> LoggedFlight:
-    """Turn a log into the tables of GPS/INS and IMU.
+    """Convert a log to the tables of GPS/INS and IMU.
 
     Args:
-        log: in its own units.
-        path: of the file, for messages.
-        separation: metres, ellipsoid minus sea level; None: as the receiver reports it.
+        log: the log in the autopilot's units.
+        path: name of the file, for messages.
+        separation: ellipsoidal height minus altitude above the sea, metres; None: as reported by the receiver.
+        findings: collects warnings and the numbers of rejected rows.
 
     Raises:
-        InputError: there is no position or no attitude in it, or its heights are above the sea alone.
+        InputError: the log has no position or no attitude, or its heights are above sea level only.
     """
     attitude, position, velocity, accuracy = (
         stream.in_order for stream in (log.attitude, log.position, log.velocity, log.accuracy)
     )
-    position = position.where(np.asarray((position.values[:, :2] != 0).any(axis=1)))  # 0, 0: no fix
+    position = position.where(np.asarray((position.values[:, :2] != 0).any(axis=1)))  # latitude and longitude 0: no fix
     for stream, what in ((position, "position on Earth"), (attitude, "attitude")):
         if len(stream.t_ns) < 3:
             raise InputError(f"{path}: logs no {what}; give the log of a flight with GPS")
@@ -146,7 +147,7 @@ def _imu_table(log: AutopilotLog) -> Table | None:
 
 
 def _attitude_at(attitude: LoggedStream, t_ns: I64) -> F64:
-    """(M, 4) quaternions w, x, y, z of enu_from_flu at other times; NaN where no attitude is near."""
+    """Return the quaternions w, x, y, z of enu_from_flu at times `t_ns`, (M, 4); NaN where no attitude is near."""
     usable = attitude.where(np.abs(np.linalg.norm(attitude.values, axis=1) - 1.0) < 0.05)
     out = np.full((len(t_ns), 4), np.nan)
     if len(usable.t_ns) < 2:
@@ -160,7 +161,7 @@ def _attitude_at(attitude: LoggedStream, t_ns: I64) -> F64:
 
 
 def _covered(own: I64, t_ns: I64) -> Mask:
-    """Whether times lie between two rows that are near to each other."""
+    """Return a mask (M,) of the times that lie between two rows at most `GAP` seconds apart."""
     after = np.searchsorted(own, t_ns).clip(1, len(own) - 1) if len(own) > 1 else np.zeros(len(t_ns), np.intp)
     gap = own[after] - own[np.maximum(after - 1, 0)]
     return np.asarray((t_ns >= own[0]) & (t_ns <= own[-1]) & (gap <= GAP * 1e9))
@@ -171,7 +172,6 @@ def _seconds(t_ns: I64, origin: int) -> F64:
 
 
 def _line(stream: LoggedStream) -> str:
-    """One line about a stream; empty where it has no row."""
     if len(stream.t_ns) < 2:
         return ""
     span = float(stream.t_ns[-1] - stream.t_ns[0]) * 1e-9

@@ -1,4 +1,4 @@
-"""Frames and an autopilot's log beside them as one source, on the clock of the log."""
+"""Frames and an autopilot's log next to them as one source, on the clock of the log."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from alight.sources.streams import imu_samples, nav_samples
 
 
 def read_log(path: Path) -> AutopilotLog:
-    """Read a log by its suffix.
+    """Read an autopilot's log in the format that the suffix of its name gives.
 
     Raises:
-        InputError: it is none of PX4, ArduPilot or a ground station, or is damaged.
+        InputError: the suffix is of no PX4, ArduPilot or ground station log, or the log is damaged.
     """
     kind = path.suffix.lower()
     if kind == ".ulg":
@@ -40,7 +40,7 @@ def read_log(path: Path) -> AutopilotLog:
 
 
 def log_tables(log: LoggedFlight) -> tuple[NavTable, ImuTable]:
-    """GPS/INS and IMU of a log as tables, for `alight.checks.clock_offset`."""
+    """Return the GPS/INS and the IMU of a log as tables for `alight.checks.clock_offset`."""
     nav = NavTable.of(list(nav_samples(log.nav, log.local)))
     if log.imu is None:
         return nav, ImuTable.of([])
@@ -48,14 +48,14 @@ def log_tables(log: LoggedFlight) -> tuple[NavTable, ImuTable]:
 
 
 class LoggedFrames(Source):
-    """Frames with GPS/INS and IMU of an autopilot's log.
+    """A source of frames with the GPS/INS and IMU of an autopilot's log.
 
     Args:
-        frames: the frames with their calibration, by their own clock.
+        frames: the frames with their calibration, stamped by their own clock.
         path: the log.
 
     Raises:
-        InputError: the log cannot be used, or the offset between the clocks is not clear.
+        InputError: the log cannot be used, or the offset between the two clocks is unclear.
     """
 
     georeferenced = True
@@ -85,7 +85,7 @@ class LoggedFrames(Source):
             imu_samples(self._log.imu) if self._log.imu else iter(()),
             (replace(frame, t_ns=frame.t_ns - self._offset_ns) for frame in self._exposures()),
         ]
-        return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
+        return heapq.merge(*streams, key=lambda event: event.t_ns)  # at equal times in the order of this list
 
     def _exposures(self) -> Iterator[Frame]:
         return (event for event in self._frames.events() if isinstance(event, Frame))

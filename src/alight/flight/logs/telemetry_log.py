@@ -1,4 +1,4 @@
-"""The telemetry that a ground station recorded, `.tlog`: MAVLink messages, each with a time of arrival before it."""
+"""Telemetry recorded by a ground station, `.tlog`: MAVLink messages, each after its time of arrival."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from alight.flight.logs.logged import RESET, AutopilotLog, LoggedStream, quatern
 from alight.records import FIX_3D, InputError
 
 USED = ("ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT", *IMU_UNITS)
-WRAP_NS = 2**32 * 1_000_000  # of milliseconds in 32 bits
+WRAP_NS = 2**32 * 1_000_000  # range of a stamp in milliseconds of 32 bits
 
 
 def read_telemetry_log(path: Path) -> AutopilotLog:
-    """Read the telemetry of one vehicle; of several starts of the autopilot the longest.
+    """Read the telemetry of one vehicle; if the autopilot booted several times, only the longest part.
 
     Raises:
-        InputError: there is no message of an autopilot in it.
+        InputError: the file has no message of an autopilot.
     """
     framing, received = Framing(255, 0), list[ReceivedMessage]()
     with path.open("rb") as file:
@@ -39,12 +39,12 @@ def read_telemetry_log(path: Path) -> AutopilotLog:
 
 
 def boot_ns(m: Any) -> int:
-    """Stamp of a message on the autopilot's clock."""
+    """Return the stamp of a message on the autopilot's clock, ns since boot."""
     return int(m.time_boot_ms) * 1_000_000 if hasattr(m, "time_boot_ms") else int(m.time_usec) * 1000
 
 
 def _starts(received: list[ReceivedMessage]) -> list[list[tuple[int, ReceivedMessage]]]:
-    """Messages with their stamps, a list for each start of the autopilot, in which 32 bits are unwrapped."""
+    """Split messages by boots of the autopilot; return (stamp in ns, message) lists, with 32-bit stamps unwrapped."""
     out: list[list[tuple[int, ReceivedMessage]]] = [[]]
     newest, wraps = 0, 0
     for m in received:
@@ -77,7 +77,7 @@ def _log_of(start: list[tuple[int, ReceivedMessage]]) -> AutopilotLog:
             gps = gps_quality(m)
             row = (gps.horizontal, gps.vertical, gps.speed)
             separations.append(gps.separation if gps.fix >= FIX_3D else np.nan)
-            t_ns = newest  # its own stamp may be the time of day
+            t_ns = newest  # its stamp may be the time of day
         else:
             rate, force = IMU_UNITS[name]
             row = (*(v * rate for v in (m.xgyro, m.ygyro, m.zgyro)), *(v * force for v in (m.xacc, m.yacc, m.zacc)))

@@ -1,4 +1,4 @@
-"""PX4's log, `.ulg`, by pyulog."""
+"""PX4's log, `.ulg`, read by pyulog."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ def read_ulog(path: Path) -> AutopilotLog:
     """Read a log of PX4.
 
     Raises:
-        InputError: it is none, or is damaged.
+        InputError: the file is not a log of PX4, or is damaged.
+        MissingExtraError: pyulog is not installed.
     """
     try:
         from pyulog import ULog
@@ -38,7 +39,7 @@ def read_ulog(path: Path) -> AutopilotLog:
         raise InputError(f"{path}: no log of PX4 ({' '.join(str(e).split())}); copy it again") from e
     topics: dict[str, dict[str, Any]] = {}
     for entry in sorted(log.data_list, key=lambda d: -int(d.multi_id)):
-        topics[entry.name] = entry.data  # the first instance is the last one to be put there
+        topics[entry.name] = entry.data  # the first instance overwrites the others
     gps = topics.get("vehicle_gps_position") or topics.get("sensor_gps") or {}
     local, place = topics.get("vehicle_local_position", {}), topics.get("vehicle_global_position", {})
     inertial = topics.get("sensor_combined", {})
@@ -58,14 +59,13 @@ def _indexed(name: str, count: int) -> list[str]:
 
 
 def _stream(name: str, data: dict[str, Any], fields: Sequence[str]) -> LoggedStream:
-    """A stream of a topic; empty without one of the fields."""
+    """Return the stream of a topic; empty if one of the fields is missing."""
     if any(f not in data for f in ("timestamp", *fields)):
         return LoggedStream(name, values=np.empty((0, len(fields))))
     return LoggedStream.of(name, np.asarray(data["timestamp"], np.int64) * 1000, *(data[f] for f in fields))
 
 
 def _accuracy(place: dict[str, Any], local: dict[str, Any]) -> LoggedStream:
-    """Accuracies of the estimator, at the rows of the position."""
     where, speed = _stream("", place, ("eph", "epv")), _stream("", local, ("evh",)).in_order
     if not len(where.t_ns):
         return LoggedStream(values=np.empty((0, 3)))
@@ -73,7 +73,7 @@ def _accuracy(place: dict[str, Any], local: dict[str, Any]) -> LoggedStream:
 
 
 def _separations(gps: dict[str, Any]) -> F64:
-    """Separations by the receiver's heights: metres since PX4 1.14, millimetres before."""
+    """Return the separations, metres, from the receiver's heights: metres since PX4 1.14, millimetres before."""
     for ellipsoid, msl, unit in (("altitude_ellipsoid_m", "altitude_msl_m", 1.0), ("alt_ellipsoid", "alt", 1e-3)):
         if ellipsoid in gps and msl in gps:
             fixed = np.asarray(gps.get("fix_type", np.full(len(gps[msl]), 3))) >= 3

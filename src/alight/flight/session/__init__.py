@@ -1,1 +1,1 @@
-"""A landing that is flown: the live lanes, the executive, and an autopilot that takes its orders."""
+"""A flown landing: the live lanes, the executive, and an autopilot that carries out its orders."""

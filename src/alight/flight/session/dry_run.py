@@ -1,4 +1,4 @@
-"""What takes the commands of a landing in a dry run, in place of the vehicle."""
+"""The receiver of a landing's commands in a dry run, in place of the vehicle."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from alight.records import FlightMode, Place
 
 
 class DryRunVehicle:
-    """Prints the commands of a landing as `RemoteVehicle` would carry them out; nothing is sent.
+    """Prints the commands of a landing as `RemoteVehicle` would carry them out, and sends nothing.
 
     Args:
-        on_line: called with each command in words; with a set-point again when it has moved by half a metre.
+        on_line: called with each command in words; for a set-point, whenever it has moved by half a metre.
     """
 
     def __init__(self, on_line: Callable[[str], None]) -> None:
@@ -26,12 +26,12 @@ class DryRunVehicle:
         self.in_control = False
 
     def set_mode(self, mode: FlightMode) -> int:
-        """Print the mode."""
+        """Print the mode; return 0 as the ticket."""
         self.in_control, self._place = True, None
         return self._print(f"mode: {mode.value}")
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Print the set-point, and its speed if it changed by 0.1 m/s."""
+        """Print the set-point, and its speed if it changed by 0.1 m/s; return whether we are in control."""
         if setpoint.velocity_world is not None:
             self._place = None
             return self._print_new(f"straight down at {-setpoint.velocity_world[2]:.1f} m/s")
@@ -47,17 +47,17 @@ class DryRunVehicle:
         return self.in_control
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
-        """Print the position of the target, whenever it has changed by half a metre."""
+        """Print the landing target whenever it has moved by half a metre; return whether we are in control."""
         east, north, up = np.round(2 * target_world) / 2 + 0.0
         text = f"landing target {-up:.1f} m below, {east:+.1f} m east, {north:+.1f} m north of the vehicle"
         return self._print_new(text)
 
     def disarm(self) -> int:
-        """Print the order to stop the motors."""
+        """Print the command to stop the motors; return 0 as the ticket."""
         return self._print("disarm")
 
     def release(self) -> None:
-        """Print that control is given away."""
+        """Give control away, and print that it is given away."""
         if self.in_control:
             self._print("control is given away")
         self.in_control = False
@@ -73,10 +73,10 @@ class DryRunVehicle:
         return 0
 
 
-VehicleCommands = RemoteVehicle | DryRunVehicle  # what takes the commands of a landing
+VehicleCommands = RemoteVehicle | DryRunVehicle  # receiver of the commands of a landing
 
 
 def place_text(place: Place) -> str:
-    """Return a place in words: degrees, metres above the sea, and above home if known."""
+    """Return a position as text: degrees, metres above sea level, and metres above home if known."""
     above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
     return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"

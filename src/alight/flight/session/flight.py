@@ -1,4 +1,4 @@
-"""The whole of a flown landing: checks, take-off, search to touchdown, and a folder of results."""
+"""A complete flown landing: checks, take-off, search to touchdown, and a folder of results."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, as_they_arrive, open_sensors
 
 STEP = 0.05  # s between two ticks
-PATIENCE = 90.0  # s that the checks may take until no result is bad: an autopilot that was just started needs 40
+PATIENCE = 90.0  # s, longest wait until no check is bad: an autopilot needs 40 s after its boot
 SETTLED = 8.0  # s after which warnings are accepted
 SHOW_EVERY = 0.2  # s between two statuses, and two recorded reports of the autopilot
-USUAL_RATE = 5.0  # exposures a second, assumed before the first has come
+USUAL_RATE = 5.0  # exposures per second, assumed before the first has come
 UNEXPECTED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
 TAKEN = "somebody else flies now: nothing is sent to the vehicle any more"
 UNCONFIRMED = "the vehicle was ordered to hold and has not confirmed it: take over"
@@ -48,10 +48,10 @@ class FlightRequest:
     out: Path
     settings: Settings
     rig: Path | None = None  # calibration of cameras
-    dry_run: bool = False  # orders are written in words, not sent
-    home: Home | None = None  # for route.plan; None: the autopilot's; without a separation, the receiver's
-    separation: float | None = None  # metres, ellipsoid minus sea level; None: the receiver's
-    take_off: float | None = None  # metres above home; None: it flies already
+    dry_run: bool = False  # whether orders are only written in words
+    home: Home | None = None  # for route.plan; None: the autopilot's. A missing separation is the receiver's
+    separation: float | None = None  # metres, ellipsoidal height minus altitude above the sea; None: the receiver's
+    take_off: float | None = None  # metres above home; None: the vehicle flies already
     imu_rate: float = 100.0  # Hz requested of the autopilot; 0: no IMU
     record: bool = True
     overwrite: bool = False
@@ -74,22 +74,22 @@ class FlightRequest:
 
 @dataclass(frozen=True, eq=False)
 class FlightStatus:
-    """A flight at one moment, for a display; None where a part does not exist yet."""
+    """A flight at one moment, for a display; a field is None until its part exists."""
 
     phase: str  # checks, take-off, landing
     checks: Sequence[CheckResult] = ()
     view: PilotView | None = None
     telemetry: Telemetry | None = None
-    health: str | None = None  # of the lanes, in one line
+    health: str | None = None  # state of the lanes, in one line
 
 
 @dataclass(frozen=True, eq=False)
 class FlightOutcome:
-    """The end of a flight: its checks, the reason in words, and the result where a landing was begun."""
+    """The end of a flight: its checks, the reason in words, and the result if a landing was begun."""
 
     checks: Sequence[CheckResult]
     why: str
-    state: FlightState | None = None  # None: it was not begun
+    state: FlightState | None = None  # None: no landing was begun
     result: RunResult | None = None
 
 
@@ -100,11 +100,12 @@ OnLine = Callable[[str], None]
 def fly_vehicle(
     plan: FlightRequest, on_status: OnStatus = lambda status: None, on_line: OnLine = lambda line: None
 ) -> FlightOutcome:
-    """Check, take off if wanted, search, look, land or give up. Ctrl-C ends it with the vehicle holding.
+    """Fly a landing, from the checks to its end, and return the outcome. After Ctrl-C the vehicle holds.
 
     Args:
-        on_status: called with the status, some times a second.
-        on_line: called with one line each for notices of the autopilot, changes of state, orders of a dry run.
+        plan: options of the landing.
+        on_status: called with the status several times per second.
+        on_line: called with each notice of the autopilot, change of state, and order of a dry run, as one line.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message names the remedy.
@@ -138,7 +139,7 @@ def fly_vehicle(
 def wait_for_vehicle(
     plan: FlightRequest, feed: TelemetryFeed, machine: Sequence[CheckResult], on_status: OnStatus, on_line: OnLine
 ) -> list[CheckResult]:
-    """Wait until an autopilot has reported its position, or for `PATIENCE`; return the newest checks."""
+    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks."""
     begin, found, refused = time.monotonic(), list[CheckResult](), ""
     while not feed.located and time.monotonic() - begin < PATIENCE:
         with feed.lock:
@@ -154,7 +155,7 @@ def wait_for_vehicle(
 
 
 def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:
-    """Check the link and the autopilot behind it; the feed's lock must be held."""
+    """Return the checks of the link and the autopilot behind it. The caller must hold the feed's lock."""
     vehicle = feed.autopilot.vehicle
     found = preflight.judge_link(plan.link, feed.autopilot.messages, vehicle, refused)
     if vehicle is None:
@@ -168,14 +169,14 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
 def open_session(
     plan: FlightRequest, opened: LiveSource, feed: TelemetryFeed, log: SessionLog, on_status: OnStatus
 ) -> FlightSession:
-    """Open the lanes of a flight; `feed` has the position of a vehicle."""
+    """Open the lanes of a flight; `feed` must have a vehicle and its position."""
     local, vehicle = feed.events_of.local, feed.autopilot.vehicle
     assert local is not None
     assert vehicle is not None
     assert isinstance(opened.source, CalibratedFolder)
     opened.source.locate(local)
     commands = DryRunVehicle(lambda text: log.on_line(f"order, not sent: {text}")) if plan.dry_run else vehicle
-    policy = FlightPolicy(every=0)  # judged as the executive needs it
+    policy = FlightPolicy(every=0)  # maps are judged as the executive needs verdicts
     pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log)
     listener = Listener(pilot.inputs.add_motion, pilot.inputs.add_verdict)
     request = LiveRequest(plan.out, plan.settings, plan.record, True, plan.overwrite)
@@ -186,7 +187,7 @@ def open_session(
 
 @dataclass(eq=False)
 class FlightSession:
-    """The lanes, the pilot and the vehicle of one flight: checks, take-off, landing, and a hold if one ends early."""
+    """One flight with its lanes, pilot and vehicle: checks, take-off, landing, and a hold if the flight ends early."""
 
     plan: FlightRequest
     feed: TelemetryFeed
@@ -194,25 +195,25 @@ class FlightSession:
     run: LiveRun
     events: Iterator[Event]
     log: SessionLog
-    on_status: OnStatus  # called with the status, some times a second
+    on_status: OnStatus  # called with the status, several times per second
     machine: Sequence[CheckResult] = ()  # checks of this computer
-    found: list[CheckResult] = field(default_factory=list)  # by the newest checks
+    found: list[CheckResult] = field(default_factory=list)  # results of the newest checks
     failed: list[BaseException] = field(default_factory=list)  # errors of the source
-    shown: float = -math.inf  # s, the newest status
+    shown: float = -math.inf  # s, time of the newest status
 
     @property
     def vehicle(self) -> RemoteVehicle:
-        """The vehicle that is flown."""
+        """The vehicle at the other end of the link."""
         assert self.feed.autopilot.vehicle is not None
         return self.feed.autopilot.vehicle
 
     @property
     def taken(self) -> bool:
-        """True if we are not in control: not yet, or not any more."""
+        """Whether we are not in control: not yet, or no longer."""
         return not self.pilot.in_control
 
     def fly(self, over: threading.Event) -> FlightOutcome:
-        """Check, take off, land. `over` is set when the landing has ended, and ends the events."""
+        """Check, take off and land; return the outcome. `over` is set when the landing has ended, to end the events."""
         self.run.live.wait_until_ready()
         feeder = threading.Thread(target=self._feed_lanes, args=(over,), daemon=True)
         feeder.start()
@@ -242,7 +243,6 @@ class FlightSession:
             self.failed.append(e)
 
     def _on_step(self, phase: str, view: PilotView | None = None) -> None:
-        """Send messages, pass notices to the pilot and log them, record the telemetry, and show the status."""
         for notice in self._listen():
             if notice.kind in UNEXPECTED or not notice.ok:
                 self.log.note("autopilot", notice.text)
@@ -255,7 +255,6 @@ class FlightSession:
             self.on_status(FlightStatus(phase, self.found, view, reports, self.run.live.health))
 
     def _listen(self) -> list[Notice]:
-        """Send waiting messages; pass new notices of the autopilot to the pilot, and return them."""
         self.feed.flush()
         with self.feed.lock:
             notices = self.feed.autopilot.notices()
@@ -266,7 +265,7 @@ class FlightSession:
     # -- before the landing
 
     def _refusal(self) -> str:
-        """Check and take off; return the reason why no landing is begun, or an empty string."""
+        """Check and take off; return the reason why no landing begins, or an empty string."""
         height = self.plan.take_off
         if not self._is_well(lambda: self.check_all(motion=height is None)):
             return REFUSED
@@ -280,7 +279,7 @@ class FlightSession:
         return "" if known else f"the motion is not known after the take-off; {self.hold()}"
 
     def _is_well(self, checks: Callable[[], list[CheckResult]], over: Callable[[], bool] = lambda: False) -> bool:
-        """Wait until no check is bad, and up to `SETTLED` s for warnings to end, or until `over`; False: one is bad."""
+        """Repeat the checks until no result is bad, or until `over`; return whether no result is bad."""
         begin = time.monotonic()
         while True:
             self.found = checks()
@@ -293,7 +292,7 @@ class FlightSession:
             time.sleep(STEP)
 
     def check_all(self, motion: bool) -> list[CheckResult]:
-        """Check the machine, the autopilot and the cameras; `motion`: the motion as well."""
+        """Return the checks of the machine, the autopilot and the cameras; with `motion`, also of the motion."""
         with self.feed.lock:
             found = [*self.machine, *autopilot_checks(self.plan, self.feed)]
         p = self.pilot.inputs.pictures
@@ -307,7 +306,6 @@ class FlightSession:
         return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
 
     def _take_off(self, height: float) -> str:
-        """Climb to a height, metres above the home; return the reason if it failed, else an empty string."""
         climb, shown = TakeOff(self.vehicle, height, time.monotonic_ns()), ""
         while not climb.done and not climb.failed:
             with self.feed.lock:
@@ -323,10 +321,7 @@ class FlightSession:
     # -- the landing
 
     def _land(self) -> str:
-        """Land, until the pilot is done or a dry run would return.
-
-        Return the vehicle's action after a stop by the user, else an empty string.
-        """
+        """Fly the landing; return the vehicle's action in words after a stop by the user, else an empty string."""
         dry = self.plan.dry_run
         try:
             self.pilot.begin(time.monotonic_ns(), self.plan.take_off is not None)
@@ -346,14 +341,14 @@ class FlightSession:
     def hold(self) -> str:
         """Make the autopilot hold by itself, and give control away; return the vehicle's action in words.
 
-        The order waits for a heartbeat and may be refused or lost: it is due on every turn until the mode is flown.
-        Nothing is shown or written meanwhile, as the display or the disk may have failed.
+        The command waits for a heartbeat and may be refused or lost. So it is repeated until the vehicle holds.
+        Meanwhile nothing is shown or written, as the display or the disk may have failed.
         """
         if self.plan.dry_run:
             return "nothing was sent to the vehicle"
         if self.taken:
             return TAKEN
-        end = time.monotonic() + 6.0  # a heartbeat before the order, one after it, and a lost packet
+        end = time.monotonic() + 6.0  # for a heartbeat before the order, one after it, and a lost packet
         while not (held := self._holds()) and not self.taken and time.monotonic() < end:
             time.sleep(STEP)
             self._listen()
@@ -365,7 +360,6 @@ class FlightSession:
         return "the vehicle holds its place" if held else UNCONFIRMED
 
     def _holds(self) -> bool:
-        """Order the hold if it is due; return whether it is flown."""
         with self.feed.lock:
             ordered = self.pilot.stop(time.monotonic_ns())
             return ordered and self.vehicle.alive and self.vehicle.telemetry.mode is FlightMode.HOLD

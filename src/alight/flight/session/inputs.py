@@ -1,4 +1,4 @@
-"""Inputs of a landing: pictures, motions, verdicts and the autopilot's reports, as one situation."""
+"""The inputs of a landing as one situation: pictures, motions, verdicts and the autopilot's reports."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Telemetry
 from alight.records.executive import MapVerdict, Situation
 
-SILENT = 20.0  # s without a report, after which a battery that was reported counts as not known
+SILENT = 20.0  # s without a report, after which a battery that was reported is unknown
 
 
 class PictureWatch:
-    """The pictures as they come: those of an earlier flight, and those of a frozen camera, are left out.
+    """Watches the pictures as they come, and drops pictures of an earlier flight or of a frozen camera.
 
-    The noise of a sensor makes every picture a little different, so one that is the same to the bit comes from a
-    camera or a driver that hangs. A motion that is estimated from it stands still while the vehicle flies.
+    Sensor noise makes every picture a little different. So a picture that repeats the previous one bit for bit comes
+    from a camera or a driver that hangs. A motion estimated from it would stand still while the vehicle flies.
     """
 
     def __init__(self) -> None:
-        self._last: dict[int, U8] = {}  # every fourth pixel
+        self._last: dict[int, U8] = {}  # every fourth pixel of the newest picture, by camera
         self._arrivals = deque[float](maxlen=1000)  # s
-        self._begun = False  # an exposure has come that is of now
-        self.frames, self.delay = 0, math.nan  # exposures so far; s from the stamp of the newest to its arrival
-        self.newest_ns: int | None = None  # arrival of the last picture that was new
-        self.frozen = 0  # exposures in a row without a new picture
-        self.stuck: tuple[int, ...] = ()  # cameras whose newest picture repeats the one before
+        self._begun = False  # whether a current exposure has come
+        self.frames, self.delay = 0, math.nan  # exposures so far; s from the newest stamp to its arrival
+        self.newest_ns: int | None = None  # arrival of the last new picture
+        self.frozen = 0  # consecutive exposures without a new picture
+        self.stuck: tuple[int, ...] = ()  # cameras whose newest picture repeats the previous one
 
     def fresh(self, frame: Frame, now_ns: int) -> Frame | None:
-        """Take an exposure; return it with its new pictures only, or None if there is none.
+        """Process an exposure that arrives at `now_ns`; return it with only its new pictures; None: no new pictures.
 
-        A folder that was filled before still has its pictures. They come all at once: a gap between them would look
-        like a jump of the camera's clock.
+        Pictures that a folder held before the flight all arrive at once. They are dropped until the first current
+        exposure, as the gap before it would look like a jump of the camera's clock.
         """
         self.frames, self.delay = self.frames + 1, (now_ns - frame.t_ns) * 1e-9
         self._arrivals.append(now_ns * 1e-9)
@@ -59,22 +59,22 @@ class PictureWatch:
         return replace(frame, images=tuple(None if cam in repeated else i for cam, i in enumerate(frame.images)))
 
     def rate(self, now_ns: int) -> float:
-        """Exposures a second, in the last three seconds."""
+        """Return the number of exposures per second, over the last three seconds."""
         return sum(now_ns * 1e-9 - t < 3.0 for t in tuple(self._arrivals)) / 3.0
 
     def age(self, now_ns: int) -> float:
-        """Seconds since the last picture that was new."""
+        """Return the seconds since the last new picture; inf: no picture has come."""
         return math.inf if self.newest_ns is None else (now_ns - self.newest_ns) * 1e-9
 
 
 class BatteryWatch:
-    """The last reported share of the battery: silence about it is no full battery."""
+    """The last reported charge of the battery; after a long silence the charge is unknown, not full."""
 
     def __init__(self) -> None:
-        self._share, self._at = math.nan, math.inf  # and s, when it was reported
+        self._share, self._at = math.nan, math.inf  # last report, and its time in s
 
     def share(self, reports: Telemetry, now: float) -> float:
-        """Return the share, 0 to 1; 1: it was never reported; NaN: it was, and is not any more."""
+        """Return the charge, 0 to 1; NaN: it was reported once, but no longer is. A charge never reported is 1."""
         age = reports.ages.get("SYS_STATUS", math.inf)
         if not math.isnan(reports.battery.share) and age < SILENT:
             self._share, self._at = reports.battery.share, now - age
@@ -84,11 +84,12 @@ class BatteryWatch:
 
 
 class LandingInputs:
-    """The newest of everything that a landing decides by. Its inputs may come from any thread.
+    """The newest inputs, on which the decisions of a landing are based. They may come from any thread.
 
     Args:
-        stale: s, age from which a motion or a position is not used.
-        note: called with the lane and a note in words.
+        local: the world frame.
+        stale: age in s from which a motion or a position is not used.
+        note: called with the name of a lane and a note in words.
     """
 
     def __init__(
@@ -98,17 +99,17 @@ class LandingInputs:
         self.pictures, self._battery = PictureWatch(), BatteryWatch()
         self.motion: Motion | None = None  # of the newest tracked exposure
         self.verdict: MapVerdict | None = None  # the newest
-        self.verdict_ns = 0  # its newest exposure
-        self.is_new = False  # the verdict; whoever decides by it clears this
+        self.verdict_ns = 0  # stamp of the newest exposure in its map
+        self.is_new = False  # whether the verdict is new; cleared by the pilot
         self._begin_ns: int | None = None
         self._starts, self._flying, self._had_position = vehicle.starts, False, True
 
     def begin(self, now_ns: int, flying: bool) -> None:
-        """As `LandingPilot.begin`."""
+        """Begin the landing; see `LandingPilot.begin` for the arguments."""
         self._begin_ns, self._starts, self._flying = now_ns, self._vehicle.starts, flying
 
     def add_frame(self, frame: Frame, now_ns: int) -> Frame | None:
-        """Take an exposure that came at `now_ns`; return it with its new pictures alone, None where there is none."""
+        """Process an exposure that came at `now_ns`; return it with only its new pictures; None: no new pictures."""
         before = self.pictures.stuck
         fresh = self.pictures.fresh(frame, now_ns)
         if (stuck := self.pictures.stuck) != before:
@@ -117,14 +118,14 @@ class LandingInputs:
         return fresh
 
     def add_motion(self, motion: Motion) -> None:
-        """Take the motion of the newest tracked exposure."""
+        """Store the motion of the newest tracked exposure."""
         self.motion = motion
 
     def add_verdict(self, verdict: Verdict, t_ns: int) -> None:
-        """Take a verdict; before the landing begins it is left out.
+        """Store a verdict; it is dropped if the landing has not begun.
 
         Args:
-            t_ns: the newest exposure that its map holds.
+            t_ns: stamp of the newest exposure in the map of the verdict.
         """
         if self._begin_ns is None:
             return
@@ -135,14 +136,14 @@ class LandingInputs:
         self.add_map_verdict(found, t_ns)
 
     def add_map_verdict(self, verdict: MapVerdict, t_ns: int) -> None:
-        """Take a verdict whose number is larger than that of the one before."""
+        """Store a verdict; its number must be larger than the number of the previous verdict."""
         self.verdict, self.verdict_ns, self.is_new = verdict, t_ns, True
 
     def situation(self, now_ns: int, in_control: bool) -> tuple[Situation, Motion | None]:
-        """The situation at `now_ns`, and the motion that its position is of; None: the position is not known."""
+        """Return the situation at `now_ns`, and the motion behind its position; None: the position is unknown."""
         assert self._begin_ns is not None
         m, reports = self.motion, self._vehicle.telemetry
-        located = reports.has_position  # else it cannot follow a set-point
+        located = reports.has_position  # else the autopilot cannot follow a set-point
         newest = self.pictures.newest_ns  # missing pictures are reported by their age instead
         lags = m is not None and newest is not None and (newest - m.t_ns) * 1e-9 > self._stale
         state = MotionState.LOST if m is None or lags or not located else m.state
@@ -171,7 +172,7 @@ class LandingInputs:
         return now, m if position is not None else None
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
-        """(3,) metres in the map's frame now: the newest motion plus the autopilot's own displacement since then."""
+        """Return the newest motion plus the autopilot's displacement since then, (3,) metres; None: unknown."""
         flown = self._vehicle.displacement(self._local, motion.t_ns, now_ns).vector
         if flown is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
             return None

@@ -1,4 +1,4 @@
-"""The executive's orders for an autopilot: modes, guided set-points and landing targets."""
+"""The executive's orders as commands to an autopilot: modes, guided set-points and landing targets."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from alight.records import FlightMode, Landed, Motion, Place, Telemetry
 from alight.records.executive import FlightState, Order
 from alight.settings import ExecutiveSettings
 
-TOUCH, LOW = 1.0, 3.0  # m above the estimated height of the place
-TOUCH_NS, STILL_NS = 800_000_000, 2_000_000_000  # without sinking: below TOUCH, and below LOW
-AGAIN_NS = 2_000_000_000  # until a mode that was refused is ordered again
-LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
+TOUCH, LOW = 1.0, 3.0  # m above the estimated height of the site
+TOUCH_NS, STILL_NS = 800_000_000, 2_000_000_000  # time without sinking at a touchdown: below TOUCH, and below LOW
+AGAIN_NS = 2_000_000_000  # until a refused mode is ordered again
+LEAST_SPEED = 0.2  # m/s: an autopilot refuses a speed of 0
 
 
 class Contact:
-    """Detects that it has stopped sinking: PX4 does not report GROUND in Offboard, and a place may lie higher."""
+    """Detects a touchdown by the end of sinking: PX4 reports no GROUND in Offboard, and site heights are uncertain."""
 
     def __init__(self) -> None:
-        self._still_ns: int | None = None  # instant from which it has not sunk; None: it sinks
+        self._still_ns: int | None = None  # since when the vehicle does not sink; None: it sinks
 
     def forget(self) -> None:
-        """Begin anew, as it is not ordered down now."""
+        """Reset: the vehicle is not ordered down now."""
         self._still_ns = None
 
     def is_felt(self, height: float | None, sink: float, reports: Telemetry, now_ns: int) -> bool:
-        """True if the vehicle stands. Call it at every tick while it is ordered down.
+        """Whether the vehicle is on the ground. Call it at every tick while the vehicle is ordered down.
 
         Args:
-            height: metres above the place, as estimated; None: unknown, but low.
-            reports: of the vehicle; an unknown velocity is no contact.
+            height: estimated height above the site, metres; None: unknown, but low.
+            sink: ordered speed downwards, m/s.
+            reports: telemetry of the vehicle; an unknown velocity shows no contact.
         """
         still = reports.mode is FlightMode.GUIDED and bool(reports.velocity_world[2] >= -0.4 * sink)
         if not still or (height is not None and height > LOW):
@@ -51,21 +52,20 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class _Leg:
-    """The way to a target, in our frame and the autopilot's."""
-
     tie: EstimateTie
-    here: F64  # (3,) metres in our frame, the vehicle now
-    way: F64  # (3,) metres, from it to the target
+    here: F64  # (3,) metres in our frame, present position of the vehicle
+    way: F64  # (3,) metres, from the vehicle to the target
     goal: Place  # the target
 
 
 class OrderSender:
-    """Carries out the executive's orders, one call a tick.
+    """Carries out the executive's orders, one call per tick.
 
-    A place is sent relative to the autopilot's own estimate at the instant of the motion that it is relative to.
+    A target is computed from a motion. It is sent relative to the autopilot's own position at the time of that motion.
 
     Args:
-        local: the world, for degrees.
+        local: the world frame, for positions in degrees.
+        warn: called with each warning to a person.
     """
 
     def __init__(
@@ -73,22 +73,22 @@ class OrderSender:
         warn: Callable[[str], None],
     ) -> None:  # fmt: skip
         self._vehicle, self._commands, self._local, self._warn = vehicle, commands, local, warn
-        self._stale = keys.stale  # s, age of the autopilot's position beyond which it is ordered to hold by itself
-        self._farthest = 2.0 * keys.search_side, keys.search_height + 60.0  # m over the ground, and upwards to a target
+        self._stale = keys.stale  # s, age of its position beyond which the autopilot is ordered to hold by itself
+        self._farthest = 2.0 * keys.search_side, keys.search_height + 60.0  # m, longest path: over the ground, upwards
         self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
-        self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
-        self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and the instant from which it is wanted
-        self._held: tuple[Place, int] | None = None  # held place, and instant of its last order
+        self._heading: float | None = None  # rad clockwise from north, of the nose under guidance
+        self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and since when it is wanted
+        self._held: tuple[Place, int] | None = None  # held position, and instant of its last order
         self._contact = Contact()  # with a high site
-        self._site_above: float | None = None  # metres above home of the place of this landing; None: unknown
+        self._site_above: float | None = None  # metres above home, of the site of this landing; None: unknown
 
     def obey(self, order: Order, state: FlightState, motion: Motion | None, now_ns: int) -> str:
         """Carry out an order; return the action in words.
 
         Args:
-            order: in the frame of the motion.
-            motion: the newest one; None: unknown. An order to land then leads straight down.
+            order: order in the frame of the motion.
+            motion: newest motion; None: unknown. An order to land then leads straight down.
         """
         if order.what == "nothing":
             self._commands.release()
@@ -109,11 +109,11 @@ class OrderSender:
         return self._go(order.position, order, motion, now_ns)
 
     def stop(self, now_ns: int) -> bool:
-        """Order the autopilot to hold by itself; False: not ordered yet, call it again."""
+        """Order the autopilot to hold by itself; return False while the order must wait."""
         return self.order_mode(FlightMode.HOLD, now_ns)
 
     def on_answer(self, ticket: int | None, ok: bool, now_ns: int) -> None:
-        """Take the answer to a command: a mode that was refused is ordered again, a little later."""
+        """Process the answer to a command; a mode that was refused is ordered again after `AGAIN_NS`."""
         if ticket != self._ticket:
             return
         self._ticket = -1
@@ -126,12 +126,13 @@ class OrderSender:
         self._mode, self._refused_ns = None, now_ns
 
     def order_mode(self, mode: FlightMode, now_ns: int) -> bool:
-        """Order a mode, once; False: not yet.
+        """Order a mode once; return False while the order must wait.
 
-        Once we fly, the order waits for the next heartbeat: a pilot's switch since the last one is not undone.
+        While we are in control, the command waits for the next heartbeat. So it does not undo a mode that a pilot has
+        switched to since the last heartbeat.
         """
         if self._mode is mode:
-            self._wanted = None  # of another mode: it must not be ordered after an old heartbeat later
+            self._wanted = None  # another mode must not be ordered later by an old heartbeat
             return True
         if self._wanted is None or self._wanted[0] is not mode:
             self._wanted = mode, now_ns
@@ -145,10 +146,10 @@ class OrderSender:
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
-        """Hold: under guidance between two way-points, by the autopilot itself while an input is missing."""
+        """Hold under guidance between two way-points, or in the autopilot's own mode while an input is missing."""
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
-            self._held = None  # else it would fly to a place of an estimate that has jumped since
+            self._held = None  # else it would fly to a position from before a jump of the estimate
             self.order_mode(FlightMode.HOLD, now_ns)
             return "hold"
         self.order_mode(FlightMode.GUIDED, now_ns)
@@ -159,14 +160,14 @@ class OrderSender:
         return "stay"
 
     def _kept(self, here: Place, now_ns: int) -> Place:
-        """Return the place that was held so far, or `here` after a jump of the autopilot's estimate."""
+        """Return the position held so far, or `here` after a jump of the autopilot's estimate."""
         if self._held is None or metres_between(self._held[0], here) > 5.0:
             return here
         flown = self._vehicle.displacement(self._local, self._held[1], now_ns).vector
         return here if flown is None else self._held[0]
 
     def _nose(self) -> float | None:
-        """The heading at which guidance began: without one ArduPilot turns the nose, and the pictures, on every leg."""
+        """Return the heading at which guidance began, rad; without it ArduPilot turns nose and cameras on every leg."""
         R = self._vehicle.telemetry.world_from_body
         if self._heading is None and R is not None:
             self._heading = math.atan2(float(R[0, 0]), float(R[1, 0]))
@@ -180,7 +181,7 @@ class OrderSender:
         return self._guide(leg, order)
 
     def _lost(self, motion: Motion, now_ns: int) -> str:
-        """Hold, as no target can be made now; wait a little if positions are only late, as the last target is near."""
+        """Hold, as no target can be computed; if positions are only late, keep the last target for a while."""
         missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.place_jumped
         if missing and self._vehicle.place_age <= self._stale:
             return "wait: the autopilot's position is late"
@@ -188,14 +189,13 @@ class OrderSender:
         return f"{self._hold(FlightState.HOLD, now_ns)}: the autopilot's place is not known, or has jumped"
 
     def _guide(self, leg: _Leg, order: Order) -> str:
-        """Send the target, whatever mode is flown."""
         self._held = None
         speed, sink = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
         self._commands.guide(Setpoint(leg.here + leg.way, None, self._nose(), speed, sink), leg.tie)
         return f"fly to {place_text(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
-        """Fly over the place, or land with the target reported; an autopilot without targets goes straight down."""
+        """Fly over the site, or land with its target reported; without support for targets, LAND goes straight down."""
         site = self._leg(place, motion, now_ns)
         goal = self._report(site, now_ns)
         over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
@@ -217,7 +217,7 @@ class OrderSender:
         return "land" if goal is None else f"land on {place_text(goal)}"
 
     def _down(self, order: Order, now_ns: int) -> str:
-        """Go straight down without a reported target: the vehicle is low, and our position is unknown."""
+        """Descend straight down without a reported target: the vehicle is low, and its position is unknown."""
         self._held = None
         guided = self._is_high and self._mode is not FlightMode.LAND
         if guided and not self._contact.is_felt(None, order.sink, self._vehicle.telemetry, now_ns):
@@ -226,25 +226,24 @@ class OrderSender:
         return "land: straight down" if self.order_mode(FlightMode.LAND, now_ns) else self._sink(order)
 
     def _sink(self, order: Order) -> str:
-        """Order a velocity straight down, whatever mode is flown."""
         sink = max(order.sink, LEAST_SPEED)
         self._commands.guide(Setpoint(None, np.array([0.0, 0.0, -sink]), self._nose()))
         return f"straight down at {sink:.1f} m/s"
 
     @property
     def _is_high(self) -> bool:
-        """True if the autopilot's LAND comes down fast here, as its heights are relative to its home.
+        """Whether the autopilot's LAND would descend fast here, as its heights are relative to home.
 
-        From 0.7 m above such a site it would reach 1.1 m/s (ArduPilot, 1 m/s^2; PX4 more).
+        From 0.7 m above such a site, LAND would reach 1.1 m/s (ArduPilot, at 1 m/s^2; PX4 is faster).
         """
         here = self._vehicle.telemetry.place
         above = self._site_above if self._site_above is not None else None if here is None else here.above_home
         return above is not None and above > self._vehicle.firmware.high_site
 
     def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
-        """Report the target; return its place, None: unknown now.
+        """Report the landing target; return its position, None if it is unknown now.
 
-        It is reported before the landing as well: ArduPilot needs two seconds of it, and stops if it lands without.
+        It is reported before the landing too: ArduPilot needs it for two seconds, and stops if it lands without it.
         """
         attitude = self._vehicle.telemetry.world_from_body
         if site is None or attitude is None:
@@ -252,9 +251,9 @@ class OrderSender:
         return site.goal if self._commands.land_on(now_ns, site.way, attitude) else None
 
     def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
-        """The way to a target; None: the autopilot's place is unknown, or one of the positions is impossible.
+        """Return the path to a target; None: the autopilot's position is unknown, or a position is impossible.
 
-        If its newest positions are late, the way begins at the vehicle's position of the exposure.
+        If the autopilot's newest positions are late, the path begins at the position of the exposure.
         """
         tie = self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
         flown = self._vehicle.displacement(self._local, motion.t_ns, now_ns)

@@ -1,4 +1,4 @@
-"""The pilot: a situation for the executive, and its orders to the vehicle. No thread and no clock."""
+"""The pilot: gives the executive the situation, and its orders to the vehicle. No thread and no clock."""
 
 from __future__ import annotations
 
@@ -28,54 +28,55 @@ from alight.records.executive import (
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
-STANDS_NS = 5_000_000_000  # from the touchdown to the first request to stop the motors, and between two of them
-REQUESTS = 3  # after which a person is warned
+STANDS_NS = 5_000_000_000  # from the touchdown to the first request to stop the motors, and between requests
+REQUESTS = 3  # requests after which a person is warned
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
 
 
 class LandingLog:
-    """Log of a landing, in order; this one keeps nothing. Times are of our clock, in nanoseconds."""
+    """Log of a landing, in order of time; this class stores nothing. Times are of our clock, in nanoseconds."""
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Take an order in words, with the state in which it was given."""
+        """Log an order in words, with the state of the executive that gave it."""
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """Take a new entry of the diary."""
+        """Log a new entry of the diary."""
 
     def note(self, lane: str, words: str) -> None:
-        """Take a note on the cameras, the autopilot or a lane."""
+        """Log a note on the cameras, the autopilot or a lane."""
 
 
 class SessionLog(LandingLog):
-    """Log of a landing: into the recording, where one is made, and as lines of text."""
+    """Log of a landing: written to the recording, if one is made, and printed as lines of text."""
 
     def __init__(self, on_line: Callable[[str], None]) -> None:
         self.on_line = on_line
         self.recorder: Recorder | None = None
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Write an order into the recording alone: there are many."""
+        """Write an order to the recording; orders are too many to be printed."""
         if self.recorder is not None:
             self.recorder.order(t_ns, state, words)
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """Write an entry of the diary."""
+        """Write an entry of the diary to the recording, and print it."""
         if self.recorder is not None:
             self.recorder.landing(t_ns, entry)
         self.on_line(entry.line)
 
     def note(self, lane: str, words: str) -> None:
-        """Write a note."""
+        """Write a note to the recording, and print it."""
         if self.recorder is not None:
             self.recorder.note(lane, words)
         self.on_line(f"{lane}: {words}")
 
 
 class MotorStop:
-    """Requests that motors stop where they still turn seconds after a landing (PX4, COM_DISARM_LAND below 0).
+    """Requests the motors to stop if they still turn seconds after a landing (PX4, COM_DISARM_LAND below 0).
 
     Args:
-        commands: takes the request. An autopilot refuses it in the air.
+        commands: receiver of the request; an autopilot refuses it in the air.
+        warn: called with each warning to a person.
     """
 
     def __init__(self, commands: VehicleCommands, warn: Callable[[str], None]) -> None:
@@ -84,7 +85,7 @@ class MotorStop:
         self._requests = 0
 
     def tick(self, reports: Telemetry, now_ns: int) -> None:
-        """Call it several times a second, with the reports of the vehicle."""
+        """Check the reports of the vehicle, and request the stop if it is due. Call it several times per second."""
         lands = self._commands.in_control and reports.mode in (FlightMode.LAND, FlightMode.RETURN)
         if not (lands and reports.armed and reports.landed is Landed.GROUND):
             self._since_ns, self._requests = None, 0
@@ -103,23 +104,25 @@ class MotorStop:
 
 @dataclass(frozen=True, eq=False)
 class PilotView:
-    """A landing at one moment, for a display."""
+    """A landing at one moment, for a display: state, order, situation, visited location and height."""
 
     t: float  # s since it began
     state: FlightState
     order: str
     situation: Situation
-    target: Site | None = None  # the place that it is about, in the map's frame
-    height: float | None = None  # metres above that place, or above the ground
+    target: Site | None = None  # visited location, in the map frame
+    height: float | None = None  # metres above that location, or above the ground
 
 
 class LandingPilot:
-    """One landing. Feed its `inputs` pictures, motions and verdicts; after `begin`, call `tick` twenty times a second.
+    """Flies one landing. Feed `inputs` with pictures, motions and verdicts; after `begin`, call `tick` at 20 Hz.
 
     Args:
-        commands: takes the orders: the vehicle itself, or a `DryRunVehicle`.
-        policy: of the lanes; it is given the verdicts that are needed, at every decision.
-        log: takes orders, entries of the diary and notes.
+        local: the world frame.
+        vehicle: the vehicle that reports.
+        commands: receiver of the orders: the vehicle itself, or a `DryRunVehicle`.
+        policy: policy of the lanes; it gets the needed verdicts at every decision.
+        log: receiver of orders, diary entries and notes.
     """
 
     def __init__(
@@ -135,7 +138,7 @@ class LandingPilot:
         warn = partial(log.note, "autopilot")
         self.orders, self._motor_stop = OrderSender(vehicle, commands, local, k, warn), MotorStop(commands, warn)
         self._decided_ns: int | None = None
-        self._written = 0, 0  # looks and transitions
+        self._written = 0, 0  # numbers of logged looks and transitions
         self._order = ""
 
     @property
@@ -145,21 +148,21 @@ class LandingPilot:
 
     @property
     def diary(self) -> FlightDiary:
-        """Transitions, looks and their pictures so far."""
+        """Diary of the landing so far: transitions, looks and their pictures."""
         return self.executive.diary
 
     @property
     def in_control(self) -> bool:
-        """True from our first order to a takeover: we fly."""
+        """Whether we are in control: from our first order to a takeover."""
         return self._commands.in_control
 
     @property
     def over(self) -> bool:
-        """True if the vehicle has landed or was handed over."""
+        """Whether the vehicle has landed or was handed over."""
         return self.state in ENDS
 
     def on_notice(self, notice: Notice) -> None:
-        """Take a notice of the autopilot; answers to commands are passed on."""
+        """Process a notice of the autopilot; answers to commands go to `orders`."""
         if notice.kind is NoticeKind.COMMAND:
             self.orders.on_answer(notice.ticket, notice.ok, notice.t_ns)
 
@@ -167,13 +170,13 @@ class LandingPilot:
         """Begin the landing.
 
         Args:
-            now_ns: the seconds of its diary count from here.
-            flying: we have taken off: if we are no longer in control, somebody else is, and keeps it.
+            now_ns: present time of our clock, time zero of the diary.
+            flying: whether we took off. If so, loss of control is a takeover, and somebody else stays in control.
         """
         self.inputs.begin(now_ns, flying)
 
     def tick(self, now_ns: int) -> PilotView:
-        """Decide ten times a second; on the last metres, and after a new verdict, at every call."""
+        """Decide if due (at 10 Hz; while landing or after a new verdict, at every call); return the present view."""
         is_new, self.inputs.is_new = self.inputs.is_new, False  # before the situation: a verdict may come any time
         now, located = self.inputs.situation(now_ns, self.in_control)
         waits = self._decided_ns is not None and now_ns - self._decided_ns < TICK_NS
@@ -183,7 +186,7 @@ class LandingPilot:
         return self._view(now)
 
     def stop(self, now_ns: int) -> bool:
-        """Order the autopilot to hold by itself, after a stop by the user. False: not ordered yet, call it again."""
+        """Order the autopilot to hold by itself, after a stop by the user; return False while the order must wait."""
         return self.in_control and self.orders.stop(now_ns)
 
     def _decide(self, now: Situation, located: Motion | None, now_ns: int) -> None:
@@ -199,7 +202,7 @@ class LandingPilot:
             self._measure("image to set-point", located.t_ns, now_ns)
 
     def _measure(self, name: str, t_ns: int, now_ns: int) -> None:
-        """Take the delay in s from an exposure to the first order by its verdict, or relative to its motion."""
+        """Record the delay in s from an exposure to the first order that uses its verdict or its motion."""
         if t_ns > self._led[name]:
             self._led[name] = t_ns
             self.delays[name].append((now_ns - t_ns) * 1e-9)
@@ -222,7 +225,7 @@ class LandingPilot:
 
 
 def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
-    """The ground about the place of a look, `reach` metres each way, on `size` pixels a side."""
+    """Return the picture and P(safe) of the ground at a look: `reach` metres to each side, `size` pixels wide."""
     cell, (east, north, _) = 2 * reach / size, look.place
     edge = reach - cell / 2  # the middle of the first pixel
     shown = Grid(east - edge, north + edge, cell, size, size)

@@ -12,22 +12,23 @@ from alight.flight.autopilot import RemoteVehicle, StreamRate
 from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
-LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures a second
+LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
 MOST_AGE = 1.0  # s between an exposure and its arrival
-OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
-MOST_SIGMA = 0.02  # s, of the autopilot's clock
-LEAST_IMU = 25.0  # samples a second; more than 0.05 s between two are a gap
+OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is too slow
+MOST_SIGMA = 0.02  # s, uncertainty of the autopilot's clock
+LEAST_IMU = 25.0  # samples per second; an interval of more than 0.05 s is a gap
 FASTER = "use a faster link, or one without a ground station that requests less (MAVProxy: set streamrate -1)"
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
-NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
+NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # messages without which no landing begins
 
 
 def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
     """Check the link, and the autopilot at its other end.
 
     Args:
-        vehicle: that was found; None: none.
-        refused: reason why a sender is not the vehicle; empty: none was now.
+        name, messages: name of the link, and the number of messages received over it.
+        vehicle: the vehicle found; None: no vehicle.
+        refused: reason why a sender was not accepted as the vehicle; empty: no sender was refused.
     """
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
@@ -48,7 +49,8 @@ def judge_vehicle(
     """Check the autopilot by its telemetry: clock, streams, position, home, battery, wind, and whether it flies.
 
     Args:
-        missing: reason why it gives no GPS/INS; empty: it does.
+        missing: reason why the vehicle gives no GPS/INS; empty: it gives GPS/INS.
+        take_off, dry, home_given: whether the landing begins with a take-off, is a dry run, and has a given home.
     """
     now = vehicle.telemetry
     return [
@@ -87,7 +89,7 @@ def _rates(rates: Mapping[str, StreamRate]) -> str:
 
 
 def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
-    """Check that IMU samples come, and often enough to be used."""
+    """Check that IMU samples are requested and come often enough to be used; `wanted` is the requested rate, Hz."""
     if wanted <= 0.0:
         why = "none is requested: where this was tried, no height was measured"
         return warning("IMU", why, "leave out --imu 0")
@@ -146,7 +148,7 @@ def _wind(now: Telemetry, most: float) -> CheckResult:
 
 
 def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
-    """Check that it is ready to take off, or flies at least `least` metres above home."""
+    """Check that the vehicle is ready to take off, or flies at least `least` metres above home."""
     above = "" if now.place is None else f", {now.place.above_home:.0f} m above home"
     if now.landed is Landed.GROUND or not now.armed:
         if take_off and now.ready and now.checks_off:
@@ -173,10 +175,10 @@ def judge_cameras(frames: int, rate: float, delay: float, frozen: int) -> CheckR
     """Check that new pictures come, often enough, and are stamped by the right clock.
 
     Args:
-        frames: exposures so far.
-        rate: exposures a second.
-        delay: s from the stamp of the newest to its arrival.
-        frozen: exposures in a row that repeat the one before.
+        frames: number of exposures so far.
+        rate: exposures per second.
+        delay: seconds from the newest stamp to its arrival.
+        frozen: number of consecutive exposures that repeat the previous one.
     """
     if not frames:
         return bad("pictures", "not one has come", "see that the camera gives pictures, or that the folder is filled")
@@ -193,7 +195,7 @@ def judge_cameras(frames: int, rate: float, delay: float, frozen: int) -> CheckR
 
 
 def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, record: bool) -> list[CheckResult]:
-    """Check that the loops are compiled, and that the disk has room for the recording."""
+    """Check that the loops are compiled (`warm`), and the disk has room for `seconds` s at `rate` exposures/s."""
     mend = "run 'alight warmup' once; it takes minutes"
     loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)
     free = shutil.disk_usage(out).free * 1e-6
@@ -211,7 +213,7 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:
-    """Check that the motion is known."""
+    """Check that the motion is known; `age` is its age in seconds."""
     if motion is None or age > MOST_AGE:
         return bad("motion", "none is known yet", "see that pictures show ground, and that the calibration fits")
     if motion.state in (MotionState.LOST, MotionState.INITIALISING):

@@ -1,19 +1,20 @@
-"""A take-off: guided mode, motors, up to a height."""
+"""A take-off: guided mode, arming, climb to a height."""
 
 from __future__ import annotations
 
 from alight.flight.autopilot import RemoteVehicle
 from alight.records import FlightMode, Landed, Telemetry
 
-AGAIN_NS = 3_000_000_000  # until an order that shows no effect is given again
+AGAIN_NS = 3_000_000_000  # until a command without effect is repeated
 LONGEST_NS = 120_000_000_000
 
 
 class TakeOff:
-    """A take-off. Call `tick` until `done`, or until `failed` gives the reason in words.
+    """A take-off. Call `tick` until `done` is true or `failed` holds the reason in words.
 
     Args:
         height: metres above home.
+        begin_ns: present time of our clock.
     """
 
     def __init__(self, vehicle: RemoteVehicle, height: float, begin_ns: int) -> None:
@@ -24,7 +25,7 @@ class TakeOff:
 
     @property
     def hint(self) -> str:
-        """Action of a person that the take-off needs now, in words; empty: none."""
+        """Action that a person must take now, in words; empty: no action."""
         if self._vehicle.helicopter and self._step == "take off" and not self._lifted:
             return "switch on the motor interlock now: a helicopter that is armed without it is disarmed after 10 s"
         return ""
@@ -36,12 +37,12 @@ class TakeOff:
 
     @property
     def _lifted(self) -> bool:
-        """True if it has lifted off, by its report; by its height only without one, which may be wrong by a metre."""
+        """Whether the vehicle has lifted off, by its landed state; if that is unknown, by a height above 1 m."""
         landed = self._vehicle.telemetry.landed
         return self._above > 1.0 if landed is Landed.UNKNOWN else landed is not Landed.GROUND
 
     def tick(self, now_ns: int) -> None:
-        """Give the next order that is due."""
+        """Send the next command that is due."""
         if self.done or self.failed:
             return
         if self._took and not self._vehicle.in_control:
@@ -63,7 +64,7 @@ class TakeOff:
         self._armed = reports.armed
         step = "take off" if reports.armed else "arm" if reports.mode is FlightMode.GUIDED else "guided mode"
         if step == "take off" and self._step == step and self._lifted:
-            return  # on its way
+            return  # it climbs
         if step == self._step and now_ns - self._ordered_ns < AGAIN_NS:
             return
         self._step, self._ordered_ns, self._took = step, now_ns, True

@@ -1,4 +1,4 @@
-"""Faults and events of a landing: the ranges of their numbers, and their effect on vehicle, link and autopilot."""
+"""Faults and events of a landing: the ranges of their parameters, and their effect on vehicle, link and autopilot."""
 
 from __future__ import annotations
 
@@ -23,34 +23,33 @@ TURN: Range = (0.0, 2.0 * math.pi)
 
 @dataclass(frozen=True)
 class CampaignFault:
-    """A kind of fault or event: its effect, and the ranges of its numbers."""
+    """A kind of fault or event: its effect, and the ranges of its parameters."""
 
-    act: Callable[[Any, Numbers], object]  # on a `SteeredFlight`; in `LINK_FAULTS`, on a `Trial`
-    ranges: Mapping[str, Range] = field(default_factory=dict)  # its numbers are uniform in them
-    is_body: bool = False  # a car or person that comes to the place of the vehicle
-    takes_control: bool = False  # the landing is to be handed over
+    act: Callable[[Any, Numbers], object]  # called with a `SteeredFlight`; in `LINK_FAULTS`, with a `Trial`
+    ranges: Mapping[str, Range] = field(default_factory=dict)  # ranges from which the parameters are drawn
+    is_body: bool = False  # whether it is a car or person that moves to the vehicle
+    takes_control: bool = False  # whether the landing should be handed over
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Draw each of its numbers, uniform in its range."""
+        """Return parameters drawn uniformly from their ranges, by name."""
         return {name: float(rng.uniform(*r)) for name, r in self.ranges.items()}
 
 
 def _towards(n: Numbers, length: float) -> tuple[float, float]:
-    """East and north of a vector in the drawn direction."""
     return length * math.cos(n["direction"]), length * math.sin(n["direction"])
 
 
 def _time_left(v: SteeredFlight) -> float:
-    """Seconds in which a body must arrive: before a vehicle that sinks by 1 m/s is lower than 2.5 m.
+    """Return the seconds until the vehicle, sinking at 1 m/s, is 2.5 m above ground: a body must arrive by then.
 
-    A landing is not broken off below 1.5 m, and from there no camera that looks down sees a car come in time.
+    Below 1.5 m a landing is not aborted, and from there no camera that looks down sees a car in time.
     """
     east, north, up = (float(c) for c in v.true_pose.translation)
     return up - v.world.height_at(east, north) - 2.5
 
 
 def _come(how: Callable[..., object], v: SteeredFlight, n: Numbers, speed: float) -> None:
-    """Let a body come to the place of the vehicle; it starts nearer than planned if it would be late.
+    """Let a body move to the vehicle by the method `how`; it starts nearer than drawn if it would be late.
 
     Braking takes up to 2 s.
     """
@@ -100,11 +99,11 @@ LINK_FAULTS: Mapping[str, CampaignFault] = {
 
 
 class Happenings:
-    """Called before every order of a landing: triggers the planned faults, and measures the distance flown.
+    """Triggers the planned faults of a landing, and measures the flown distance. Called before every order.
 
     Args:
         vehicle: the vehicle of the landing.
-        planned: its faults, in any order.
+        planned: the planned faults, in any order.
     """
 
     def __init__(self, vehicle: SteeredFlight, planned: tuple[FaultRecord, ...]) -> None:
@@ -113,7 +112,7 @@ class Happenings:
         self._happened: dict[int, float] = {}
         self._at = vehicle.true_pose.translation.copy()
         self.distance = 0.0  # metres
-        self.nearest: float | None = None  # metres, least height of the feet above all within the radius
+        self.nearest: float | None = None  # metres, least height of the feet above everything within the radius
 
     def __call__(self, trial: Trial) -> None:
         """Trigger the faults that are due; update `distance` and `nearest` with the flight since the last call."""
@@ -139,5 +138,5 @@ class Happenings:
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
-        """The planned faults, each with the second of the flight at which it happened; None: it did not."""
+        """The planned faults, each with the second of the flight at which it happened; None: it did not happen."""
         return tuple(f.model_copy(update={"happened": self._happened.get(k)}) for k, f in enumerate(self._planned))

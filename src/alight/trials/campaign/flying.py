@@ -42,22 +42,22 @@ FlyLanding = Callable[..., Landing]
 
 
 class Flown(NamedTuple):
-    """A landing, and the picture of an unsafe touchdown (WebP)."""
+    """The record of a landing, and a picture (WebP) of an unsafe touchdown."""
 
     record: LandingRecord
     picture: bytes | None = None
 
 
 def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding = fly_landing) -> Flown:
-    """Fly a landing; an exception becomes the outcome `failed`.
+    """Fly a landing and return its record; an exception becomes the outcome `failed`.
 
     Args:
         conditions: the drawn conditions.
-        settings: of the aircraft.
+        settings: settings of the aircraft.
         fly: replaces `fly_landing` in tests.
 
     Raises:
-        InputError: it cannot begin: the scene, the lander or the model of appearance cannot be used.
+        InputError: the landing cannot begin: the scene, the lander or the model of appearance cannot be used.
     """
     begun = time.process_time()
     try:
@@ -74,7 +74,7 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
 
 
 def failed(conditions: Conditions, error: BaseException, contacts: Contacts = (None, None)) -> Flown:
-    """Record of a landing that raised, or whose process died; contacts until then count, the error is one line."""
+    """Return the record of a landing that raised or whose process died: `failed`, or unsafe after an unsafe contact."""
     outcome: Outcome = "failed"
     why, (touchdown, strike) = "it raised", contacts
     if strike is not None or (touchdown is not None and not touchdown.safe):
@@ -85,10 +85,10 @@ def failed(conditions: Conditions, error: BaseException, contacts: Contacts = (N
 
 
 def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
-    """The vehicle of a landing above its world.
+    """Return the simulated vehicle of a landing, at its start in its world.
 
     Raises:
-        InputError: the scene cannot be flown over at this size, or the lander is too small for its cells.
+        InputError: the scene cannot be flown over, or the lander is too small for the cells of its ground.
     """
     if is_factory(c.scene):
         world: World = made_world(c.scene, c.world_seed)
@@ -109,7 +109,7 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
 
 
 def lit_world(world: SceneWorld, drawn: LightRecord | None) -> SceneWorld:
-    """The world under the sun and the sky that were drawn; its haze and its wind stay, and cameras adapt."""
+    """Return the world with the drawn sun and sky (None: unchanged); haze and wind stay, and cameras adapt."""
     if drawn is None:
         return world
     clouds = world.light.clouds.model_copy(update={"share": drawn.clouds})
@@ -146,23 +146,23 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
 
 
 class WorkerLostError(Exception):
-    """The process of a landing died; `records.campaign.LOST` is its name."""
+    """The process that flew a landing died; `records.campaign.LOST` is the name of this error."""
 
 
 def fly_all(
     conditions: Sequence[Conditions], job: Callable[[Conditions], Flown], jobs: int, scheduler: str | None
 ) -> Iterator[Flown]:
-    """Yield each landing when it ends, in any order.
+    """Yield the record of each landing when the landing ends, in any order.
 
     Args:
-        conditions: of the landings.
+        conditions: conditions of the landings.
         job: function that flies one landing; it can be pickled.
-        jobs: processes of this machine; 1: this one.
-        scheduler: address of a Dask cluster instead, such as tcp://host:8786.
+        jobs: number of processes of this machine; 1: this process.
+        scheduler: address of a Dask cluster to use instead, such as tcp://host:8786; None: no cluster.
 
     Raises:
         MissingExtraError: Dask is not installed.
-        InputError: no scheduler answers there, its workers have another Alight or are lost time and again; or no
+        InputError: no scheduler answers, its workers have another version of Alight or are lost again and again, no
             process starts on this machine, or a landing cannot begin.
     """
     with open_jobs(scheduler, jobs) as workers:
@@ -177,10 +177,10 @@ def fly_all(
 
 
 def _lost(conditions: Conditions) -> Flown:
-    """Record of a landing whose process died, which may not be the cause: test whether processes start at all.
+    """Return the record of a landing whose process died, if a process without work does not die as well.
 
     Raises:
-        InputError: a process without work dies as well.
+        InputError: a process without work dies as well, so the landing is not the cause.
     """
     try:
         list(InProcesses(1).run([Task("start", int, tries=1)]))

@@ -20,10 +20,10 @@ LINES, HEAD, PAGE = "landings.jsonl", "campaign.json", "campaign.html"
 
 
 class CampaignFolder:
-    """One campaign's folder.
+    """The folder of one campaign.
 
     Args:
-        out: the folder; made by `begin`.
+        out: path of the folder; it is made by `begin`.
     """
 
     def __init__(self, out: Path) -> None:
@@ -33,7 +33,7 @@ class CampaignFolder:
         """Read campaign.json; None: the folder holds no campaign.
 
         Raises:
-            InputError: campaign.json is not of a campaign.
+            InputError: campaign.json is damaged, or is not of a campaign.
         """
         path = self.out / HEAD
         try:
@@ -44,7 +44,7 @@ class CampaignFolder:
             raise InputError(f"{path}: is not a campaign's ({_why(e)}); name another folder") from e
 
     def begin(self, head: CampaignHead) -> None:
-        """Make the folder, or test that it is this campaign's; lock it, and cut off a last line that is incomplete.
+        """Make the folder, or check that it is of this campaign; lock it, and remove an incomplete last line.
 
         Raises:
             OutputError: the folder holds another campaign or other files, another process writes there, or it cannot
@@ -70,16 +70,16 @@ class CampaignFolder:
             write_whole(self._path, b"".join(line + b"\n" for line in lines))
 
     def end(self) -> None:
-        """Release the folder."""
+        """Unlock the folder."""
         release_folder(self.out)
 
     def write_head(self, head: CampaignHead, more: dict[str, Any]) -> None:
-        """Write campaign.json whole: the head first, then the results."""
+        """Write the whole campaign.json: first the head, then the results `more`."""
         text = json.dumps(head.model_dump(mode="json") | more, indent=1)
         write_whole(self.out / HEAD, (text + "\n").encode())
 
     def _lines(self) -> tuple[list[bytes], str]:
-        """The lines of landings.jsonl without a last one that is not whole, and what is wrong with that one."""
+        """Return the complete lines of landings.jsonl, and what is wrong with an incomplete last line (else empty)."""
         try:
             *lines, rest = read_bytes(self._path, 1_000_000_000).split(b"\n")
         except FileNotFoundError:
@@ -91,7 +91,7 @@ class CampaignFolder:
         return lines, "it does not end" if rest else ""
 
     def read(self) -> dict[int, LandingRecord]:
-        """All landings that ended, by number; an incomplete last line is left out.
+        """Return all landings that ended, by number; an incomplete last line is left out.
 
         Raises:
             InputError: the file cannot be read, or a line before the last is damaged.
@@ -110,10 +110,10 @@ class CampaignFolder:
         return dict(sorted(found.items()))
 
     def append(self, record: LandingRecord, picture: bytes | None = None) -> None:
-        """Add a landing; when this returns it is on the disk. The picture comes first.
+        """Append a landing; when this returns, the line is on the disk. The picture is written first.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: the folder cannot be written.
         """
         try:
             if picture is not None and record.picture is not None:
@@ -127,7 +127,6 @@ class CampaignFolder:
 
 
 def _record(line: bytes) -> LandingRecord | DocumentError:
-    """A line of landings.jsonl, or the reason why it is none."""
     if len(line) > LONGEST:
         return DocumentError(f"longer than {LONGEST} characters")
     try:

@@ -1,4 +1,4 @@
-"""The results of a campaign as numbers."""
+"""The results of a campaign as counts and statistics."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ Counts = dict[str, dict[str, int]]  # row -> outcome -> landings
 
 @dataclass(frozen=True)
 class PBin:
-    """Touchdowns whose P(safe) at commit lies in a range."""
+    """Touchdowns whose P(safe) at commit lies in one range."""
 
     low: float
     high: float
     safe: int
-    unsafe: int  # by the ground, or by obstacles beside it: P(safe) does not include speeds
+    unsafe: int  # unsafe ground, or obstacles beside it: P(safe) does not include speeds
     mean_p: float
 
 
 @dataclass(frozen=True)
 class LookChange:
-    """Number of places by the verdicts of the first and of the last look at them."""
+    """Locations with a given verdict of the first look and of the last look: their number and mean P(safe)."""
 
     first: str
     last: str
@@ -41,56 +41,56 @@ class LookChange:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median and 95th percentile; None without a value."""
+    """Median and 95th percentile of some values; None without any value."""
 
     median: float | None
     p95: float | None
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
-        """Compute them of some numbers."""
+        """Return the spread of some values."""
         v = np.array(list(values), np.float64)
         return cls(float(np.median(v)), float(np.percentile(v, 95))) if v.size else cls(None, None)
 
 
 @dataclass(frozen=True)
 class CampaignNumbers:
-    """All numbers of a campaign."""
+    """All counts and statistics of a campaign."""
 
     landings: int
     outcomes: dict[str, int]
-    right: float | None  # share that landed safely, was rightly refused, or handed over to who took control
+    right: float | None  # share that landed safely, was rightly refused, or handed over to the person in control
     touchdowns: int
     unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast, or struck something
     struck: int  # landings that struck an obstacle beside them in flight
-    nearest: float | None  # metres, least height of the feet above all in the footprint before the landing was begun
-    bound: float  # no more than this share of landings that did not fail ends unsafely, with 95 %
-    touchdown_bound: float  # the same of landings that touched anything
-    ground_bound: float  # of landings that did not fail, on unsafe ground
+    nearest: float | None  # metres, least height of the feet above everything in the footprint before the landing
+    bound: float  # upper bound, with 95 % confidence, of the unsafe share of landings that did not fail
+    touchdown_bound: float  # the same bound for landings that touched anything
+    ground_bound: float  # the same bound for unsafe ground, of landings that did not fail
     by_scene: Counts
     by_fault: Counts
     by_wind: Counts
     by_sun: Counts
     p_at_commit: tuple[PBin, ...]
     looks: tuple[LookChange, ...]
-    looks_each: float | None  # looks a landing, mean
+    looks_each: float | None  # mean number of looks per landing
     seconds: Spread  # of landings that touched down
-    distance: Spread  # metres, of the same
-    cpu_s: Spread  # of all that did not fail
-    cpu_of: dict[str, Spread]  # of its parts
-    cpu_most: float | None  # s, of the dearest landing
+    distance: Spread  # metres, of landings that touched down
+    cpu_s: Spread  # of all landings that did not fail
+    cpu_of: dict[str, Spread]  # of the parts of a landing
+    cpu_most: float | None  # s, most of one landing
     cpu_within: float | None  # share of landings that took no more than `CPU_LIMIT`
 
 
 def unsafe_bound(unsafe: int, landings: int) -> float:
-    """Upper end of the one-sided 95 % interval of a share (Clopper and Pearson 1934); about 3/N where none is."""
+    """Return the one-sided upper 95 % bound of a share (Clopper and Pearson 1934); about 3/N for 0 of N `landings`."""
     if unsafe >= landings:
         return 1.0
     return float(betaincinv(unsafe + 1, landings - unsafe, 0.95))
 
 
 def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
-    """Count and measure the landings of a campaign."""
+    """Return the counts and statistics of the landings of a campaign."""
     outcomes: dict[str, int] = {name: sum(r.outcome == name for r in records) for name in OUTCOMES}
     down = [r for r in records if r.touchdown is not None or r.strike is not None]
     ground = sum(r.touchdown is not None and r.touchdown.bad_ground for r in down)
@@ -169,7 +169,7 @@ def _changes(records: Sequence[LandingRecord]) -> Iterator[LookChange]:
 
 
 def looks_by_place(record: LandingRecord) -> list[list[LookRecord]]:
-    """The looks of a landing, those at one place together."""
+    """Return the looks of a landing, in one list per visited location."""
     begun = [x.t for x in record.transitions if x.after == "approach"]
     parts: dict[int, list[LookRecord]] = {}
     for look in record.looks:

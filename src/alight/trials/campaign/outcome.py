@@ -1,12 +1,12 @@
 """Outcome of a landing, by the oracle: the true lander on the true ground.
 
-A contact is judged wherever it happened, and is unsafe where no landing was intended. Without one, a landing that was
-given up is rightly refused if
+A contact is judged wherever it happened, and is unsafe where no landing was intended. Without a contact, a landing that
+was given up is rightly refused if
 
 - the wind or the battery was truly beyond its limit when the executive gave up for that reason, or
-- the oracle finds no safe place, with the margin of the settings, in the square that is searched,
+- the oracle finds no safe location, with the margin of the settings, in the searched square,
 
-and wrongly refused otherwise, also where the time or the search ended. The executive decides alone on `handed over`.
+and otherwise wrongly refused, also if the time or the search ended. `handed over` is by the executive's decision alone.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Contacts = tuple[TouchdownLine | None, StrikeLine | None]  # the worst touchdown
 
 
 class JudgedLanding(NamedTuple):
-    """An outcome with its reason in words."""
+    """The outcome of a landing, with its reason in words."""
 
     outcome: Outcome
     why: str
@@ -45,12 +45,12 @@ class JudgedLanding(NamedTuple):
 
 
 def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
-    """Judge a landing that has ended.
+    """Judge a landing that has ended, and return its outcome.
 
     Args:
-        vehicle: in its state after the landing.
-        landing: its end and its diary.
-        settings: of the landing.
+        vehicle: the vehicle after the landing.
+        landing: end and diary of the landing.
+        settings: settings of the landing.
     """
     if vehicle.contacts:
         return _touched(vehicle, landing, settings)
@@ -72,12 +72,14 @@ def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) 
 
 
 def met(vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf) -> Contacts:
-    """Judge all contacts: the worst touchdown, and the highest strike, one after `begun` before earlier ones.
+    """Judge all contacts of a flight; return the worst touchdown, and the highest strike.
+
+    Strikes after `begun` take precedence over earlier strikes.
 
     Args:
-        vehicle: after its flight.
-        settings: of its flight.
-        begun: s, begin of the landing.
+        vehicle: the vehicle after its flight.
+        settings: settings of the flight.
+        begun: start of the landing, s.
     """
     down = [_line(vehicle, c, settings) for c in vehicle.contacts if c.struck is None]
     struck = [
@@ -92,7 +94,7 @@ def met(vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf) ->
 
 
 def _touched(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
-    """Judge a landing with contacts: one that was not intended, or a strike, makes it unsafe."""
+    """Judge a landing with contacts: a contact that was not intended, or a strike, makes it unsafe."""
     begun = max((x.t for x in landing.diary.transitions if x.after is FlightState.COMMIT), default=-math.inf)
     worst, strike = met(vehicle, settings, begun)
     early = min((contact_seconds(c) for c in vehicle.contacts if c.struck is None), default=math.inf)
@@ -119,11 +121,11 @@ def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> T
 
 
 def safe_share(world: World, settings: Settings) -> float:
-    """Share of the searched square whose centres are safe with the margin, by the oracle."""
+    """Return the share of the searched square in which a touchdown is safe with the margin, by the oracle."""
     margin, (east, north, _) = settings.sites.margin, world.start
     half = 0.5 * settings.executive.search_side
     lander, share = OracleLander.of(settings.lander.model_dump()), 0.0
-    for step in (0.5, 0.25):  # metres between the places that are tried; finer only where none is found
+    for step in (0.5, 0.25):  # metres between tried locations; the finer step only if no location is safe
         rim = math.ceil(margin / step) * step  # the true ground beyond the square exists as well
         out = half + rim
         places = safe_places(world, (east - out, north - out, east + out, north + out), lander, step=step)
@@ -137,13 +139,13 @@ def safe_share(world: World, settings: Settings) -> float:
 def ground_picture(
     world: World, contact: TouchdownLine | StrikeLine, radius: float, bodies: Sequence[Moving] = ()
 ) -> bytes:
-    """WebP, north up: classes by colour, shaded relief, the footprint as a ring.
+    """Return a WebP picture of a contact, north up: classes by colour, shaded relief, the footprint as a ring.
 
     Args:
-        world: the ground, and what moves on it.
-        contact: its place and time.
-        radius: metres, of the footprint.
-        bodies: that have come on command.
+        world: the ground, and the moving objects on it.
+        contact: location and time of the contact.
+        radius: radius of the footprint, metres.
+        bodies: moving objects that came on command.
     """
     pixels, half, e, n = 480, 4.0 * radius, contact.east, contact.north
     surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), contact.t, bodies)

@@ -18,7 +18,7 @@ BAD = ("landed unsafely", "wrongly refused", "handed over", "failed")  # listed 
 
 @dataclass(frozen=True)
 class CampaignTable:
-    """A table of the page."""
+    """A table of the page: title, columns, rows and a note."""
 
     title: str
     columns: Sequence[str]
@@ -34,15 +34,15 @@ def render_campaign(
     pictures: Mapping[int, str],
     other: tuple[str, CampaignNumbers] | None = None,
 ) -> str:
-    """Return a campaign as one HTML page with its pictures inside.
+    """Return the page of a campaign as HTML, with its pictures embedded.
 
     Args:
-        name: of the campaign.
+        name: name of the campaign.
         head: seed, scenes and settings.
         records: all landings.
-        numbers: of them.
-        pictures: data URI by number of the landing.
-        other: name and numbers of a campaign to compare with.
+        numbers: statistics of the landings.
+        pictures: data URIs of pictures, by number of the landing.
+        other: name and statistics of a campaign to compare with; None: no comparison.
     """
     return TEMPLATES.get_template("campaign.html.j2").render(
         name=name,
@@ -78,7 +78,6 @@ def _detail(n: CampaignNumbers) -> str:
 
 
 def _unsafe(r: LandingRecord, uri: str | None) -> dict[str, str | None]:
-    """An unsafe touchdown, with its picture."""
     d, s = r.touchdown, r.strike
     struck = "" if s is None else f" Struck at {s.t:.1f} s, {s.east:.1f} m east, {s.north:.1f} m north."
     measured = "" if d is None else (
@@ -171,7 +170,7 @@ def _spread(s: Spread) -> tuple[str, str]:
 
 
 def comparison(one: CampaignNumbers, two: CampaignNumbers) -> list[tuple[str, str, str]]:
-    """Rows of a table of two campaigns: name, and a number of each."""
+    """Return the rows of a table of two campaigns: name, value of the first, value of the second."""
 
     def facts(n: CampaignNumbers) -> dict[str, str]:
         return {

@@ -1,4 +1,4 @@
-"""The conditions of each landing of a campaign. Those of landing k depend on the scenes, the seed and k alone."""
+"""The conditions of each landing of a campaign. They depend on the scenes, the seed and the landing's number alone."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ AT_STATES = (FlightState.APPROACH, FlightState.LOOK, FlightState.DESCEND, Flight
 def conditions_of(
     scenes: Sequence[str], seed: int, landing: int, link_faults: float = 0.0, firmware: FirmwareName = "ardupilot"
 ) -> Conditions:
-    """Draw the conditions of a landing: scenes take turns, all else is random.
+    """Draw the conditions of a landing: scenes take turns, everything else is random.
 
     Args:
         scenes: names, files, or factories of worlds, which have a light of their own.
-        seed: of the campaign.
-        landing: its number, from 0.
-        link_faults: share of the landings with a fault of the link or the autopilot; the rest of what is drawn does
-            not depend on it.
-        firmware: of the simulated autopilot.
+        seed: seed of the campaign.
+        landing: number of the landing, from 0.
+        link_faults: share of the landings with a fault of the link or the autopilot; all other draws are independent
+            of it.
+        firmware: firmware of the simulated autopilot.
     """
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, 2)))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing,)))
@@ -48,7 +48,7 @@ def conditions_of(
 
 
 def drawn_light(rng: np.random.Generator) -> LightRecord:
-    """Draw the light: any time of the day, a quarter overcast, a quarter with clouds that drift."""
+    """Draw the light of a landing: any time of day; a quarter is overcast, a quarter has drifting clouds."""
     place = {"azimuth_deg": rng.uniform(0.0, 360.0), "elevation_deg": rng.uniform(*SUN)}
     kind = rng.random()
     if kind < 0.25:
@@ -58,7 +58,7 @@ def drawn_light(rng: np.random.Generator) -> LightRecord:
 
 
 def _fault(rng: np.random.Generator) -> FaultRecord:
-    """Draw one fault or event, at a time or at a state; a body comes only in states where it is in the way."""
+    """Draw one fault or event, due at a time or in a state; a body comes only in states in which it is in the way."""
     what = str(rng.choice(list(FAULTS)))
     fault, by_state = FAULTS[what], bool(rng.random() < 0.5)
     state = str(rng.choice([s.value for s in (AT_STATES[1:] if fault.is_body else AT_STATES)]))
@@ -70,7 +70,7 @@ def _fault(rng: np.random.Generator) -> FaultRecord:
 
 
 def _link_fault(rng: np.random.Generator, share: float) -> tuple[FaultRecord, ...]:
-    """Draw one fault or event for a share of the landings, some seconds after a state is entered."""
+    """Draw no fault or one fault, seconds after a state is entered; `share` is the probability of a fault."""
     if not rng.random() < share:
         return ()
     what, state = (

@@ -1,4 +1,4 @@
-"""Fly a campaign: the landings that are not done yet, one line each, and the report at the end."""
+"""Fly a campaign: the landings that are not done yet, one line per landing, and the report at the end."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Ended(NamedTuple):
     record: LandingRecord
     done: int
     of: int
-    left_s: float  # estimated, until the campaign ends
+    left_s: float  # estimated seconds until the campaign ends
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Campaign:
     """Everything that the results of a campaign depend on.
 
     Raises:
-        InputError: no such scene, too few or too many landings, or a seed that is too large.
+        InputError: there is no such scene, the number of landings is out of range, or the seed is too large.
     """
 
     scenes: Sequence[str]  # names, files, or `all`
@@ -64,12 +64,12 @@ class Campaign:
         object.__setattr__(self, "scenes", scenes_of(self.scenes))
 
     def conditions(self, landing: int) -> Conditions:
-        """Draw the conditions of a landing."""
+        """Draw the conditions of the landing with this number."""
         return conditions_of(self.scenes, self.seed, landing, self.link_faults, self.firmware)
 
     @property
     def head(self) -> CampaignHead:
-        """The head of campaign.json, which identifies a campaign."""
+        """Head of campaign.json, which identifies the campaign."""
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
             alight=__version__, seed=self.seed, scenes=tuple(self.scenes), landings=self.landings, settings=settings,
@@ -78,10 +78,10 @@ class Campaign:
         )  # fmt: skip
 
     def check(self) -> None:
-        """Test that landings can begin: one in each scene file, and one at least.
+        """Check that landings can begin: the first landing, and one landing in each scene file.
 
         Raises:
-            InputError: they cannot; the message names the scene, the lander or the model of appearance.
+            InputError: a landing cannot begin; the message names the scene, the lander or the model of appearance.
         """
         known = campaign_worlds()
         appearance_of(self.settings)
@@ -91,7 +91,7 @@ class Campaign:
 
 
 def wanted_landings(out: Path, wanted: int | None) -> int:
-    """Number of landings of a campaign: `wanted`, else that of the folder's campaign, else 20.
+    """Return the number of landings of a campaign: `wanted`, else the number in the folder's campaign, else 20.
 
     Raises:
         InputError: the folder's campaign.json is damaged, or its campaign has more landings than `wanted`.
@@ -108,12 +108,12 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
     """Return the campaign of a folder, to continue it or to report it again.
 
     Args:
-        out: the folder.
-        landings: new number of landings; None: the number that it was begun with.
+        out: folder of the campaign.
+        landings: new number of landings; None: the number with which the campaign was begun.
 
     Raises:
-        InputError: the folder holds no campaign, one of scenes or settings that cannot be used any more, or one of
-            more landings.
+        InputError: the folder holds no campaign, its scenes or settings cannot be used any more, or it has more
+            landings.
     """
     folder = CampaignFolder(out)
     head = folder.head()
@@ -139,16 +139,16 @@ def fly_campaign(
 
     Args:
         campaign: the campaign to fly.
-        out: folder of the campaign; an interrupted one is continued.
-        jobs: processes of this machine.
-        scheduler: address of a Dask cluster instead.
+        out: folder of the campaign; an interrupted campaign is continued.
+        jobs: number of processes of this machine.
+        scheduler: address of a Dask cluster to use instead.
         beside: folder of another campaign, for a table of both.
         on_ended: called whenever a landing ends.
         fly: replaces `fly_landing` in tests.
 
     Raises:
-        OutputError: the folder is another campaign's, or cannot be written.
-        InputError: its lines are damaged, no scheduler answers, or landings cannot begin.
+        OutputError: the folder holds another campaign, or cannot be written.
+        InputError: the folder's lines are damaged, no scheduler answers, or landings cannot begin.
     """
     if beside is not None:
         numbers_in(beside)  # a wrong name is reported before hours of work
@@ -177,7 +177,7 @@ def fly_campaign(
 
 
 def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
-    """Write campaign.json and campaign.html from the lines of a campaign."""
+    """Write campaign.json and campaign.html from the lines of a campaign; return its statistics."""
     records = list(folder.read().values())
     numbers = campaign_numbers(records)
     other = None if beside is None else (beside.resolve().name, numbers_in(beside))
@@ -197,10 +197,10 @@ def _embedded(path: Path) -> str | None:
 
 
 def numbers_in(out: Path) -> CampaignNumbers:
-    """The numbers of a campaign's folder.
+    """Return the statistics of the campaign in a folder.
 
     Raises:
-        InputError: it holds no campaign.
+        InputError: the folder holds no campaign.
     """
     folder = CampaignFolder(out)
     if folder.head() is None:
@@ -209,7 +209,7 @@ def numbers_in(out: Path) -> CampaignNumbers:
 
 
 class Again(NamedTuple):
-    """A landing that was flown again, beside its line."""
+    """A landing that was flown again, compared with its line in the folder."""
 
     record: LandingRecord
     differing: list[str]  # names of the fields that are not the same
@@ -217,7 +217,7 @@ class Again(NamedTuple):
 
 
 def again(campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_landing) -> Again:
-    """Fly one landing once more, and return the differences from its line in the folder; nothing is written.
+    """Fly one landing once more, and compare it with its line in the folder; nothing is written.
 
     Raises:
         InputError: the folder's campaign is damaged; this is raised before the flight.
@@ -236,7 +236,7 @@ def again(campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_lan
 
 
 def outcome_lines(numbers: CampaignNumbers) -> list[str]:
-    """The outcomes and the bound, a line each."""
+    """Return the outcomes as lines of text, one per outcome, and a line with the bounds of unsafe landings."""
     lines = [f"{name:<16} {count}" for name, count in numbers.outcomes.items()]
     return [
         *lines,

@@ -1,4 +1,4 @@
-"""The worlds of a campaign: kinds of the simulator, scene files, and factories of other packages, by name."""
+"""The worlds of a campaign by name: kinds of the simulator, scene files, and factories of other packages."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ FORM = "give package.module:factory, a function that takes a seed and returns a 
 
 
 def is_factory(scene: str) -> bool:
-    """Whether a scene's name is that of a factory."""
+    """Whether the name of a scene is the name of a factory."""
     return _NAME.fullmatch(scene) is not None
 
 
 def made_world(name: str, seed: int) -> World:
-    """Call a factory with a seed.
+    """Return the world that a factory makes from a seed.
 
     Raises:
-        InputError: it cannot be imported, raises, or returns something that is no `alight_sim.world.World`.
+        InputError: the factory cannot be imported, raises, or does not return an `alight_sim.world.World`.
     """
     module, function = _module(name), name.partition(":")[2]
     factory = getattr(module, function, None)
@@ -67,22 +67,22 @@ def _module(name: str) -> ModuleType:
 
 
 def error_line(error: BaseException) -> str:
-    """Return the kind of an error, its message and the place where it was raised, in one line."""
+    """Return type, message and source line of an error as one line of text."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
     return " ".join(f"{type(error).__name__}: {error}".split()) + where
 
 
 def campaign_world(scene: str) -> CampaignWorld:
-    """Return the world of a kind or a built-in scene by name, or of a scene file."""
+    """Return the world of a kind of the simulator or a built-in scene, by name, or of a scene file."""
     return campaign_worlds().get(scene) or CampaignWorld(scene, scene)
 
 
 def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
-    """The scenes of a campaign, each once; `all` stands for all kinds of worlds of the simulator.
+    """Return the scenes of a campaign without repetitions; `all` means all kinds of worlds of the simulator.
 
     Raises:
-        InputError: no scene is named, no such scene, or its file cannot be used.
+        InputError: no scene is named, there is no such scene, or its file cannot be used.
     """
     if not names:
         raise InputError("a campaign without scenes; name some, or 'all'")
@@ -99,10 +99,10 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
-    """Digests of scene files with their rasters, of factories' modules, and of the model of appearance, by name.
+    """Return digests by file name: of scene files and their rasters, factories' modules, and the appearance model.
 
     Raises:
-        InputError: one cannot be read.
+        InputError: a file cannot be read.
     """
     named = [Path(_module(s).__file__ or "") for s in scenes if is_factory(s)]
     files = [Path(s) for s in scenes if s not in {*campaign_worlds(), *built_in()} and not is_factory(s)]
@@ -117,7 +117,6 @@ def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
 
 
 def _paths(tree: Any) -> Iterator[Path]:
-    """All paths in a tree of plain values."""
     if isinstance(tree, Path):
         yield tree
     for part in tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list | tuple) else ():
