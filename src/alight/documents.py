@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-LONGEST = 1_000_000  # bytes of a YAML file: the largest of ours has 20,000
+LONGEST = 1_000_000  # bytes of a YAML file; Alight's largest one has 20,000
 LARGEST_JSON = 64_000_000  # bytes
-DEEPEST = 40  # of mappings and lists in each other
+DEEPEST = 40  # levels of nested mappings and lists
 DEEP = f"nested more than {DEEPEST} deep; write it flat"
-MOST_VALUES = 50_000  # aliases counted as often as they are used
+MOST_VALUES = 50_000  # values in a YAML document; an alias counts each time it is used
 LARGEST_INTEGER = 2**63
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -29,11 +29,11 @@ class DocumentError(ValueError):
 
 
 def read_bytes(path: Path, largest: int) -> bytes:
-    """The bytes of a plain file.
+    """Return the bytes of a plain file.
 
     Raises:
-        DocumentError: it is a pipe or a device, which may never end, or larger than `largest` bytes.
-        OSError: it cannot be read.
+        DocumentError: the path is a pipe or device, which may never end, or the file is larger than `largest` bytes.
+        OSError: the file cannot be read.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise DocumentError("is a pipe or a device; give a plain file")
@@ -44,11 +44,11 @@ def read_bytes(path: Path, largest: int) -> bytes:
 
 
 def read_text(path: Path, largest: int = LONGEST) -> str:
-    """The text of a plain file, a byte order mark left out.
+    """Return the text of a plain UTF-8 file, without its byte order mark.
 
     Raises:
-        DocumentError: as `read_bytes`, or it is not text.
-        OSError: it cannot be read.
+        DocumentError: the file is not UTF-8 text, or `read_bytes` refuses it.
+        OSError: the file cannot be read.
     """
     try:
         return read_bytes(path, largest).decode("utf-8-sig")
@@ -57,12 +57,12 @@ def read_text(path: Path, largest: int = LONGEST) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML of words and decimal numbers: no dates, no octal 010, no 1:30 for 90; a key is a word and stands once."""
+    """YAML loader without dates, octal or sexagesimal numbers; the keys of a mapping are strings and unique."""
 
-    _merged = 0  # values, by all merge keys of the text
+    _merged = 0  # number of values that merge keys have added
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge what `<<` names; refuse too many values, as a few lines can merge into billions."""
+        """Expand merge keys (`<<`); refuse too many merged values, because a few lines can merge into billions."""
         named = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
         listed = [v for value in named for v in (value.value if isinstance(value, yaml.SequenceNode) else [value])]
         for source in (v for v in listed if isinstance(v, yaml.MappingNode)):
@@ -73,7 +73,7 @@ class _Loader(yaml.SafeLoader):
         super().flatten_mapping(node)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Construct a mapping; refuse keys that are no words or stand twice."""
+        """Construct a mapping; refuse keys that are repeated or not strings."""
         names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise DocumentError(f"the key {twice[0][:40]!r} stands twice; write it once")
@@ -84,7 +84,6 @@ class _Loader(yaml.SafeLoader):
         return tree
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        """Construct a decimal integer."""
         return int(node.value)
 
 
@@ -104,11 +103,11 @@ for _tag, _pattern in _NUMBERS.items():
 
 
 def parse_yaml(text: str) -> Any:
-    """The value of a YAML text.
+    """Parse a YAML text into mappings, lists, strings, numbers, booleans and None.
 
     Raises:
-        DocumentError: it is no YAML, too deep or too large with its aliases written out, or holds a value that is
-            neither a word nor a number.
+        DocumentError: the text is not valid YAML, is too deep, is too large with its aliases expanded, or holds a value
+            of any other type.
     """
     if len(text) > LONGEST:
         raise DocumentError(f"not valid YAML: longer than {LONGEST} characters")
@@ -130,10 +129,10 @@ def parse_yaml(text: str) -> Any:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """The value of a JSON text.
+    """Parse a JSON text into mappings, lists, strings, numbers, booleans and None.
 
     Raises:
-        DocumentError: it is no JSON, too deep, or holds numbers out of range.
+        DocumentError: the text is not valid JSON, is too deep, or holds integers beyond 64 bits.
     """
     try:
         tree = json.loads(text)
@@ -146,10 +145,10 @@ def parse_json(text: str | bytes) -> Any:
 
 
 def validated(kind: type[Model], tree: Any) -> Model:
-    """Return the value of a document as a record of type `kind`.
+    """Validate the value of a parsed document as a record of type `kind`, and return the record.
 
     Raises:
-        DocumentError: with the first key that is missing, unknown or of a wrong type.
+        DocumentError: a key is missing, unknown or of a wrong type; the message names the first such key.
     """
     try:
         return kind.model_validate(tree)
@@ -160,7 +159,7 @@ def validated(kind: type[Model], tree: Any) -> Model:
 
 
 def _check(tree: Any, most: float) -> None:
-    """Refuse nesting beyond `DEEPEST`, too many values or too large integers, and values of other types than JSON's."""
+    """Refuse a tree with too deep nesting, more than `most` values, too large integers, or values that JSON lacks."""
     waiting, count = [(tree, 0)], 0
     while waiting:
         (value, depth), count = waiting.pop(), count + 1
@@ -176,11 +175,11 @@ def _check(tree: Any, most: float) -> None:
             raise DocumentError(f"a {type(value).__name__} is neither a word nor a number; put it into quotes")
 
 
-# characters that steer a terminal, are no HTML, or turn the direction of a line
+# characters that control a terminal, are invalid in HTML, or reverse the writing direction
 _UNPRINTABLE = [*range(0x09), *range(0x0B, 0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)]
 _ESCAPES = {code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" for code in _UNPRINTABLE}
 
 
 def printable(text: str) -> str:
-    """A text from outside with its control characters escaped; line breaks and tabs stay."""
+    """Return text from outside with its control characters escaped; line breaks and tabs stay."""
     return text.translate(_ESCAPES)

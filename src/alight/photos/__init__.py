@@ -1,1 +1,1 @@
-"""Everything that only a card of photos needs: reading, bundle adjustment, work in pieces."""
+"""Everything that only a set of photos needs: reading, bundle adjustment, saved work, and checks."""

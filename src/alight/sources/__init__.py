@@ -1,4 +1,4 @@
-"""Sources: flight logs, recordings, cameras, rasters -> ordered events and maps; what could not be read."""
+"""Sources: flight logs, recordings, cameras and rasters become ordered events and maps; losses are recorded."""
 
 from alight.sources.source import Described, Source
 

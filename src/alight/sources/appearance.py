@@ -1,4 +1,4 @@
-"""Files of models of appearance."""
+"""Read and write models of the appearance of land cover."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEFAULT_MODEL = table_path("appearance")
 
 
 def model_bytes(model: Model) -> bytes:
-    """The model as a plain NumPy archive."""
+    """Pack a model into a compressed NumPy archive."""
     arrays: dict[str, Any] = {"classes": model.classes, "provenance": np.array(model.provenance)}
     for level, head in enumerate(model.heads):
         if head is not None:
@@ -34,10 +34,10 @@ def model_bytes(model: Model) -> bytes:
 
 
 def read_model(path: Path | None = None) -> Model:
-    """Read a model from its file; without a name, the model of the package.
+    """Read a model from its file; without a path, read the model in the package.
 
     Raises:
-        InputError: it is missing, is no model, or was trained for other features.
+        InputError: the file is missing, is not a model, or was trained for other features.
     """
     return _default_model() if path is None else _model_of(path)
 
@@ -63,7 +63,7 @@ def _model_of(path: Path) -> Model:
 
 
 def _classes(codes: NDArray[Any]) -> U8:
-    """The classes of a model; a ValueError where they are no codes of land cover."""
+    """Return the classes of a model; raise ValueError if they are not codes of land cover."""
     if codes.ndim != 1 or codes.dtype.kind not in "ui" or not 1 < codes.size == np.unique(codes).size:
         raise ValueError("its classes are no list of different codes")
     if codes.min() < 1 or codes.max() > max(Terrain):
@@ -72,7 +72,7 @@ def _classes(codes: NDArray[Any]) -> U8:
 
 
 def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
-    """The head of a level; a ValueError for other features, other shapes, or numbers that are not finite."""
+    """Return the head of a level, None if absent; raise ValueError for other features, wrong shapes or bad numbers."""
     if f"{level}.names" not in z:
         return None
     if tuple(z[f"{level}.names"]) != names(level):

@@ -1,4 +1,4 @@
-"""Rasters that belong to heights, their sigma and an image: matched by position and resampled to the same cells."""
+"""Rasters that belong to heights (a sigma or an image), matched by position and resampled to the heights' cells."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from alight.sources.opened_raster import OpenedRaster, open_raster, read_on
 from alight.sources.raster_band import band_in_metres, bands_of_picture
 from alight.sources.raster_plane import DRIFT
 
-SIGMA = "sigma"  # name of a band
-MOST_PIXELS = 16  # of an image, along a cell
+SIGMA = "sigma"  # name of the band that holds 1-sigma
+MOST_PIXELS = 16  # greatest number of image pixels per cell side
 
 
 class Beside(NamedTuple):
-    """A raster on the cells of the heights, or on a whole number of pixels in each."""
+    """A raster resampled to the cells of the heights, or to a whole number of pixels per cell side."""
 
     values: NDArray[Any]
-    settled: str  # in words
+    settled: str  # unit and resampling, in words
     warnings: list[str]
 
 
 class _Placement(NamedTuple):
     crs: CRS
-    transform: Affine  # of the raster as it is stored
-    pixels: float  # of the raster, along a cell of the heights
+    transform: Affine  # of the raster as stored
+    pixels: float  # pixels of the raster per side of a height cell
     warnings: list[str]
 
 
 def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
-    """Where a raster lies: its own place, or the extent of the heights where it has none and their shape."""
+    """Return how a raster is placed: by its georeference or, without one, over the whole extent of the heights."""
     own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
     if not raster.has_place:
         (rows, cols), (height, width) = heights.shape, dataset.shape
@@ -57,7 +57,7 @@ def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
     elif own.on_earth and other.on_earth:
         crs = other.crs
     elif own.on_earth == other.on_earth and own.unit == other.unit:
-        crs = heights.plane.crs  # two site grids: one place, whatever they are called
+        crs = heights.plane.crs  # two site grids are assumed equal, whatever their names
     else:
         raise InputError(
             f"{raster.label}: {other.plane and other.plane.name} cannot be converted to {own.plane and own.plane.name} "
@@ -73,17 +73,17 @@ def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
 def _on_cells(
     raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
 ) -> F64:
-    """Bands on `factor` x `factor` pixels in each cell, (B, f R, f C); NaN beyond the raster."""
+    """Read bands with `factor` x `factor` pixels per cell, (B, f R, f C); NaN outside the raster."""
     plane = heights.plane
     grid = plane.grid_in_crs(plane.grid.finer(factor))
-    together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all its colours are
+    together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all of its colours are no-data
     return read_on(
         raster, bands, plane.crs, grid, how, src_crs=at.crs, src_transform=at.transform, UNIFIED_SRC_NODATA=together
     )
 
 
 def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, factor: int = 1) -> bool:
-    """Whether its cells are those of the heights, or `factor` x `factor` in each, in whatever order they are stored."""
+    """Whether `factor` x `factor` cells of the raster make up each cell of the heights, in any stored orientation."""
     if at.crs != heights.plane.crs:
         return False
     own = heights.plane.grid_in_crs(heights.plane.grid.finer(factor))
@@ -95,10 +95,10 @@ def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, 
 
 
 def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list[str]:
-    """A warning where a raster covers only a part of the heights.
+    """Return a warning if a raster covers only part of the heights; otherwise an empty list.
 
     Raises:
-        InputError: it covers none.
+        InputError: the raster covers no height.
     """
     if not known.any():
         raise InputError(f"{raster.label}: lies elsewhere than the heights, or is empty; give one of the same place")
@@ -107,7 +107,7 @@ def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list
 
 
 def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
-    """Read the band named `sigma` of the raster of heights itself, (R, C) metres; None: there is none."""
+    """Read the band `sigma` of the heights' own raster, (R, C) metres; None if there is no such band."""
     if SIGMA not in raster.dataset.descriptions:
         return None
     band = band_in_metres(raster, raster.dataset.descriptions.index(SIGMA) + 1, heights.band.unit == 1.0)
@@ -117,10 +117,10 @@ def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
 
 
 def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
-    """Read 1-sigma of the heights, (R, C) metres: of all cells that a cell of the heights touches, the largest.
+    """Read 1-sigma of the heights, (R, C) metres; each cell gets the largest of all sigma cells that it touches.
 
     Raises:
-        InputError: it is no raster, its unit cannot be settled, it lies elsewhere, or has values below 0.
+        InputError: the file is not a raster, its unit cannot be determined, it lies elsewhere, or has values below 0.
     """
     with open_raster(path) as raster:
         names, at = raster.dataset.descriptions, _placement(raster, heights)
@@ -138,12 +138,13 @@ def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
 
 
 def image_beside(path: Path, heights: RasterHeights) -> Beside:
-    """Read an image of the ground as 8 bits, (f R, f C) or (f R, f C, 3), with f = 1, 2, 4, ... pixels a cell.
+    """Read an image of the ground as 8 bits, (f R, f C) or (f R, f C, 3), with f = 1, 2, 4, ... pixels per cell side.
 
-    Colours of a palette are expanded; other than 8 bits are scaled, black to 0; where it has no pixel it is grey.
+    Colours of a palette are expanded. Other depths than 8 bits are scaled, with 0 as black. Pixels outside the image
+    get its median colour.
 
     Raises:
-        InputError: it is no raster, holds no picture, or lies elsewhere.
+        InputError: the file is not a raster, holds no picture, or lies elsewhere.
     """
     with open_raster(path) as raster:
         at, bands, dataset = _placement(raster, heights), bands_of_picture(raster), raster.dataset
@@ -160,7 +161,7 @@ def image_beside(path: Path, heights: RasterHeights) -> Beside:
                 colours[number] = colour[:3]
             pixels = np.moveaxis(colours[np.where(known, pixels[0], 0).astype(np.uint8)], 2, 0)
         elif dataset.dtypes[bands[0] - 1] != "uint8":
-            bright = float(np.quantile(pixels[:, known], 0.999))  # but for a few glints
+            bright = float(np.quantile(pixels[:, known], 0.999))  # except a few glints
             if not bright > 0:
                 raise InputError(
                     f"{path}: no pixel is brighter than 0; give 8 bits, or scale it: gdal_translate -ot Byte -scale"

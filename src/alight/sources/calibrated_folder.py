@@ -1,4 +1,4 @@
-"""The calibration in a folder in the layout of a flight log (formats/flight-log.md)."""
+"""Calibration in a folder in the layout of a flight log (formats/flight-log.md)."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from alight.sources.calibration import (
 from alight.sources.images import read_image
 from alight.sources.source import Source
 
-IMU_NOISE = (1e-9, 1e3)  # least and most, in the units of imu0/sensor.yaml
+IMU_NOISE = (1e-9, 1e3)  # lower and upper limit, in the units of imu0/sensor.yaml
 
 
 class CalibratedFolder(Source):
-    """Calibration in a folder in the layout of a flight log: cameras, IMU, the origin of the world.
+    """Calibration in a folder in the layout of a flight log: cameras, IMU, and the origin of the world.
 
     Raises:
-        InputError: no cam0, or an invalid calibration.
+        InputError: cam0 is missing, or the calibration is invalid.
     """
 
     def __init__(self, root: Path, settings: Settings) -> None:
@@ -42,16 +42,16 @@ class CalibratedFolder(Source):
         self.local = origin(self._root / "nav0/sensor.yaml") if self.georeferenced else LocalFrame(0.0, 0.0, 0.0)
         self._body_from_imu = self._read_imu_pose()
         self.rig = self._read_rig(settings)
-        self._ahead_ns = self._read_time_shifts(settings)  # stamps of each camera, ahead of the IMU's clock
+        self._ahead_ns = self._read_time_shifts(settings)  # ns per camera, stamps ahead of the IMU's clock
 
     def locate(self, local: LocalFrame) -> None:
-        """Set the world's origin from GPS/INS of another source."""
+        """Set the world's origin, which the GPS/INS of another source gives."""
         self.local, self.georeferenced = local, True
         self.notes["nav"] = True
 
     @property
     def warnings(self) -> list[str]:
-        """Items that could not be read, with the reasons."""
+        """What could not be read, with reasons, one sentence each."""
         no_nav = (
             "nav0 is missing: there is no GPS/INS, so heights and places are relative and nothing can be put on a map"
         )
@@ -69,10 +69,10 @@ class CalibratedFolder(Source):
         return self._root / cam / "data" / name
 
     def _image(self, index: int, name: str | None, unfinished: bool = False) -> U8 | None:
-        """An image of a camera; None: there is none, or it cannot be read, which is noted.
+        """Decode a camera's image; None if `name` is None or the image cannot be read, which is recorded.
 
         Raises:
-            ValueError: it cannot be read, and may be `unfinished`.
+            ValueError: the image cannot be read, and `unfinished` is set because it may still be written.
         """
         if name is None:
             return None
@@ -103,7 +103,7 @@ class CalibratedFolder(Source):
         return pose
 
     def _read_time_shifts(self, settings: Settings) -> list[int]:
-        """Take over Kalibr's `timeshift_cam_imu`; a time offset in the settings replaces that of the first camera."""
+        """Return ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr's file and the settings."""
         cameras, given = len(self.rig.cameras), settings.motion.filter.time_offset
         path = settings.sources.calibration
         shifts = read_time_shifts(Path(path).expanduser(), cameras) if path else []

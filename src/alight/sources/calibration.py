@@ -1,4 +1,4 @@
-"""Calibrations, `sensor.yaml` and Kalibr's `camchain.yaml`, checked number by number; an error names file and key.
+"""Read calibrations (`sensor.yaml`, Kalibr's `camchain.yaml`) and check every number; an error names file and key.
 
 `where` is the beginning of such an error: the file, and what the keys belong to.
 """
@@ -18,7 +18,7 @@ from alight.geometry import Camera, LocalFrame, Pose
 from alight.records import InputError, Rig, RigCamera
 from alight.sources.source import LARGEST
 
-MODELS = {  # common names of the models -> our names
+MODELS = {  # common name of a model: its name in Alight
     "radial-tangential": "radial-tangential", "radtan": "radial-tangential", "plumb_bob": "radial-tangential",
     "equidistant": "equidistant", "none": "none", "None": "none",
 }  # fmt: skip
@@ -27,7 +27,7 @@ KALIBR_HINT = "write four rows of four numbers, as Kalibr does"
 
 
 def why_no_lens(camera: Camera) -> str | None:
-    """Reason why a lens is impossible, as by typing errors and damaged tags; None: it is possible."""
+    """Return why a lens is impossible, for example by a typing error or damaged tags; None if it is possible."""
     wide = max(camera.width, camera.height)
     for f in (camera.fu, camera.fv):
         if not 0.05 * wide <= f <= 100 * wide:
@@ -40,10 +40,10 @@ def why_no_lens(camera: Camera) -> str | None:
 
 
 def load_yaml(path: Path) -> dict[str, Any]:
-    """Read a mapping from a YAML file, OpenCV's dialect included.
+    """Read a mapping from a YAML file, also in OpenCV's dialect.
 
     Raises:
-        InputError: no such file, not YAML, or no mapping.
+        InputError: the file does not exist, is not YAML, or holds no mapping.
     """
     try:
         text = read_bytes(path, LONGEST).decode("utf-8-sig", errors="replace")
@@ -59,10 +59,10 @@ def load_yaml(path: Path) -> dict[str, Any]:
 
 
 def numbers(tree: Mapping[str, Any], key: str, counts: Sequence[int], where: str) -> F64:
-    """Take a list of finite numbers out of a mapping.
+    """Get a list of finite numbers from a mapping.
 
     Raises:
-        InputError: the key is missing, or its value is no list of so many finite numbers.
+        InputError: the key is missing, or its value is not a list of finite numbers whose length is among `counts`.
     """
     want = f"write {key}: [" + " or ".join(str(c) for c in counts) + " numbers]"
     if key not in tree:
@@ -79,10 +79,10 @@ def numbers(tree: Mapping[str, Any], key: str, counts: Sequence[int], where: str
 
 
 def rigid(tree: Mapping[str, Any], key: str, where: str, hint: str) -> Pose:
-    """Make a pose from a 4x4 matrix given as rows, as 16 numbers, or as EuRoC's `{rows, cols, data}`.
+    """Build a pose from a 4x4 matrix, given as rows, as 16 numbers, or as EuRoC's `{rows, cols, data}`.
 
     Raises:
-        InputError: it is missing, or no rigid motion; the message names file and key.
+        InputError: the matrix is missing, or not a rigid motion; the message names file and key.
     """
     if key not in tree:
         raise InputError(f"{where}{key} is missing; {hint}")
@@ -103,16 +103,16 @@ def rigid(tree: Mapping[str, Any], key: str, where: str, hint: str) -> Pose:
 
 
 def body_from_sensor(tree: Mapping[str, Any], path: Path) -> Pose:
-    """`T_BS`, sensor to body.
+    """Read `T_BS`, the pose of a sensor in the body.
 
     Raises:
-        InputError: missing or malformed.
+        InputError: the key is missing or malformed.
     """
     return rigid(tree, "T_BS", f"{path}: ", MATRIX_HINT)
 
 
 def _camera(tree: Mapping[str, Any], coefficients_key: str, where: str) -> Camera:
-    """The lens: `resolution`, `intrinsics`, `distortion_model` and its coefficients.
+    """Read a lens: `resolution`, `intrinsics`, `distortion_model` and its coefficients.
 
     Raises:
         InputError: a key is missing or malformed.
@@ -138,17 +138,17 @@ def _camera(tree: Mapping[str, Any], coefficients_key: str, where: str) -> Camer
 
 
 def rig_camera(folder: Path) -> RigCamera:
-    """One camera of the log with its mounting, from `folder/sensor.yaml`."""
+    """Read one camera with its mounting from `folder/sensor.yaml`."""
     path = folder / "sensor.yaml"
     tree = load_yaml(path)
     return RigCamera(folder.name, _camera(tree, "distortion_coefficients", f"{path}: "), body_from_sensor(tree, path))
 
 
 def origin(path: Path) -> LocalFrame:
-    """The world's origin from `nav0/sensor.yaml`.
+    """Read the world's origin from `nav0/sensor.yaml`.
 
     Raises:
-        InputError: `origin` is missing or no place on Earth.
+        InputError: `origin` is missing or not a position on Earth.
     """
     want = "write origin: {latitude: degrees, longitude: degrees, height: metres above the WGS84 ellipsoid}"
     given = load_yaml(path).get("origin")
@@ -164,10 +164,10 @@ def origin(path: Path) -> LocalFrame:
 
 
 def read_time_shifts(path: Path, cameras: int) -> list[float | None]:
-    """Kalibr's `timeshift_cam_imu` of each camera, s: what is added to its stamps for the time of the IMU; None: none.
+    """Read each camera's `timeshift_cam_imu` (s, added to its stamps for IMU time) from Kalibr's file; None: not given.
 
     Raises:
-        InputError: one is no finite number.
+        InputError: a time shift is not a finite number.
     """
     entries, shifts = load_yaml(path), list[float | None]()
     for name in (f"cam{n}" for n in range(cameras)):
@@ -181,8 +181,8 @@ def read_time_shifts(path: Path, cameras: int) -> list[float | None]:
 def read_camchain(path: Path, rig: Rig, body_from_imu: Pose) -> Rig:
     """Replace a rig's lenses, and the mountings that Kalibr's file holds.
 
-    `T_cam_imu` gives the mounting in the body (through `body_from_imu`). Without it camera 0 keeps the mounting it had
-    and `T_cn_cnm1` places each next camera behind the one before. Lenses are scaled to images that were resized.
+    `T_cam_imu` gives the mounting in the body (through `body_from_imu`). Without it, camera 0 keeps its mounting, and
+    `T_cn_cnm1` gives each further camera's pose relative to the previous one. Lenses are scaled to resized images.
 
     Raises:
         InputError: the file lacks a camera of the rig, or is malformed; the message names file and key.

@@ -1,4 +1,4 @@
-"""Live cameras: one, or several matched by stamp, through OpenCV (V4L2, RTSP, GStreamer where it has them)."""
+"""Live cameras, one or several matched by stamp, through OpenCV (V4L2, RTSP and, if available, GStreamer)."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.growing import WaitingExposures
 
-SILENT = 10.0  # s without an image after which the cameras are over
-DRIFT = 1e-4  # s of arrival a second by which the smallest delay may grow: clocks drift
-StampedImage = tuple[int, U8]  # time in ns, and the image
+SILENT = 10.0  # s without an image after which the cameras are assumed to be off
+DRIFT = 1e-4  # s per s by which the smallest delay may grow, because clocks drift
+StampedImage = tuple[int, U8]  # ns, and the image
 
 
 class SensorClock:
-    """Converts a camera's own time to the clock of this machine, by the smallest delay so far.
+    """Converts a camera's own time to this machine's clock by the smallest delay so far.
 
-    A driver's stamps have an unknown zero, but are regular. Arrivals are on this machine's clock, but have a varying
-    delay. The stamp of a frame is its own time plus the smallest difference of both so far.
+    A driver's stamps are regular but have an unknown zero. Arrival times are on this machine's clock but have a varying
+    delay. A frame is stamped with its own time plus the smallest difference so far between arrival and own time.
     """
 
     def __init__(self) -> None:
@@ -36,8 +36,8 @@ class SensorClock:
         self._last = 0.0
 
     def stamp(self, own: float, arrival: float) -> int:
-        """Return an image's time on this machine's clock, ns, from its own time and its arrival, both in s."""
-        if own <= 0 or (self._offset is not None and own < self._last):  # the driver gives no time, or began again
+        """Return an image's time on this machine's clock in ns, from its own time and its arrival, both in s."""
+        if own <= 0 or (self._offset is not None and own < self._last):  # the driver gives no time, or restarted
             self._offset, self._last = None, own
             return round(arrival * 1e9)
         offset = arrival - own
@@ -53,7 +53,7 @@ def _read(
     put: Callable[[StampedImage | None], None],
     over: threading.Event,
 ) -> None:
-    """Read one camera until it ends; one with `own_time`, a film, would come as fast as it can be read."""
+    """Read one camera until it ends; with `own_time` (a film), images are paced and stamped by the film's own time."""
     clock, begin = SensorClock(), time.monotonic()
     while not over.is_set():
         good, image = capture.read()
@@ -74,14 +74,14 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
     """Open a camera by its name: `camera:0`, `camera:/dev/video2`, `rtsp://...`, `gst:PIPELINE`, `video:FILE`.
 
     Raises:
-        InputError: it cannot be opened, or its pictures have another size.
+        InputError: the camera cannot be opened, or its images are not of `size` (width, height).
     """
     kind, _, rest = name.partition(":")
     if kind == "camera":
         capture = cv2.VideoCapture(int(rest) if rest.isdigit() else rest)
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest image, not the oldest
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # deliver the newest image, not the oldest
     elif kind == "gst":
         capture = cv2.VideoCapture(rest, cv2.CAP_GSTREAMER)
     else:
@@ -102,11 +102,11 @@ class Cameras(CalibratedFolder):
     """Live cameras, with the calibration of a folder in the layout of a flight log.
 
     Args:
-        names: one a camera of the rig, in its order.
-        rig: the folder with `cam0/sensor.yaml` and so on.
+        names: one name per camera of the rig, in its order.
+        rig: folder with `cam0/sensor.yaml` and so on.
 
     Raises:
-        InputError: a camera cannot be opened, or the calibration does not fit.
+        InputError: the calibration is for another number of cameras, or is invalid.
     """
 
     def __init__(self, names: Sequence[str], rig: Path, settings: Settings) -> None:
@@ -125,7 +125,11 @@ class Cameras(CalibratedFolder):
         self._note(False, False)
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-        """Yield an exposure as soon as all cameras have it."""
+        """Yield an exposure as soon as all cameras have delivered it.
+
+        Raises:
+            InputError: a camera cannot be opened.
+        """
         arrived: queue.Queue[tuple[int, StampedImage | None]] = queue.Queue(64)
         over, open_cameras = threading.Event(), len(self._names)
 
@@ -153,7 +157,7 @@ class Cameras(CalibratedFolder):
                 else:
                     waiting.add(k, *image, time.monotonic())
                 for t_ns, images, _ in waiting.ready(time.monotonic() if open_cameras else math.inf):
-                    if images[0] is not None:  # the first camera's exposures count
+                    if images[0] is not None:  # only exposures of the first camera are used
                         self.length += 1
                         yield Frame(t_ns, tuple(images))
                 if not open_cameras:

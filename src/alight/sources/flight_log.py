@@ -1,4 +1,4 @@
-"""The flight log: EuRoC's folders plus `nav0`, the autopilot's GPS/INS solution (formats/flight-log.md)."""
+"""Flight log: EuRoC's folders plus `nav0`, the autopilot's GPS/INS solution (formats/flight-log.md)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from alight.sources.streams import (
 
 @dataclass(frozen=True)
 class Exposure:
-    """One moment: the file of each camera, None where a camera has none."""
+    """One exposure: its time and the image file of each camera; None for a camera without an image."""
 
     t_ns: int
     names: tuple[str | None, ...]
@@ -38,7 +38,7 @@ class FlightLog(CalibratedFolder):
     """One flight on disk.
 
     Raises:
-        InputError: no cam0, no image of it, or an invalid calibration.
+        InputError: cam0 or its images are missing, or the calibration is invalid.
     """
 
     def __init__(self, root: Path, settings: Settings) -> None:
@@ -62,10 +62,10 @@ class FlightLog(CalibratedFolder):
             imu_samples(self._imu) if self._imu else iter(()),
             self._frames(),
         ]
-        return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
+        return heapq.merge(*streams, key=lambda event: event.t_ns)  # equal times in the order of this list
 
     def _read_nav(self) -> Table | None:
-        """Rows of `nav0`; an origin that is far from them is refused, because heights are single precision."""
+        """Read `nav0`; refuse an origin far from its rows, because heights have single precision."""
         nav = usable_nav(read_table(self._root, "nav0", self.findings), self.findings)
         if nav is None:
             if self.georeferenced:
@@ -90,7 +90,7 @@ class FlightLog(CalibratedFolder):
     def _read_imu(self) -> Table | None:
         imu = usable_imu(read_table(self._root, "imu0", self.findings), self._body_from_imu, self.findings)
         force = 9.8 if imu is None else float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
-        if not 3.0 <= force <= 30.0:  # gravity, and some turns
+        if not 3.0 <= force <= 30.0:  # gravity and manoeuvres
             self.findings.warn(
                 f"imu0: half of its accelerations are below {force:.3g} m/s^2, and an aircraft measures about 9.8; "
                 "write m/s^2 with gravity in them"
@@ -109,7 +109,7 @@ class FlightLog(CalibratedFolder):
         for cam, stream in zip(self.rig.cameras, streams, strict=True):
             self._check_size(cam.name, (cam.camera.width, cam.camera.height), stream)
         stamps = [np.array([t for t, _ in s], dtype=np.int64) for s in streams]
-        if len(stamps[0]) > 1 and (gap := float(np.median(np.diff(stamps[0])))) < 1e9 / 400.0:  # exposures a second
+        if len(stamps[0]) > 1 and (gap := float(np.median(np.diff(stamps[0])))) < 1e9 / 400.0:  # 400 exposures per s
             raise InputError(
                 f"{self._root / 'cam0' / 'data.csv'}: its images are {gap / 1e6:.2g} ms apart, as of no camera; write "
                 "the times of all streams in nanoseconds"
@@ -129,14 +129,14 @@ class FlightLog(CalibratedFolder):
         return exposures
 
     def _overlapping(self, table: Table | None, name: str, stamps: I64) -> Table | None:
-        """Return a stream, or None, with a warning, if it does not overlap with the images in time."""
+        """Return a stream; None, with a warning, if it does not overlap with the images in time."""
         if table is None or not (why := _no_overlap(name, table.t_ns, "the images", stamps)):
             return table
         self.findings.warn(why)
         return None
 
     def _images(self, cam: str) -> list[tuple[int, str]]:
-        """The images of a camera that exist; rows without image at the ends mean an excerpt, not a loss."""
+        """Return (ns, name) of a camera's existing images; missing images at either end mean an excerpt, not a loss."""
         table, group = self._root / cam / "data.csv", f"{cam} images"
         if not table.is_file():
             raise InputError(f"{table}: missing, or no plain file; write lines of 'timestamp [ns],filename'")
@@ -153,7 +153,7 @@ class FlightLog(CalibratedFolder):
         return [row for row, here in zip(rows, there, strict=True) if here]
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:
-        """Refuse a calibration for images of another size; the first readable image is compared."""
+        """Refuse a calibration for another image size, by comparing it with the first readable image."""
         for _, name in stream:
             try:
                 real = image_size(self._image_path(cam, name))
@@ -174,21 +174,21 @@ class FlightLog(CalibratedFolder):
 
 
 def group_exposures(streams: Sequence[Sequence[tuple[int, str]]]) -> tuple[list[Exposure], int]:
-    """Group the images of one time: equal times first, then the nearest within half a frame period.
+    """Group images into exposures: equal times first, then the nearest time within half a frame period.
 
     Args:
-        streams: for each camera its (time ns, file name), in order of time.
+        streams: (time ns, file name) rows in order of time, for each camera.
 
     Returns:
-        Exposures in order of time, exposures of one camera alone included, and the largest difference in ns
-        between images that were paired although their times differ.
+        Exposures in order of time, including those with a single image, and the largest time difference in ns between
+        images that were paired.
     """
     found: dict[int, list[str | None]] = {t: [name] + [None] * (len(streams) - 1) for t, name in streams[0]}
     apart = 0
     for k, stream in enumerate(streams[1:], 1):
         times = np.array(sorted(found), dtype=np.int64)
         tolerance = int(np.median(np.diff(times))) // 2 if len(times) > 1 else 0
-        for t, name in sorted(stream, key=lambda row: row[0] not in found):  # exact ones take their place first
+        for t, name in sorted(stream, key=lambda row: row[0] not in found):  # equal times come first
             i = int(np.searchsorted(times, t))
             around = times[max(i - 1, 0) : i + 1]
             partner = int(around[np.argmin(np.abs(around - t))])
@@ -201,9 +201,9 @@ def group_exposures(streams: Sequence[Sequence[tuple[int, str]]]) -> tuple[list[
 
 
 def _no_overlap(name: str, times: I64, other: str, others: I64) -> str:
-    """A warning if two streams, (N,) and (M,) ns, do not overlap: they were stamped by different clocks. Else empty.
+    """Return a warning if two streams, (N,) and (M,) ns, do not overlap, so that their clocks differ; otherwise empty.
 
-    Two seconds at the ends of a stream, as of a recorder that starts later, are no gap.
+    A gap of up to two seconds is accepted, because recorders do not start at the same time.
     """
     after, before = (int(times[0]) - int(others[-1])) / 1e9, (int(others[0]) - int(times[-1])) / 1e9
     if max(after, before) <= 2.0:

@@ -1,4 +1,4 @@
-"""A folder of frames of one camera with its calibration, as an exporter of a bag or of a film leaves it."""
+"""A folder with frames of one camera and its calibration, as exported from a bag or a film."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FRAMES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 
 def frames_in(root: Path) -> list[Path]:
-    """The pictures of a folder, or those of its only sub-folder that has any; sorted."""
+    """Return the sorted pictures of a folder or, if it has none, of its first sub-folder with pictures."""
     for folder in (root, *sorted(p for p in root.iterdir() if p.is_dir())):
         if found := sorted(p for p in folder.iterdir() if p.suffix.lower() in FRAMES and not p.name.startswith(".")):
             return found
@@ -28,11 +28,11 @@ def frames_in(root: Path) -> list[Path]:
 class FrameFolder(FlightLog):
     """Frames of one camera.
 
-    The calibration is `sensor.yaml` of a flight log's camera, or Kalibr's camchain with `T_cam_imu`, beside the frames
-    or as `sources.calibration`.
+    The calibration is the `sensor.yaml` of a flight log's camera, or Kalibr's camchain with `T_cam_imu`. It lies next
+    to the frames or is given as `sources.calibration`.
 
     Raises:
-        InputError: no calibration with a mounting, or no times.
+        InputError: the frames have no calibration with a mounting, or no times.
     """
 
     def __init__(self, root: Path, settings: Settings) -> None:
@@ -77,9 +77,9 @@ class FrameFolder(FlightLog):
         return read_camchain(path, rig, Pose())
 
     def _camchain(self) -> Path | None:
-        """The only YAML file beside the frames with a camera in Kalibr's form."""
+        """Return the first YAML file next to the frames that holds a camera in Kalibr's form; None if there is none."""
         for path in sorted(p for s in ("*.yaml", "*.yml") for p in self._root.glob(s)):
-            with suppress(InputError):  # of something else
+            with suppress(InputError):  # a file of another kind
                 if isinstance(load_yaml(path).get("cam0"), dict):
                     return path
         return None

@@ -1,4 +1,4 @@
-"""Times of the frames in a folder: a table beside them, their names, or a constant rate. No unit is guessed."""
+"""Times of the frames in a folder, from a table next to them, their names, or a constant rate. No unit is guessed."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from alight.records import InputError
 
 TABLES = ("data.csv", "timestamps.csv", "timestamps.txt", "times.txt", "times.csv", "timestamp.txt")
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
-INTERVALS = (2e-3, 1.99)  # s between two frames of a camera, in the median: less than a factor of 1000
-DIGITS = 10  # of a time in a name: a shorter number is a count
+INTERVALS = (2e-3, 1.99)  # s, plausible median interval; limits differ by less than 1000, so that one unit fits
+DIGITS = 10  # least digits of a time in a name; a shorter number is a count
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?")
 
 
 class FrameTimes(NamedTuple):
-    """Frames in order of time."""
+    """Frames with their times, in order of time."""
 
     rows: list[tuple[int, str]]  # time [ns], file name
-    source: str  # where the times are from, in words
+    source: str  # where the times come from, in words
 
 
 def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> FrameTimes:
-    """Find the times of the frames of a folder.
+    """Determine the times of the frames in a folder.
 
     Args:
-        names: of its pictures.
-        rate: Hz; None: from a table (`TABLES`) in the folder or the one above, else from the names.
+        names: file names of the frames.
+        rate: frames per second; None: read a table (`TABLES`) in the folder or its parent, else the file names.
 
     Raises:
-        InputError: there are no times, or their unit is none of a camera.
+        InputError: the frames have no times, or no unit gives an interval of a camera.
     """
     ordered = sorted(names, key=_natural)
     if rate is not None:
@@ -55,13 +55,13 @@ def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> Frame
 
 
 def _natural(name: str) -> list[str | Decimal]:
-    """Key that sorts frame_10 after frame_9."""
+    """Return a key that sorts frame_10 after frame_9."""
     parts = re.split(r"(\d+)", name)
     return [Decimal(p) if k % 2 else p for k, p in enumerate(parts)]
 
 
 def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
-    """Read a table: rows with a time and a file name, or as many times as frames; None: it is of something else."""
+    """Read a table of times and file names, or of as many times as there are frames; None if it is another table."""
     try:
         lines = read_text(path, 100_000_000).splitlines()
     except (OSError, DocumentError) as e:
@@ -82,13 +82,12 @@ def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
 
 
 def _epoch(found: re.Match[str]) -> str:
-    """A date and time, as KITTI writes them, in seconds."""
     whole = datetime.fromisoformat(f"{found[1]}T{found[2]}+00:00")
     return f"{int(whole.timestamp())}{found[3] or ''}"
 
 
 def _timed(stamps: Sequence[tuple[str, str]], source: str, where: str, head: str = "") -> FrameTimes:
-    """Settle the unit: the one in the table's head, else the only one in which the intervals are those of a camera."""
+    """Convert times to ns; their unit is in the table's header, or is the only one with plausible intervals."""
     numbers = np.sort(np.array([float(t) for t, _ in stamps]))
     steps = np.diff(numbers)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0

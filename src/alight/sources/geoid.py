@@ -1,4 +1,4 @@
-"""The geoid's height above the ellipsoid at one place, from a grid that the user names."""
+"""Height of the geoid above the ellipsoid at one position, from a grid that the user names."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ log = logging.getLogger(__name__)
 
 
 def separation_at(grid: Path, latitude: float, longitude: float) -> float:
-    """Return metres from sea level to the ellipsoid (ellipsoid minus sea level), bilinear between the grid's cells.
+    """Return the geoid's height above the ellipsoid in metres, to be added to heights above sea level (bilinear).
 
     Args:
-        grid: raster of geoid heights in metres, on degrees, such as EGM96's or EGM2008's as GeoTIFF or GTX.
-        latitude, longitude: degrees; a longitude may count from -180 or from 0.
+        grid: raster of geoid heights in metres, in degrees, such as EGM96 or EGM2008 as GeoTIFF or GTX.
+        latitude, longitude: degrees; longitude may range from -180 to 180 or from 0 to 360.
 
     Raises:
-        InputError: it is no such raster, or does not cover the place.
+        InputError: the file is not such a raster, or does not cover the position.
     """
     with open_raster(grid, "--geoid") as raster:
         geoid = raster.dataset
         if raster.reference.crs is not None and not raster.reference.in_degrees:
             raise InputError(f"--geoid {grid}: its cells are not degrees; give a grid of geoid heights such as EGM2008")
-        if "VERTICAL_TO_VERTICAL" in geoid.tags().get("TYPE", ""):  # as PROJ's grids declare it
+        if "VERTICAL_TO_VERTICAL" in geoid.tags().get("TYPE", ""):  # declared in PROJ's grids
             raise InputError(f"--geoid {grid}: is between two levels of the sea; give a grid of geoid heights")
         band = band_in_metres(raster, 1, assume_metres=True)
         log.info("%s: geoid's heights in %s", grid.name, band.settled)
@@ -41,7 +41,7 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
         corners = band.lengths(read.astype(np.float64).filled(np.nan))
     v, u = row - top, col - left
     weights = np.outer([1.0 - v, v], [1.0 - u, u])
-    counts = weights > 0.0  # an unknown cell of weight 0 does no harm
+    counts = weights > 0.0  # ignore unknown cells of weight 0
     height = float(np.sum(corners[counts] * weights[counts]))
     if not abs(height) <= FARTHEST_FROM_SEA:
         raise InputError(f"--geoid {grid}: holds no geoid's height at {latitude:g}, {longitude:g} ({height:g} m)")
@@ -49,7 +49,7 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
 
 
 def _cell(grid: Path, geoid: Any, latitude: float, longitude: float) -> tuple[float, float]:
-    """Row and column of a place, 0 at the centre of the first cell; up to half a cell beyond the rim is on it."""
+    """Return row and column of a position, 0 at the first cell's centre; the outer half cell is clipped to the edge."""
     if min(geoid.height, geoid.width) < 2:
         raise InputError(f"--geoid {grid}: has {geoid.height} x {geoid.width} cells; give a whole grid such as EGM2008")
     rows, cols, t = geoid.height - 1.0, geoid.width - 1.0, ~geoid.transform

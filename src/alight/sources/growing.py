@@ -1,4 +1,4 @@
-"""A flight log that is being written: rows and pictures are taken as they appear."""
+"""A flight log that is still being written: rows and pictures are read as they appear."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from alight.sources.streams import (
 )
 
 POLL = 0.01  # s between two reads of the folder
-PARTNER = 0.15  # s that an image waits for that of another camera
-WRITTEN = 1.0  # s that an image may take from its row until it is whole
+PARTNER = 0.15  # s that an image waits for the image of another camera
+WRITTEN = 1.0  # s allowed from an image's row until its file is complete
 
 Item = TypeVar("Item")
 
 
 class GrowingTable:
-    """A CSV file that gets longer; a line counts once its end has been written."""
+    """A CSV file that grows; a line is read once its line break has been written."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._at, self._line, self._rest = path, 0, 0, b""
 
     def exists(self) -> bool:
-        """True if the file is there."""
+        """Whether the file exists."""
         return self._path.is_file()
 
     def new_lines(self) -> list[tuple[int, str]]:
-        """The lines since the last call, with their numbers."""
+        """Return the (line number, text) pairs added since the last call."""
         try:
             with self._path.open("rb") as f:
                 f.seek(self._at)
@@ -59,17 +59,17 @@ class GrowingTable:
 
 
 class WaitingExposures(Generic[Item]):
-    """Exposures that wait until all cameras have given their item: the image, or its name."""
+    """Exposures that wait until each camera has delivered its item: an image or its file name."""
 
     def __init__(self, cameras: int) -> None:
-        self.items: dict[int, list[Item | None]] = {}  # by stamp, of each camera
-        self._since: dict[int, float] = {}  # s, when the first of them came
+        self.items: dict[int, list[Item | None]] = {}  # one item per camera, by stamp
+        self._since: dict[int, float] = {}  # s, arrival of the first item
         self._cameras = cameras
-        self._stamps: deque[int] = deque(maxlen=32)  # the newest of the first camera, ns, for its period
-        self._newest = -1  # stamp of those that were ready
+        self._stamps: deque[int] = deque(maxlen=32)  # ns, latest stamps of the first camera, which give its period
+        self._newest = -1  # latest stamp that was yielded
 
     def add(self, camera: int, t_ns: int, item: Item, now: float) -> None:
-        """Add an item to the waiting exposure of its time, else to the nearest one within half a period."""
+        """Add an item to the waiting exposure of equal time, else to the nearest one within half a period."""
         if camera == 0:
             self._stamps.append(t_ns)
         steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
@@ -78,13 +78,13 @@ class WaitingExposures(Generic[Item]):
         found = t_ns if t_ns in self.items else min(near, key=lambda t: abs(t - t_ns), default=t_ns)
         items = self.items.pop(found, [None] * self._cameras)
         items[camera] = item
-        at = t_ns if camera == 0 else found  # an exposure has the time of its first camera
+        at = t_ns if camera == 0 else found  # an exposure has the stamp of the first camera
         self.items[at], self._since[at] = items, self._since.pop(found, now)
 
     def ready(self, now: float) -> Iterator[tuple[int, list[Item | None], float]]:
-        """Yield stamp, items and waiting time in order of time, up to one that waits; each is then removed.
+        """Yield and drop (stamp, items, waiting time) in order of time, up to the first exposure that must wait.
 
-        None waits that is older than those before: its partner came alone.
+        An exposure older than one already yielded does not wait, because its partner has been yielded alone.
         """
         for t_ns in sorted(self.items):
             items, waited = self.items[t_ns], now - self._since[t_ns]
@@ -96,11 +96,11 @@ class WaitingExposures(Generic[Item]):
 
 
 class GrowingLog(CalibratedFolder):
-    """A folder in the layout of a flight log that another program fills.
+    """A folder in the layout of a flight log, which another program is filling.
 
     Args:
-        root: has the calibration from the start: `cam0/sensor.yaml`, and those of other sensors.
-        idle: s without new rows or pictures, after which it is complete.
+        root: folder that has the calibration from the beginning: `cam0/sensor.yaml`, and files of other sensors.
+        idle: s without new rows or pictures after which the log is complete.
 
     Raises:
         InputError: the calibration is missing or invalid.
@@ -115,7 +115,7 @@ class GrowingLog(CalibratedFolder):
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-        """Yield events in the order in which they appear; those that appear together, in order of time."""
+        """Yield events in the order in which they appear; events that appear together are sorted by time."""
         last = time.monotonic()
         while not stopped():
             found = [*self._new_rows(), *self._new_exposures()]
@@ -162,7 +162,7 @@ class GrowingLog(CalibratedFolder):
                 yield Frame(t_ns, images, next(n for n in names if n))
 
     def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
-        """The images; None while one of them is still being written."""
+        """Return the images of an exposure; None while one of them is still being written."""
         try:
             return tuple(self._image(k, name, unfinished=not late) for k, name in enumerate(names))
         except ValueError:
@@ -173,7 +173,7 @@ def wait_for_calibration(root: Path, seconds: float) -> None:
     """Wait until a folder has the calibration of its first camera.
 
     Raises:
-        InputError: it does not come.
+        InputError: no calibration appears within `seconds`.
     """
     end = time.monotonic() + seconds
     while not any((folder / "cam0" / "sensor.yaml").is_file() for folder in (root, root / "mav0")):

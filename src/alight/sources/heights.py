@@ -1,4 +1,4 @@
-"""Heights of a raster in metres, and doubts whether they are heights at all."""
+"""Read the heights of a raster in metres, and check whether its values can be heights."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alight.sources.opened_raster import OpenedRaster, read_on
 from alight.sources.raster_band import Band, band_of_heights
 from alight.sources.raster_plane import RasterPlane, metric_plane
 
-HIGHEST = 12_000.0  # metres: no ground of the Earth lies as far from its ellipsoid
+HIGHEST = 12_000.0  # metres; no ground lies as far from the ellipsoid
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,19 +24,19 @@ class RasterHeights:
     plane: RasterPlane
     band: Band
     metres: F64  # (R, C) above the vertical datum, NaN = unknown
-    step: float  # metres to which they are rounded; 0: floating-point numbers
-    doubt: str | None  # whether they are heights, in words
-    settled: str  # unit, datum, coordinate system: one line
-    transform: Affine  # of the raster as it is stored
-    shape: tuple[int, int]  # the same
+    step: float  # metres, rounding of heights stored as integers; 0: stored as floating point
+    doubt: str | None  # why the values may not be heights, in words; None: no doubt
+    settled: str  # unit, datum and coordinate system, in words
+    transform: Affine  # of the raster as stored
+    shape: tuple[int, int]  # rows, columns of the raster as stored
 
 
 def read_heights(raster: OpenedRaster) -> RasterHeights:
     """Read the heights of a raster in metres, in a metric plane, north up.
 
     Raises:
-        InputError: its plane or unit cannot be settled (see `metric_plane`, `band_in_metres`), it holds no heights (see
-            `doubt_of_heights`), or none is known.
+        InputError: plane or unit cannot be determined (see `metric_plane`, `band_in_metres`), the values are not
+            heights (see `doubt_of_heights`), or no height is known.
     """
     plane, band, dataset = metric_plane(raster), band_of_heights(raster), raster.dataset
     stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
@@ -56,23 +56,23 @@ def read_heights(raster: OpenedRaster) -> RasterHeights:
 
 
 def words_of(raster: OpenedRaster, band: Band) -> str:
-    """Unit and vertical datum of heights."""
+    """Return unit and vertical datum of heights in words."""
     return f"{band.settled}, vertical datum {raster.reference.datum or 'undeclared'}"
 
 
 def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | None:
-    """Test whether a band may be taken for heights: undeclared no-data, classes and pictures are not flat ground.
+    """Check whether a band holds heights, so that undeclared no-data, classes or pictures do not pass for flat ground.
 
     Args:
-        raster: opened.
-        band: that was read.
-        stored: its numbers, NaN where no-data is declared.
+        raster: open raster.
+        band: the band that was read.
+        stored: values of the band, NaN at declared no-data.
 
     Returns:
-        A doubt in words; None: there is none.
+        A doubt in words; None if there is none.
 
     Raises:
-        InputError: they are no heights, or a value stands for no-data that is not declared.
+        InputError: the values are not heights, or one value means no-data without being declared.
     """
     dataset, at = raster.dataset, band.number - 1
     if dataset.colorinterp[at] == ColorInterp.palette or dataset.dtypes[at] in ("uint8", "int8"):
@@ -90,7 +90,7 @@ def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | Non
             f"no-data: gdal_edit.py -a_nodata {wrong:g} {raster.file}"
         )
     whole = dataset.scales[at] == 1.0 and (values == np.rint(values)).all()
-    if whole and 1 < values.size <= 32:  # no map of land cover has more classes
+    if whole and 1 < values.size <= 32:  # land-cover maps have no more classes
         raise InputError(
             f"{raster.label}: holds only {values.size} different values, all whole numbers: classes, or heights "
             "rounded to the metre, which show no obstacle; give heights in metres as float32"
@@ -99,9 +99,9 @@ def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | Non
 
 
 def _no_height(values: F64, metres: F64, declared: float | None) -> float | None:
-    """A stored value that cannot be a height, or that lies apart from all others at an end; None: there is none."""
+    """Return a stored value that cannot be a height, or that lies far from all others; None if there is none."""
     for v, height in ((values[0], metres[0]), (values[-1], metres[-1])):
-        if not -HIGHEST <= height <= HIGHEST or v in (-9999.0, -999.0, 9999.0):  # as programs write unknown heights
+        if not -HIGHEST <= height <= HIGHEST or v in (-9999.0, -999.0, 9999.0):  # common codes for unknown heights
             return float(v)
     if declared is not None or values.size < 3:
         return None
@@ -113,7 +113,7 @@ def _no_height(values: F64, metres: F64, declared: float | None) -> float | None
 
 
 def _filled(raster: OpenedRaster, band: Band, values: F64, counts: I64) -> str | None:
-    """A doubt where one value stands in 2 % of the cells although one in five others does not repeat."""
+    """Return a warning if one value fills 2 % of the cells although the other values hardly repeat; None otherwise."""
     total, most = int(counts.sum()), int(counts.max())
     if values.size < 3 or most < 0.02 * total or (values.size - 1) < 0.2 * (total - most):
         return None

@@ -1,4 +1,4 @@
-"""Pictures beyond eight bits, HEIC and raw pictures: their values as eight bits, by one range for a whole set."""
+"""Read HEIC and raw pictures, and scale pictures with more than eight bits to eight by one range for a whole set."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from PIL.TiffImagePlugin import BITSPERSAMPLE
 from alight.arrays import F64, U8
 from alight.records import InputError, MissingExtraError
 
-EXTRAS = {  # suffix of files that an optional package reads: the package, and our extra
+EXTRAS = {  # suffix: the optional package that reads such files, and Alight's extra
     ".heic": ("pillow_heif", "heic"), ".heif": ("pillow_heif", "heic"), ".hif": ("pillow_heif", "heic"),
     ".dng": ("rawpy", "raw"),
 }  # fmt: skip
 
 
 def missing_extra(path: Path) -> MissingExtraError | None:
-    """The error that names the extra without which a file cannot be read; None: it can."""
+    """Return the error that names the extra needed to read a file; None if no further extra is needed."""
     package, extra = EXTRAS.get(path.suffix.lower(), ("PIL", ""))
     return None if find_spec(package) else MissingExtraError(package, extra)
 
 
 def is_raw(path: Path) -> bool:
-    """Whether a file holds the values of a sensor, by its name."""
+    """Whether a file holds raw sensor values, by its suffix."""
     return EXTRAS.get(path.suffix.lower(), ("", ""))[1] == "raw"
 
 
 def raw_size(path: Path) -> tuple[int, int]:
-    """(width, height) of a raw picture.
+    """Return (width, height) of a raw picture.
 
     Raises:
-        ValueError: it is damaged.
+        ValueError: the file is damaged.
     """
     with _opened_raw(path) as raw:
         return int(raw.sizes.width), int(raw.sizes.height)
 
 
 def raw_pixels(path: Path) -> U8:
-    """Develop a raw picture, (H, W, 3), as it is stored; all pictures of a set with the same brightness.
+    """Develop a raw picture, (H, W, 3) RGB, without rotation; brightness is the same for all pictures of a set.
 
     Raises:
-        ValueError: it is damaged.
+        ValueError: the file is damaged.
     """
     with _opened_raw(path) as raw:
         return np.asarray(raw.postprocess(use_camera_wb=True, no_auto_bright=True, user_flip=0), np.uint8)
@@ -61,23 +61,23 @@ def _opened_raw(path: Path) -> Any:
 
 
 def bits_of(image: Any) -> int:
-    """Bits of the deepest value of a picture that pillow has opened."""
+    """Return the most bits per value of a picture opened by pillow."""
     if image.format == "PNG":
         return 16 if "16" in str(image.tile) else 8
     return max(image.tag_v2.get(BITSPERSAMPLE, (8,))) if image.format == "TIFF" else 8
 
 
 class Levels(NamedTuple):
-    """The values that become 0 and 255 in all pictures of a set with more than eight bits."""
+    """Values that become 0 and 255 in all pictures of a set with more than eight bits."""
 
     low: float
     high: float
 
     def eight_bits(self, path: Path) -> U8:
-        """The pixels of a picture, (H, W) or (H, W, 3).
+        """Read a picture and scale it to eight bits, (H, W) or (H, W, 3).
 
         Raises:
-            ValueError: it cannot be read.
+            ValueError: the picture cannot be read.
         """
         span = max(self.high - self.low, np.finfo(float).tiny)
         share = (np.nan_to_num(_values(path)) - self.low) / span
@@ -85,10 +85,10 @@ class Levels(NamedTuple):
 
 
 def levels_of(paths: Sequence[Path]) -> Levels | None:
-    """The range of a set of pictures with more than eight bits, all of the same kind; None: none can be read.
+    """Determine the range of a set of similar pictures with more than eight bits; None if none can be read.
 
-    A thousandth of the pixels of a picture may lie below, and above it: hot pixels and reflections. Colours begin at
-    0: a higher value would change their ratios.
+    A thousandth of a picture's pixels may lie below the range and as many above it: hot pixels and reflections. In
+    colour, the range begins at 0, because a higher value would change the ratios of the colours.
     """
     lows, highs = [], []
     for path in paths:
@@ -103,7 +103,7 @@ def levels_of(paths: Sequence[Path]) -> Levels | None:
 
 
 def _values(path: Path, longest: int | None = None) -> F64:
-    """The values as stored, (H, W) or (H, W, 3), with fewer pixels if `longest` limits the longer side."""
+    """Return the values as stored, (H, W) or (H, W, 3), downsampled if `longest` limits the longer side."""
     from alight.sources.opened_raster import open_raster
     from alight.sources.raster_band import bands_of_picture
 

@@ -1,4 +1,4 @@
-"""Image files, read strictly: a picture that is cut off is refused, not filled up with grey."""
+"""Read image files strictly: a truncated picture is refused, not filled with grey."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.De
 
 
 def open_image(path: Path) -> Image.Image:
-    """Open an image without decoding it; pillow's own warnings are silenced, but its errors are raised.
+    """Open an image without decoding it; pillow's warnings are silenced, its errors are raised.
 
-    Pipes and devices are refused: they may block, or have no end.
+    Pipes and devices are refused, because they may block or have no end.
 
     Raises:
-        One of `UNREADABLE`.
+        One of `UNREADABLE`: the file cannot be opened as an image.
     """
     if not path.is_file():
         raise OSError("it is no plain file, or a link to nothing")
@@ -40,10 +40,10 @@ def open_image(path: Path) -> Image.Image:
 
 
 class Header(NamedTuple):
-    """Facts on an image file, read without its pixels."""
+    """Facts about an image file, read without decoding its pixels."""
 
     size: tuple[int, int]  # width, height as stored
-    bits: int  # of the deepest value
+    bits: int  # most bits of a value
     exif: dict[int, Any]  # main and photo directory, by tag number
     gps: dict[int, Any]
     xmp: bytes | str  # packet; empty: none
@@ -51,10 +51,10 @@ class Header(NamedTuple):
 
 
 def read_header(path: Path) -> Header:
-    """Size, depth and tags of an image, of its first picture where it holds several.
+    """Read size, depth and tags of an image; of several images in a file, the first is read.
 
     Raises:
-        One of `UNREADABLE`.
+        One of `UNREADABLE`: the file is not a readable image.
     """
     try:
         with open_image(path) as image:
@@ -67,15 +67,15 @@ def read_header(path: Path) -> Header:
 
 def _tags(exif: Image.Exif) -> tuple[dict[int, Any], dict[int, Any]]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, as intended
+        warnings.simplefilter("ignore")  # pillow warns of damaged tags and leaves them out, as intended
         return dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif)), dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
 
 
 def _header_of_tiff(path: Path) -> Header:
-    """Header of a TIFF whose pixels pillow cannot decode, such as raw ones, or bands of 16 bits.
+    """Read the header of a TIFF whose pixels pillow cannot decode, such as raw pictures or bands of 16 bits.
 
     Raises:
-        UnidentifiedImageError: it is no TIFF.
+        UnidentifiedImageError: the file is not a TIFF.
     """
     with path.open("rb") as file:
         if file.read(4) not in (b"II*\0", b"MM\0*"):
@@ -89,27 +89,27 @@ def _header_of_tiff(path: Path) -> Header:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the file's header.
+    """Return (width, height) from the file's header.
 
     Raises:
-        One of `UNREADABLE`.
+        One of `UNREADABLE`: the file is not a readable image.
     """
     with open_image(path) as image:
         return stored_size(image)
 
 
 def stored_size(image: Image.Image) -> tuple[int, int]:
-    """(width, height) as stored in the file: pillow turns only TIFF images by their EXIF orientation."""
+    """Return (width, height) as stored in the file; pillow applies the EXIF orientation to TIFF images only."""
     if isinstance(image, TiffImageFile):
         return int(image.tag_v2[IMAGEWIDTH]), int(image.tag_v2[IMAGELENGTH])
     return image.size
 
 
 def _not_turned(path: Path) -> Image.Image:
-    """A TIFF as it is stored: pillow turns them, and damages grey ones that it maps into memory."""
+    """Open a TIFF as stored; pillow would rotate it, and damages grey TIFFs that it maps into memory."""
     with Image.open(BytesIO(path.read_bytes())) as image:
         image.getexif()[Base.Orientation] = 1
-        return image.copy()  # with the size of the pixels
+        return image.copy()  # has the stored size
 
 
 def _pixels(image: Image.Image) -> U8:
@@ -119,13 +119,13 @@ def _pixels(image: Image.Image) -> U8:
 
 
 def has_end(jpeg: bytes) -> bool:
-    """True if a JPEG has its end marker: no decoder notices a file system that fills a cut with zeros."""
-    marker, at = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]"), 2  # in coded data: neither a stuffed byte nor a restart
+    """Whether a JPEG has its end marker; decoders do not notice if a file system replaced its end with zeros."""
+    marker, at = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]"), 2  # excludes stuffed bytes and restarts in coded data
     while found := marker.search(jpeg, at):
         at = found.end()
         if found.group() == b"\xff\xd9":
             return True
-        at += int.from_bytes(jpeg[at : at + 2], "big")  # skip the segment, thumbnails in it included
+        at += int.from_bytes(jpeg[at : at + 2], "big")  # skip the segment and any thumbnail in it
     return False
 
 
@@ -135,17 +135,17 @@ def _check_size(stored: tuple[int, int], size: tuple[int, int]) -> None:
 
 
 def read_image(path: Path, size: tuple[int, int], levels: Levels | None = None) -> U8:
-    """Decode a whole image as it is stored, (H, W) when the file is grey, else (H, W, 3) RGB.
+    """Decode a whole image as stored, (H, W) if the file is grey, else (H, W, 3) RGB.
 
-    OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses it.
+    OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses the file.
 
     Args:
-        path: of the image; of several pictures in it, the first is read.
+        path: image file; of several images in it, the first is read.
         size: (width, height) that the calibration is for.
-        levels: range of a set, for files with more than eight bits; None: their upper eight.
+        levels: range of a set of files with more than eight bits; None: use the upper eight bits.
 
     Raises:
-        ValueError: cut off, damaged, or of another size.
+        ValueError: the image is truncated, damaged, or of another size.
     """
     try:
         if is_raw(path) or levels is not None:

@@ -1,4 +1,4 @@
-"""Libraries of terrain pictures."""
+"""Read libraries of labelled pictures of land cover."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.training.patches import LabelledPatch
 
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
-SAMPLING = 0.05  # metres a pixel, where no other value is given
-TILE = 4.8  # metres: larger pictures are cut into tiles of this side
+SAMPLING = 0.05  # metres per pixel, if no other value is given
+TILE = 4.8  # metres; larger pictures are cut into tiles with this side
 KINDS = {
     Terrain.BARE: "bare gravel soil sand dirt",
     Terrain.SHORT_GRASS: "short_grass grass lawn",
@@ -32,7 +32,7 @@ CODES = {name: kind for kind, known in KINDS.items() for name in known.split()}
 
 
 def kind_of(folder: str) -> Terrain | None:
-    """The class in a folder's name: `water`, `5_water` or `5`; None if it names none."""
+    """Return the class that a folder's name means (`water`, `5_water` or `5`); None if it means no class."""
     name = folder.lower().replace("-", "_").replace(" ", "_")
     number, _, rest = name.partition("_")
     if number.isdigit():
@@ -41,7 +41,6 @@ def kind_of(folder: str) -> Terrain | None:
 
 
 def _index(folder: Path) -> dict[str, dict[str, str]]:
-    """Rows of index.csv by file name; empty without one."""
     path = folder / "index.csv"
     if not path.exists():
         return {}
@@ -63,7 +62,6 @@ def _sampling(row: dict[str, str], usual: float, path: Path) -> float:
 
 
 def _tiles(rgb: U8, sampling: float) -> Iterator[U8]:
-    """The picture, or tiles spread over it when it is much larger than one."""
     side = max(8, round(TILE / sampling))
     if min(rgb.shape[:2]) < 2 * side:
         yield rgb
@@ -75,10 +73,10 @@ def _tiles(rgb: U8, sampling: float) -> Iterator[U8]:
 
 
 def read_picture(path: Path) -> U8:
-    """A picture as RGB.
+    """Read a picture as (H, W, 3) RGB.
 
     Raises:
-        InputError: it cannot be read or is grey.
+        InputError: the picture cannot be read or is grey.
     """
     rgb = _read(path)
     if rgb.ndim != 3:
@@ -100,16 +98,17 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
-    """Patches of a folder that has one folder a class.
+    """Read labelled patches from a folder that has one sub-folder per class.
 
-    A picture's site is that of index.csv, else the folder between it and its class's folder, else one site for all.
+    The site of a picture comes from index.csv, else from the folder between the picture and its class's folder.
+    Otherwise all pictures share one site.
 
     Args:
-        folder: `bare/`, `water/`, ... or with their codes, `5_water/`; index.csv (file, site, gsd_m) is optional.
-        usual: metres a pixel where index.csv gives none.
+        folder: contains `bare/`, `water/`, ... or class codes, `5_water/`; index.csv (file, site, gsd_m) is optional.
+        usual: metres per pixel if index.csv gives none.
 
     Raises:
-        InputError: no folder is named for a class, one has no pictures, or a picture cannot be read.
+        InputError: no sub-folder is named for a class, a class has no pictures, or a picture cannot be read.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name one that has a folder of pictures for each class")
@@ -135,15 +134,15 @@ def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
 
 
 def is_labelled(folder: Path) -> bool:
-    """True if a folder holds pictures with a label a pixel instead of a folder a class."""
+    """Whether a folder holds pictures with one label per pixel, instead of one sub-folder per class."""
     return (folder / "images").is_dir() and (folder / "labels").is_dir()
 
 
 def read_labelled(folder: Path) -> Iterator[tuple[str, U8, U8]]:
-    """Name, picture and (H, W) Terrain codes of every picture in `images/` with a label in `labels/`.
+    """Yield name, picture (H, W, 3) and `Terrain` codes (H, W) of each picture in `images/` with a label in `labels/`.
 
     Raises:
-        InputError: there is none, one cannot be read, or the two differ in size.
+        InputError: no picture has a label, a file cannot be read, or picture and label differ in size.
     """
     labels = {p.stem: p for p in _pictures(folder / "labels")}
     both = [p for p in _pictures(folder / "images") if p.stem in labels]

@@ -1,4 +1,4 @@
-"""Sources of a flight, and their events in the order of arrival: cameras, or a folder that is being filled."""
+"""Sources for a flight, with events in order of arrival: cameras, or a folder that is being filled."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from alight.settings import Settings
 from alight.sources.source import Source
 
 PREFIXES = ("camera:", "rtsp:", "gst:", "video:")
-PATIENCE = 30.0  # s that a folder may take to get its calibration
+PATIENCE = 30.0  # s to wait for the calibration of a folder
 
 
 @dataclass(frozen=True)
 class LiveSource:
-    """A source, its events as they come, and whether they come from sensors in real time."""
+    """A source, its events as they arrive, and whether they come from sensors in real time."""
 
     source: Source
     events: Iterator[Event]
     real_time: bool
-    telemetry: Callable[[], Telemetry | None] = lambda: None  # newest of the autopilot that gives GPS/INS
+    telemetry: Callable[[], Telemetry | None] = lambda: None  # latest of the autopilot that gives GPS/INS
 
 
 def is_cameras(name: str) -> bool:
-    """True for cameras; else it is the name of a file or a folder."""
+    """Whether a name means cameras; otherwise it is the path of a file or folder."""
     return name.startswith(PREFIXES)
 
 
@@ -40,12 +40,12 @@ def open_sensors(
     """Open cameras, or a folder that is being filled.
 
     Args:
-        name: cameras with commas between them, or a folder.
-        rig: folder with the calibration of cameras.
-        stopped: called now and then; True ends the events.
+        name: camera names separated by commas, or a folder.
+        rig: folder with the calibration of the cameras; None: not given.
+        stopped: polled regularly; True ends the events.
 
     Raises:
-        InputError: it is no source, or cannot be used; the message names what was looked for.
+        InputError: the source does not exist or cannot be used; the message names what was missing.
     """
     if not is_cameras(name):
         from alight.sources.growing import GrowingLog, wait_for_calibration
@@ -57,21 +57,21 @@ def open_sensors(
         raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
     from alight.sources.capture import Cameras
 
-    names = re.split(rf",\s*(?={'|'.join(PREFIXES)})", name)  # a pipeline or an address may hold commas itself
+    names = re.split(rf",\s*(?={'|'.join(PREFIXES)})", name)  # a pipeline or an address may contain commas
     cameras = Cameras(names, rig, settings)
     return LiveSource(cameras, cameras.events(stopped), True)
 
 
 def as_they_arrive(last: Iterator[Event], *others: Iterator[Event], most: int = 0) -> Iterator[Event]:
-    """Yield the events of several sources in the order of their arrival, until `last` ends; each has its own thread.
+    """Yield the events of several sources in order of arrival, until `last` ends; a thread reads each source.
 
     Args:
-        last: the source whose end ends the iteration.
-        others: sources that may end before.
-        most: events that are read ahead; 0: any number.
+        last: source whose end ends the iteration.
+        others: sources that may end earlier.
+        most: greatest number of events that are read ahead; 0: no limit.
 
     Raises:
-        Exception: the one that a source raised while it was read.
+        Exception: the exception that a source raised while it was read.
     """
     arrived: queue.Queue[Event | BaseException | None] = queue.Queue(most)
     over = threading.Event()
@@ -105,14 +105,14 @@ def as_they_arrive(last: Iterator[Event], *others: Iterator[Event], most: int = 
 
 
 def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-    """Yield the events of a recording at the times of their stamps; an event whose time has passed comes at once.
+    """Yield the events of a recording at the times of their stamps; overdue events are yielded at once.
 
     Args:
-        speed: 2 is twice as fast as the flight.
+        speed: playback speed over real time; 2 is twice as fast as the flight.
         stopped: called before each event; True ends the iteration.
     """
     begin, first = time.perf_counter(), None
-    for event in as_they_arrive(events, most=64):  # that many are read, and their pictures decoded, before they are due
+    for event in as_they_arrive(events, most=64):  # 64 events are read, and their pictures decoded, before they are due
         if first is None:
             begin, first = time.perf_counter(), event.t_ns
         while not stopped():

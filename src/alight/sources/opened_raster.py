@@ -1,4 +1,4 @@
-"""The gate for rasters: one is opened, its coordinate system taken apart, and its bands read on any grid."""
+"""Open rasters, split their coordinate systems into plane and height, and read their bands on any grid."""
 
 from __future__ import annotations
 
@@ -28,61 +28,61 @@ from alight.records import InputError
 
 
 class Reference(NamedTuple):
-    """The coordinate system of a raster, taken apart."""
+    """Coordinate system of a raster, split into its plane and its vertical axis."""
 
-    crs: CRS | None  # of the plane alone; None: there is none
-    plane: pyproj.CRS | None  # the same
-    up: float | None  # metres of one unit of the vertical axis, below zero where it points down; None: undeclared
-    datum: str  # vertical
+    crs: CRS | None  # plane only; None: the raster has no coordinate system
+    plane: pyproj.CRS | None  # `crs` as a pyproj object
+    up: float | None  # metres per unit of the vertical axis, negative if it points down; None: undeclared
+    datum: str  # vertical datum; empty: undeclared
 
     @property
     def is_geographic(self) -> bool:
-        """Whether its plane is in degrees."""
+        """Whether the coordinates of the plane are angles."""
         return self.plane is not None and bool(self.plane.is_geographic)
 
     @property
     def in_degrees(self) -> bool:
-        """Whether one unit is a degree, and not a grad."""
+        """Whether the unit of the plane is the degree, and not the grad."""
         return self.is_geographic and math.isclose(self.unit, math.radians(1.0), rel_tol=1e-9)
 
     @property
     def is_metric(self) -> bool:
-        """Whether nothing in it suggests that heights are in another unit than the metre."""
+        """Whether the plane gives no hint that heights are in a unit other than the metre."""
         return self.is_geographic or self.unit == 1.0
 
     @property
     def on_earth(self) -> bool:
-        """Whether places have a latitude and longitude: in site grids (engineering systems) they have none."""
+        """Whether positions have a latitude and longitude; in site grids (engineering systems) they have none."""
         return self.plane is not None and (self.is_geographic or bool(self.plane.is_projected))
 
     @property
     def unit(self) -> float:
-        """Metres (or radians) of one unit of the plane."""
+        """Metres per unit of the plane, or radians if it is geographic; 1 without a plane."""
         return 1.0 if self.plane is None else float(self.plane.axis_info[0].unit_conversion_factor or 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class OpenedRaster:
-    """A raster that is open, with its coordinate system."""
+    """An open raster with its coordinate system."""
 
-    label: str  # of messages
+    label: str  # start of messages
     path: Path
     dataset: Any
     reference: Reference
 
     @property
     def file(self) -> str:
-        """The file's name for a command line."""
+        """The file's path, quoted for a command line."""
         return shlex.quote(str(self.path))
 
     @property
     def has_place(self) -> bool:
-        """Whether its cells have a size and a place."""
+        """Whether the raster is georeferenced: its cells have a size and a position."""
         return not self.dataset.transform.is_identity
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east and north of its corners, in units of its coordinate system."""
+        """West, south, east and north limits of the raster, in units of its coordinate system."""
         t, (rows, cols) = self.dataset.transform, self.dataset.shape
         x = [t.c + t.a * u * cols + t.b * v * rows for u in (0, 1) for v in (0, 1)]
         y = [t.f + t.d * u * cols + t.e * v * rows for u in (0, 1) for v in (0, 1)]
@@ -91,15 +91,15 @@ class OpenedRaster:
 
 @contextmanager
 def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
-    """Open a raster with rasterio.
+    """Open a raster with rasterio, as a context manager.
 
     Args:
-        path: of the raster.
-        option: of the command line that names it, for messages.
+        path: the raster.
+        option: command line option that names the raster, for messages.
 
     Raises:
-        InputError: it is no raster, holds several (netCDF, HDF), is placed by control points only, its coordinates
-            cannot be used, or its cells cannot be read.
+        InputError: the file is not a raster, holds several rasters (netCDF, HDF), has control points only, or its
+            coordinate system or cells cannot be used.
     """
     label = f"{option} {path}".strip()
     if not path.exists():
@@ -107,7 +107,7 @@ def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
     if not path.is_file():
         raise InputError(f"{label}: not a plain file; name a raster such as a GeoTIFF")
     try:
-        with warnings.catch_warnings():  # we report missing coordinates ourselves, once and in words
+        with warnings.catch_warnings():  # missing coordinates are reported elsewhere, once and in words
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(path)
     except UnicodeEncodeError as e:
@@ -129,7 +129,6 @@ def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
 
 
 def _reference(label: str, crs: CRS | None) -> Reference:
-    """Take a coordinate system apart into its plane and its vertical axis."""
     if crs is None:
         return Reference(None, None, None, "")
     try:
@@ -154,25 +153,25 @@ def _reference(label: str, crs: CRS | None) -> Reference:
 
 
 def _unbound(crs: pyproj.CRS) -> pyproj.CRS:
-    """The system itself, without a transformation to WGS 84 that is bound to it."""
+    """Return a coordinate system without the transformation to WGS 84 that is bound to it."""
     return crs.source_crs if crs.is_bound and crs.source_crs is not None else crs
 
 
 def read_on(
     raster: OpenedRaster, bands: list[int], crs: CRS, grid: Grid, how: Resampling = Resampling.nearest, **more: Any
 ) -> F64:
-    """Read bands on a grid, whichever way the raster's rows and columns run.
+    """Read bands on a grid, whatever the direction of the raster's rows and columns.
 
     Args:
-        raster: opened; one without a coordinate system counts as in that of the grid.
-        bands: their numbers.
-        crs: of the grid.
-        grid: in units of `crs`.
-        how: values between cells are found.
+        raster: open raster; without a coordinate system, it is assumed to be in `crs`.
+        bands: band numbers, from 1.
+        crs: coordinate system of the grid.
+        grid: target cells, in units of `crs`.
+        how: method of resampling.
         more: options of the warper, such as `src_transform`.
 
     Returns:
-        (B, R, C) numbers as stored; NaN where no-data, a mask or transparency hides them, and beyond the raster.
+        (B, R, C) values as stored; NaN where no-data, a mask or transparency hides them, and outside the raster.
     """
     dataset = raster.dataset
     options = {
@@ -184,6 +183,6 @@ def read_on(
     with WarpedVRT(dataset, **options) as warped:
         values = warped.read(bands)
     if dataset.nodata is not None and MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
-        with WarpedVRT(dataset, src_nodata=None, **options) as masked:  # by the mask, which no-data overrides above
+        with WarpedVRT(dataset, src_nodata=None, **options) as masked:  # apply the mask, which no-data overrides above
             values[np.isnan(masked.read(bands))] = np.nan
     return np.asarray(values)

@@ -1,4 +1,4 @@
-"""A DEM from another source, read about the world's origin and resampled to the world's grid."""
+"""Read a DEM from another source around the world's origin, resampled to the world's axes."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from alight.sources.heights import doubt_of_heights, words_of
 from alight.sources.opened_raster import open_raster, read_on
 from alight.sources.raster_band import band_of_heights
 
-REACH = 2000.0  # metres about the origin that are read
+REACH = 2000.0  # metres that are read on each side of the origin
 
 
 def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
-    """Read the part of a DEM about the world's origin.
+    """Read the part of a DEM around the world's origin.
 
     Args:
         path: heights in any coordinate system on Earth, in degrees, metres or feet.
         local: the world.
 
     Raises:
-        InputError: it is no raster, has no place on Earth, lies elsewhere, or holds no heights; or their unit cannot be
-            settled (see `band_of_heights`).
+        InputError: the file is not a raster, has no position on Earth, lies elsewhere, holds no heights, or its unit
+            cannot be determined (see `band_of_heights`).
     """
     with open_raster(path, "--prior-dem") as dem:
         label, crs = dem.label, dem.reference.crs
@@ -45,7 +45,7 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
         west, south, east, north = max(west, -REACH), max(south, -REACH), min(east, REACH), min(north, REACH)
         if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
             raise InputError(f"{label}: lies elsewhere than the photos; give a DEM of the same place")
-        cell = max(cell, (east - west) / 2000, (north - south) / 2000)  # finer ones are averaged
+        cell = max(cell, (east - west) / 2000, (north - south) / 2000)  # finer cells are averaged
         cols, rows = (max(int(np.ceil(length / cell)), 1) for length in (east - west, north - south))
         grid = Grid(west + 0.5 * cell, north - 0.5 * cell, cell, rows, cols)
         stored = read_on(dem, [band.number], CRS.from_string(local.crs), grid, Resampling.bilinear)[0]

@@ -1,4 +1,4 @@
-"""Ground from another source: heights, their sigma, and an image."""
+"""Read ground from another source: heights, their sigma, and an image."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ LARGEST_SIGMA = 1000.0  # metres
 
 @dataclass(frozen=True, eq=False)
 class GroundRaster:
-    """Heights, sigma and image as read."""
+    """Heights, sigma and image of a raster."""
 
     elevation: ElevationMap
-    plane: RasterPlane | None  # of the elevation's grid; None: metres without a place on Earth
-    image: U8 | None  # (f R, f C) or (f R, f C, 3), f = 1, 2, 4, ... pixels a cell
+    plane: RasterPlane | None  # plane of the elevation's grid; None: metres without a position on Earth
+    image: U8 | None  # (f R, f C) or (f R, f C, 3), f = 1, 2, 4, ... pixels per cell side; None: no image
     warnings: tuple[str, ...]
-    files: tuple[Path, ...]  # that were read
-    settled: str = ""  # units, coordinate system, datum: one line
+    files: tuple[Path, ...]  # files that were read
+    settled: str = ""  # units, coordinate system and datum, in words
 
 
 def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: float) -> GroundRaster:
     """Read a height raster as a map that can be judged.
 
     Args:
-        path: heights; a band of it named `sigma` is theirs.
-        sigma: raster of 1-sigma, or one number in metres.
-        image: of the same ground.
-        usual_sigma: metres, where no sigma is given.
+        path: raster of heights; its band named `sigma`, if any, holds their 1-sigma.
+        sigma: raster of 1-sigma, or one number in metres; None: the band `sigma`, else `usual_sigma`.
+        image: image of the same ground, or None.
+        usual_sigma: 1-sigma in metres if none is given.
 
     Raises:
         InputError: see `read_heights`, `sigma_beside`, `image_beside`; or no height has a sigma.
@@ -55,7 +55,7 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
             f"no sigma given: {usual_sigma:g} m is taken for every height; P(safe) is no better than that (--sigma)"
         )
     doubts += [*beside.warnings, *([heights.doubt] if heights.doubt else [])]
-    spread = np.hypot(beside.values, heights.step / np.sqrt(12.0))  # with that of rounding
+    spread = np.hypot(beside.values, heights.step / np.sqrt(12.0))  # includes the error of rounding
     spread = np.where((spread >= 0) & (spread < LARGEST_SIGMA), spread, np.nan).astype(np.float32)
     known &= np.isfinite(spread)
     if not known.any():
@@ -70,10 +70,9 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
 
 
 def _sigma(given: str, heights: RasterHeights) -> Beside:
-    """1-sigma of every cell as the user gives it: metres, or a raster."""
     try:
         value = float(given)
-    except ValueError:  # it names a raster
+    except ValueError:  # the name of a raster
         return sigma_beside(Path(given), heights)
     if not 0 <= value < LARGEST_SIGMA:
         raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")

@@ -1,4 +1,4 @@
-"""The bands of a raster: which one holds heights, and what their numbers are in metres."""
+"""Bands of a raster: which band holds heights, and how its values convert to metres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from alight.arrays import F64
 from alight.records import InputError
 from alight.sources.opened_raster import OpenedRaster
 
-PREFIXES = {"": 1.0, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3}  # of the metre
+PREFIXES = {"": 1.0, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3}  # factors of the metre
 HEIGHTS = re.compile(
     r"(?!.*(sigma|std|error|uncert|accura|rms|count))(.*(height|elevation|altitude)|.*\b(dem|dsm|dtm|z)\b)", re.I
 )
@@ -20,30 +20,30 @@ HEIGHTS = re.compile(
 
 @dataclass(frozen=True)
 class Band:
-    """One band whose numbers are lengths: stored * scale + offset, times the unit."""
+    """A band of lengths: metres = (stored * scale + offset) * unit."""
 
-    number: int
-    unit: float  # metres
+    number: int  # from 1
+    unit: float  # metres per unit
     scale: float
     offset: float
-    is_depth: bool  # they count downwards
-    settled: str  # in words
+    is_depth: bool  # whether values count downwards
+    settled: str  # unit, scale and band, in words
 
     def lengths(self, stored: F64) -> F64:
-        """Convert numbers as stored to metres; what is not finite becomes NaN."""
+        """Convert stored values to metres; values that are not finite become NaN."""
         with np.errstate(over="ignore", invalid="ignore"):
             out = (stored * self.scale + self.offset) * self.unit
         return np.where(np.isfinite(out), out, np.nan)
 
     def heights(self, stored: F64) -> F64:
-        """Convert numbers as stored to metres upwards."""
+        """Convert stored values to metres upwards; depths are negated."""
         return -self.lengths(stored) if self.is_depth else self.lengths(stored)
 
 
 def band_of_heights(raster: OpenedRaster) -> Band:
-    """Find the band of heights, by its name or else the first, and settle its unit.
+    """Find the first band whose name means heights, or else the first band, and determine its unit.
 
-    Where no unit is declared, metres are assumed, but not in a plane that is in feet: its heights may be in either.
+    Without a declared unit, metres are assumed, except in a plane in feet, where heights may be in either unit.
 
     Raises:
         InputError: see `band_in_metres`.
@@ -53,16 +53,16 @@ def band_of_heights(raster: OpenedRaster) -> Band:
 
 
 def band_in_metres(raster: OpenedRaster, number: int, assume_metres: bool) -> Band:
-    """Settle unit, scale and offset of a band: its own unit, else that of the vertical axis, else metres.
+    """Determine unit, scale and offset of a band; the unit is its own, else the vertical axis's, else metres.
 
     Args:
-        raster: opened; depths become heights.
-        number: of the band.
-        assume_metres: where no unit is declared; else that is refused.
+        raster: open raster; if its vertical axis points down, the values are depths.
+        number: band number, from 1.
+        assume_metres: whether metres are assumed if no unit is declared; otherwise this is an error.
 
     Raises:
-        InputError: complex numbers; a scale or an offset that gives no heights; a unit that is not known, missing, or
-            contradicts the vertical axis. The message has the command that mends it.
+        InputError: the band has complex numbers, a scale or offset that gives no heights, or a unit that is unknown,
+            missing or contradicts the vertical axis. The message has the command that fixes the raster.
     """
     dataset, at, axis = raster.dataset, number - 1, raster.reference.up
     if "complex" in dataset.dtypes[at]:
@@ -74,7 +74,7 @@ def band_in_metres(raster: OpenedRaster, number: int, assume_metres: bool) -> Ba
             f"gdal_edit.py -scale 1 -offset 0 {raster.file}"
         )
     word = (dataset.units[at] or "").strip()
-    word = "" if word.lower() in ("unspecified", "unknown") else word  # as drivers write none
+    word = "" if word.lower() in ("unspecified", "unknown") else word  # as drivers write for no unit
     unit = _unit(raster, number, word, assume_metres)
     words = word or ("m" if unit == 1.0 else f"units of {unit:g} m")
     words += "" if word or axis is not None else " (assumed)"
@@ -94,7 +94,7 @@ def _unit(raster: OpenedRaster, number: int, word: str, assume_metres: bool) -> 
             f"{raster.label}: {why}; mend it with: gdal_edit.py -units <m, ft, US survey foot, km, dm, cm or mm> "
             f"{raster.file}"
         )
-    if axis is not None and abs(unit / abs(axis) - 1.0) > 1e-5:  # the kinds of feet differ by less
+    if axis is not None and abs(unit / abs(axis) - 1.0) > 1e-5:  # kinds of feet differ by less
         raise InputError(
             f"{raster.label}: band {number} is in {word}, but heights of its coordinate system ({datum}) are "
             f"in units of {abs(axis):g} m; mend what is wrong: gdal_edit.py -units <unit> {raster.file}, or "
@@ -104,9 +104,9 @@ def _unit(raster: OpenedRaster, number: int, word: str, assume_metres: bool) -> 
 
 
 def metres_of(unit: str) -> float | None:
-    """Metres of one unit of length, as drivers and programs spell it (m, ft, ftUS, US survey foot); None: unknown.
+    """Return metres per unit, for names that drivers and programs use (m, ft, ftUS, US survey foot); None: unknown.
 
-    The table of PROJ is not used: its decimetre has 0.01 m in many versions.
+    PROJ's table of units is not used, because its decimetre is 0.01 m in many versions.
     """
     letters = re.sub(r"[\s_().-]", "", unit.lower())
     if found := re.fullmatch("(kilo|deci|centi|milli|[kdcm]?)(m|met(?:re|er)s?)", letters):
@@ -117,7 +117,7 @@ def metres_of(unit: str) -> float | None:
 
 
 def bands_of_picture(raster: OpenedRaster) -> list[int]:
-    """Numbers of the bands of a picture: red, green and blue, else the first three, or the first; no transparency."""
+    """Return band numbers of a picture: red, green, blue, else the first three or the first; never transparency."""
     kinds = raster.dataset.colorinterp
     colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
     if all(c in kinds for c in colours):

@@ -1,4 +1,4 @@
-"""The plane of a raster: its coordinate system, its direction, and what one of its units is on the ground."""
+"""Plane of a raster: its coordinate system, its orientation, and the length of its unit on the ground."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from alight.geometry import LOCAL_WKT, Grid, LocalFrame
 from alight.records import InputError
 from alight.sources.opened_raster import OpenedRaster, Reference
 
-DRIFT = 0.1  # cells: largest offset of a corner from a grid of square cells with north up
-SCALE_OF_SURVEYS = 1e-3  # from one: grids made for surveying (UTM, state planes) keep within it, and count as metres
-SCALE_CHANGE = 0.01  # from place to place or from direction to direction: more is refused
+DRIFT = 0.1  # cells; largest offset of a corner from a grid of square cells with north up
+SCALE_OF_SURVEYS = 1e-3  # greatest deviation from 1 in surveying grids (UTM, state planes), which are treated as metres
+SCALE_CHANGE = 0.01  # greatest relative change by position or direction; more is refused
 
 
 def upright_grid(raster: OpenedRaster) -> Grid:
-    """Return the grid of a raster once it is turned and mirrored to north up, in units of its coordinate system.
+    """Return the grid of a raster turned and mirrored to north up, in units of its coordinate system.
 
     Raises:
-        InputError: it has no place, or its cells are not square along the axes; the message has the command.
+        InputError: the raster is not georeferenced, or its cells are not square along the axes. The message has the
+            command that fixes the raster.
     """
     dataset, label, file = raster.dataset, raster.label, raster.file
     t, rows, cols = dataset.transform, dataset.height, dataset.width
@@ -35,7 +36,7 @@ def upright_grid(raster: OpenedRaster) -> Grid:
             f"{label}: has no place and no size of cells; mend it with: gdal_edit.py -a_ullr <west> <north> <east> "
             f"<south> {file}"
         )
-    if abs(t.a) < abs(t.b):  # rows run to the east
+    if abs(t.a) < abs(t.b):  # row numbers grow to the east or west
         t, rows, cols = Affine(t.b, t.a, t.c, t.e, t.d, t.f), cols, rows
     cell = abs(t.a)
     drift = max(abs(abs(t.e) - cell) * rows, abs(t.b) * rows, abs(t.d) * cols)
@@ -51,51 +52,52 @@ def upright_grid(raster: OpenedRaster) -> Grid:
 
 @dataclass(frozen=True)
 class RasterPlane:
-    """The plane in which a raster is judged: metres on the ground, north up.
+    """Plane in which a raster is judged: metres on the ground, north up.
 
-    Coordinates are the raster's own if those are metres, else metres from the raster's middle.
+    Coordinates are the raster's own if these are metres, else metres from the raster's middle.
     """
 
-    grid: Grid  # of the raster
+    grid: Grid  # of the raster, in metres
     reference: Reference
-    settled: str
-    x: float = 0.0  # of the plane's origin, in units of the coordinate system
+    settled: str  # coordinate system and cell size, in words
+    x: float = 0.0  # position of the plane's origin, in units of the coordinate system
     y: float = 0.0
-    metres: float = 1.0  # on the ground, of one unit of the coordinate system
+    metres: float = 1.0  # metres on the ground per unit of the coordinate system
 
     @property
     def crs(self) -> CRS:
-        """The coordinate system of the raster, or a local one where it has none."""
+        """Coordinate system of the raster; a local one if the raster has none."""
         return self.reference.crs or CRS.from_wkt(LOCAL_WKT)
 
     def in_crs(self, east: float, north: float) -> tuple[float, float]:
-        """Convert a place from metres to the units of the coordinate system."""
+        """Convert a position from metres to units of the coordinate system."""
         return self.x + east / self.metres, self.y + north / self.metres
 
     def lies_in(self, local: LocalFrame) -> bool:
-        """Whether its coordinates are those of the world about an origin, to a fraction of a cell."""
+        """Whether coordinates equal world coordinates around `local`, to a fraction of a cell; True if unknown."""
         if not self.reference.on_earth:
-            return True  # as far as can be found out
+            return True  # cannot be checked
         corners = [axis[[0, -1]] for axis in self.grid.xy()]
         there = transform(self.crs, local.crs, *corners)
         return bool(np.abs(np.subtract(there, corners)).max() < DRIFT * self.grid.cell)
 
     def grid_in_crs(self, grid: Grid) -> Grid:
-        """Convert a grid from metres to the units of the coordinate system."""
+        """Convert a grid from metres to units of the coordinate system."""
         east, north = self.in_crs(grid.east, grid.north)
         return replace(grid, east=east, north=north, cell=grid.cell / self.metres)
 
 
 def metric_plane(raster: OpenedRaster) -> RasterPlane:
-    """Settle the metric plane of a raster of heights.
+    """Determine the metric plane of a raster of heights.
 
-    A projection maps one metre on the ground to its point scale. Where that differs from one by more than surveyors
-    allow, as in Web Mercator and polar grids, cells and distances are corrected by its value at the raster's middle.
+    A projection maps one metre on the ground to a length called its point scale. In surveying grids it is nearly 1. If
+    it differs more, as in Web Mercator and polar grids, cells and distances are corrected by its value at the raster's
+    middle.
 
     Raises:
-        InputError: cells are degrees, not square with north up, too many, too small or large; the raster lies nowhere,
-            or its point scale changes by more than 1 % over the raster or with the direction. The message has the
-            command that mends it.
+        InputError: cells are in degrees, not square with north up, too many, too small or too large; the raster lies
+            nowhere; or its point scale changes by more than 1 % with position or direction. The message has the command
+            that fixes the raster.
     """
     reference = raster.reference
     if reference.is_geographic:
@@ -110,7 +112,7 @@ def metric_plane(raster: OpenedRaster) -> RasterPlane:
             f"{raster.label}: cells of {own.cell * reference.unit:g} m; the ground is judged on cells of 0.001 to "
             "1000 m, check its geotransform and unit: gdal_edit.py -a_ullr, -a_srs"
         )
-    if not max(abs(own.east), abs(own.north)) * reference.unit <= 1e8:  # metres; maps of the Earth end before
+    if not max(abs(own.east), abs(own.north)) * reference.unit <= 1e8:  # metres; maps of the Earth are smaller
         raise InputError(
             f"{raster.label}: lies at {own.east:g}, {own.north:g}, which is nowhere; check it: gdal_edit.py -a_ullr"
         )
@@ -118,8 +120,8 @@ def metric_plane(raster: OpenedRaster) -> RasterPlane:
 
 
 class _Projection(NamedTuple):
-    scale: float  # length on the map of one metre on the ground, at the raster's middle
-    turn: float  # degrees from true north to the grid's
+    scale: float  # map length of one metre on the ground, at the raster's middle
+    turn: float  # degrees from true north to grid north
 
 
 def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> RasterPlane:
@@ -140,7 +142,7 @@ def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> Rast
 
 
 def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
-    """Point scale (from Tissot's indicatrix) and convergence, in a grid of 3 x 3 places."""
+    """Compute point scale (Tissot's indicatrix) and convergence at the middle; refuse a scale that varies too much."""
     plane = raster.reference.plane
     assert plane is not None
     sides = np.linspace(-0.5, 0.5, 3)
@@ -168,7 +170,7 @@ def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
 
 
 def _to_utm(raster: OpenedRaster, lon: float, lat: float) -> str:
-    """The command that puts a raster into the zone of UTM at its middle (degrees)."""
+    """Return the command that converts a raster to the UTM zone of its middle (degrees)."""
     if not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
         return f"gdal_edit.py -a_srs <its coordinate system> {raster.file}"
     zone = int((lon + 180.0) % 360.0 // 6.0) + 1

@@ -1,4 +1,4 @@
-"""A recording of a live run, read as a source: the events in the order of their arrival, and the schedule."""
+"""A recording of a live run as a source: its events in order of arrival, and its schedule."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEAD = "alight"
 
 
 def why_unusable(event: Event, rig: Rig) -> str:
-    """Reason why an event of a recording cannot be used; empty: it can."""
+    """Return why an event of a recording cannot be used; empty if it can."""
     if not 0 <= event.t_ns < 2**62:
         return "its time is out of range"
     if isinstance(event, Frame):
@@ -55,7 +55,7 @@ def _is_rotation(R: F64) -> bool:
 
 
 def _read_head(text: str, path: Path) -> FlightHead:
-    """Read the head; refuse impossible cameras, an impossible origin, or noise of the IMU that is out of range."""
+    """Read the head; refuse impossible cameras, an impossible origin, and IMU noise out of range."""
     try:
         head = FlightHead.from_json(text)
     except InputError as e:
@@ -70,7 +70,7 @@ def _read_head(text: str, path: Path) -> FlightHead:
             wrong.append("its origin is no place on Earth")
         if not all(IMU_NOISE[0] <= v <= IMU_NOISE[1] for v in noise):
             wrong.append("the noise of the IMU is out of range")
-    except TypeError as e:  # words where numbers belong
+    except TypeError as e:  # text in place of numbers
         wrong = [str(e)]
     if wrong or not head.rig.cameras:
         raise InputError(f"{path}: its head is damaged ({(wrong or ['no camera'])[0]}); record again")
@@ -78,10 +78,10 @@ def _read_head(text: str, path: Path) -> FlightHead:
 
 
 def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
-    """Take over an entry of the schedule, whole or not at all.
+    """Add an entry to the schedule, completely or not at all.
 
     Raises:
-        ValueError, KeyError, TypeError, IndexError, OverflowError: it is damaged.
+        ValueError, KeyError, TypeError, IndexError, OverflowError: the entry is damaged.
     """
     t_ns, value = int(entry["t_ns"]), int(entry["value"])
     place = entry["about"]
@@ -95,13 +95,13 @@ class Recording(Source):
     """One recorded flight.
 
     Raises:
-        InputError: the file is no recording of ours.
+        InputError: the file is not a recording of Alight, or no exposure is left.
     """
 
     def __init__(self, path: Path, settings: Settings) -> None:
         super().__init__()
         self._path, self._skip, self._every = path, settings.sources.skip, settings.sources.every
-        self._found: Counter[str] = Counter()  # messages of each topic
+        self._found: Counter[str] = Counter()  # number of messages per topic
         head, entries, notes = self._scan()
         frames = self._found[CAMERAS]
         self.length = len(range(self._skip, frames, self._every))
@@ -116,7 +116,7 @@ class Recording(Source):
             raise InputError(f"{path}: no exposure is left; lower sources.skip ({self._skip})")
 
     def events(self) -> Iterator[Event]:
-        """Yield the events in the order of their arrival."""
+        """Yield the events in order of arrival."""
         seen, chosen = Counter[str](), range(self._skip, self._found[CAMERAS], self._every)
         for topic, data in self._messages():
             if topic not in (CAMERAS, NAV, IMU):
@@ -134,7 +134,6 @@ class Recording(Source):
             yield event
 
     def _lose(self, topic: str, number: int, why: str) -> None:
-        """Note that a message, counted from 1, cannot be used."""
         self.findings.lose(f"{topic[1:]} messages", f"number {number} of {self._found[topic]}", why)
 
     def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], list[str]]:
@@ -162,7 +161,7 @@ class Recording(Source):
         return head, entries, notes
 
     def _messages(self) -> Iterator[tuple[str, bytes]]:
-        """Topic and bytes of every message; a file that ends early gives the messages before, and this is noted."""
+        """Yield topic and bytes of every message; if the file ends early, warn and stop."""
         topics: dict[int, str] = {}
         try:
             with self._path.open("rb") as file:

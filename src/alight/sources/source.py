@@ -1,4 +1,4 @@
-"""Base of every source, and the record of the data that it could not read."""
+"""Base class of all sources, and the record of data that a source could not read."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from alight.geometry import LocalFrame, Pose
 from alight.records import Event, PhotoFacts, Rig, Schedule
 from alight.settings import ImuNoise, Settings
 
-LARGEST = {  # beyond these lie other units, typing errors and damage
+LARGEST = {  # larger values mean other units, typing errors or damage
     "height": 100_000.0, "position_world": 200_000.0, "lever arm": 1_000.0,  # m
     "velocity_world": 3_000.0, "angular_velocity_body": 200.0, "specific_force_body": 5_000.0,  # m/s, rad/s, m/s^2
 }  # fmt: skip
-SIGMAS = (1e-6, 1e6)  # of whatever unit: a smaller one makes a matrix singular, a larger one has no information
-Trajectory = tuple[I64, list[Pose]]  # (N,) ns and as many world_from_body
+SIGMAS = (1e-6, 1e6)  # in any unit; a smaller sigma makes a matrix singular, a larger one carries no information
+Trajectory = tuple[I64, list[Pose]]  # (N,) ns and N poses world_from_body
 
 
 class Findings:
-    """Record of items that a source could not read: losses are gathered into one sentence a group."""
+    """Record of what a source could not read; the losses of a group become one sentence."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
-        self.contradictions: set[str] = set()  # sentences on data that exclude each other
+        self.contradictions: set[str] = set()  # sentences on data that contradict each other
         self._sentences: dict[str, None] = {}
         self._totals: dict[str, int] = {}
         self._lost: dict[str, dict[str, str]] = {}
 
     def warn(self, sentence: str) -> None:
-        """Note one whole sentence, once."""
+        """Record a warning, one whole sentence; a repeated sentence is recorded once."""
         self._sentences[sentence] = None
 
     def contradict(self, sentence: str) -> None:
-        """Warn that data exclude each other."""
+        """Record a warning that data contradict each other."""
         self.warn(sentence)
         self.contradictions.add(sentence)
 
     def expect(self, group: str, total: int) -> None:
-        """Note the number of items of a group ("cam0 images"), lost ones included."""
+        """Record the number of items in a group ("cam0 images"), including lost items."""
         self._totals[group] = self.counts[group] = total
 
     def lose(self, group: str, item: str, why: str) -> None:
-        """Note that one named item of a group could not be used; the same item twice counts once."""
+        """Record that a named item of a group could not be used; a repeated item is counted once."""
         self._lost.setdefault(group, {}).setdefault(item, why)
         self.counts[f"{group} left out"] = len(self._lost[group])
 
     def loss(self, group: str) -> str:
-        """Number of items of a group that could not be used, and the first with its reason; empty: none."""
+        """Return the number of unusable items in a group, and the first with its reason, in words; empty if none."""
         if not (lost := self._lost.get(group)):
             return ""
         first, why = next(iter(lost.items()))
@@ -57,12 +57,12 @@ class Findings:
 
     @property
     def warnings(self) -> list[str]:
-        """All sentences, losses first."""
+        """All sentences, with losses first."""
         return [*(self.loss(g) for g in self._lost), *self._sentences]
 
 
 class Described(Protocol):
-    """What a result needs of its source; the fields are those of `Source`."""
+    """What a result needs to know about its source; the properties are those of `Source`."""
 
     @property
     def name(self) -> str: ...
@@ -83,16 +83,16 @@ class Described(Protocol):
 class Source(ABC):
     """One recording: its cameras, the origin of its world, and its events in order of time."""
 
-    name: str  # for a reader: the folder's name
-    kind: Literal["flight", "photos"] = "flight"  # a flight is continuous in time, photos are exposures far apart
+    name: str  # readable name, usually the folder's
+    kind: Literal["flight", "photos"] = "flight"  # a flight is continuous in time; photos are taken far apart
     local: LocalFrame  # the world's origin on Earth; meaningless unless `georeferenced`
-    georeferenced: bool  # False where the recording has no place on Earth
+    georeferenced: bool  # whether the recording has a position on Earth
     rig: Rig  # the cameras, in the order of `Frame.images`
     length: int = 0  # exposures that `events` will try to yield
-    imu_noise: ImuNoise = ImuNoise()  # as the recording states it
-    truth_trajectory: Trajectory | None = None  # true body poses in the world
-    schedule: Schedule | None = None  # exposures that each lane used, of a live run that was recorded
-    flown_with: Settings | None = None  # settings of a live run that was recorded
+    imu_noise: ImuNoise = ImuNoise()  # as given by the recording
+    truth_trajectory: Trajectory | None = None  # true body poses in the world; None: unknown
+    schedule: Schedule | None = None  # exposures that each lane used, if a live run was recorded
+    flown_with: Settings | None = None  # settings, if a live run was recorded
 
     def __init__(self) -> None:
         self.findings = Findings()
@@ -100,7 +100,7 @@ class Source(ABC):
 
     @abstractmethod
     def events(self) -> Iterator[Event]:
-        """Yield frames, navigation and inertial samples in order of time, images decoded one at a time.
+        """Yield frames, navigation and inertial samples in order of time; images are decoded one at a time.
 
         Every call starts from the beginning. A navigation sample comes before the frame of the same time.
         """
@@ -111,15 +111,15 @@ class Source(ABC):
         return ()
 
     def digest(self) -> str:
-        """Digest of all input, as the key of saved work (photos); else empty."""
+        """Return a digest of all input of a set of photos, used as the key of saved work; empty for flights."""
         return ""
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of read and lost items, and of exposures; complete once `events` has been exhausted."""
+        """Numbers of read items, lost items and exposures; complete once `events` has been exhausted."""
         return {**self.findings.counts, "exposures": self.length}
 
     @property
     def warnings(self) -> list[str]:
-        """Items that could not be read, with reasons, one sentence each; complete as `counts`."""
+        """What could not be read, with reasons, one sentence each; complete once `events` has been exhausted."""
         return self.findings.warnings

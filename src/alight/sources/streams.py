@@ -1,4 +1,4 @@
-"""CSV streams of a flight log, from rows to samples: a bad row is left out and named, never guessed."""
+"""Convert the CSV streams of a flight log to samples. A bad row is left out and reported, never guessed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from alight.records import ImuSample, NavSample
 from alight.sources.source import LARGEST, SIGMAS, Findings, Trajectory
 
 TRUTH = "state_groundtruth_estimate0"
-COLUMNS = {"nav0": (23,), "imu0": (7,), TRUTH: (17, 8)}  # numbers of columns; 8: truth without velocity and biases
-LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
+COLUMNS = {"nav0": (23,), "imu0": (7,), TRUTH: (17, 8)}  # allowed column counts; 8: truth without velocity and biases
+LATE_NS = 2_000_000_000  # ns; a row may follow a row that is later by up to this, because links deliver out of order
 
 
 class StreamRow(NamedTuple):
-    """One row of a stream: its line, its time and the fields after the time."""
+    """One row of a stream: line number, time, and the fields after the time."""
 
     line: int
     t_ns: int
@@ -31,14 +31,14 @@ class StreamRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Rows of one stream that can be used."""
+    """Usable rows of one stream."""
 
     t_ns: I64  # (N,)
     values: F64  # (N, columns - 1), NaN = not measured
-    lines: list[int]  # in the file
+    lines: list[int]  # line numbers in the file
 
     def without(self, bad: Mapping[str, Mask], stream: str, findings: Findings) -> Table | None:
-        """The rows that are not bad; the others are noted with their line and reason. None when no row is left."""
+        """Return the rows that no mask in `bad` marks; report the others by the mask's key. None if no row remains."""
         why = {int(i): reason for reason, rows in bad.items() for i in np.flatnonzero(rows)}
         for i in sorted(why):
             findings.lose(f"{stream} rows", f"line {self.lines[i]}", why[i])
@@ -49,7 +49,7 @@ class Table:
 def rows_of(
     lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings
 ) -> list[StreamRow]:
-    """The rows of numbered lines that have a time and so many columns; comments and empty lines are none."""
+    """Parse numbered lines into rows with a time and an allowed number of columns; skip comments and empty lines."""
     rows: list[StreamRow] = []
     for number, line in lines:
         text = line.strip()
@@ -73,8 +73,8 @@ def _read_rows(path: Path, columns: tuple[int, ...], group: str, findings: Findi
 
 
 def rising(times: list[int]) -> list[bool]:
-    """Mark the longest strictly rising subsequence of a list, so that one wrong time does not cost all later ones."""
-    tails: list[int] = []  # smallest last time of a rising part of each length
+    """Mask the longest strictly rising subsequence, so that one wrong time does not discard all later times."""
+    tails: list[int] = []  # smallest last time of a rising subsequence of each length
     length = []
     for t in times:
         k = bisect_left(tails, t)
@@ -88,7 +88,7 @@ def rising(times: list[int]) -> list[bool]:
 
 
 def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[StreamRow]:
-    """Rows sorted by time: of repeated times the first one, of times that go backwards only late rows."""
+    """Return rows sorted by time; drop repeated times, and times that go back further than late delivery explains."""
     if all(a.t_ns < b.t_ns for a, b in pairwise(rows)):
         return rows
     first = {row.t_ns: row.line for row in reversed(rows)}
@@ -108,15 +108,15 @@ def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[Str
 
 
 def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:
-    """Read `timestamp, filename` rows, in order of time."""
+    """Read `timestamp, filename` rows as (ns, name), in order of time."""
     rows = [r for r in _read_rows(path, (2,), group, findings) if names_file(r, group, findings)]
     return [(row.t_ns, row.fields[0]) for row in _in_order(rows, group, findings)]
 
 
 def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
-    """True if a row names a file of the folder."""
+    """Whether a row names a file inside the folder; otherwise it is reported."""
     name = row.fields[0]
-    fits = len(name.encode(errors="replace")) <= 255 and "\0" not in name  # bytes; file systems take no longer one
+    fits = len(name.encode(errors="replace")) <= 255 and "\0" not in name  # bytes; file systems allow no longer name
     if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():
         return True
     findings.lose(group, f"line {row.line}", f"{name[:40]!r} names no file of the folder")
@@ -124,7 +124,7 @@ def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
 
 
 def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | None:
-    """The numbers of a row, NaN for an empty field; None if a field is no finite number."""
+    """Return the numbers of a row, NaN for empty fields; None if a field is not a finite number."""
     out = []
     for field in row.fields:
         try:
@@ -140,10 +140,10 @@ def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | No
 
 
 def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_order: bool = True) -> Table:
-    """Rows of numbers, those with a field that is none left out; shorter rows are filled with NaN.
+    """Convert rows to numbers; leave out rows with a field that is not a number, and pad shorter rows with NaN.
 
     Args:
-        in_order: sort them by time, and leave out those that go backwards.
+        in_order: whether to sort the rows by time and leave out times that go backwards.
     """
     group, width = f"{stream} rows", COLUMNS[stream][0] - 1
     read = {row.line: (row, v) for row in rows if (v := _numbers(row, group, findings)) is not None}
@@ -156,7 +156,7 @@ def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_orde
 
 
 def read_table(root: Path, stream: str, findings: Findings) -> Table | None:
-    """All rows of a stream in order of time; None: there is no such stream."""
+    """Read all usable rows of a stream in order of time; None if the stream does not exist."""
     path = root / stream / "data.csv"
     if path.exists() and not path.is_file():
         findings.warn(f"{stream}/data.csv is no plain file and is not read; give a file")
@@ -166,7 +166,7 @@ def read_table(root: Path, stream: str, findings: Findings) -> Table | None:
 
 
 def usable_nav(table: Table | None, findings: Findings) -> Table | None:
-    """The rows of `nav0` that can be used; None when there is none."""
+    """Return the usable rows of `nav0`; None if there are none."""
     if table is None:
         return None
     v = table.values
@@ -182,14 +182,14 @@ def usable_nav(table: Table | None, findings: Findings) -> Table | None:
             ).any(axis=1),
             "a sigma is negative": (sigma < 0).any(axis=1),
             f"a sigma is not between {SIGMAS[0]:g} and {SIGMAS[1]:g}": (
-                (sigma > 0) & ((sigma < SIGMAS[0]) | (sigma > SIGMAS[1]))  # 0 is "not known"
+                (sigma > 0) & ((sigma < SIGMAS[0]) | (sigma > SIGMAS[1]))  # 0: unknown
             ).any(axis=1),
         }  # fmt: skip
     return table.without(bad, "nav0", findings)
 
 
 def usable_imu(table: Table | None, body_from_imu: Pose, findings: Findings) -> Table | None:
-    """The rows of `imu0` that can be used, turned into the body's axes; None when there is none."""
+    """Return the usable rows of `imu0`, rotated into the body's axes; None if there are none."""
     if table is None:
         return None
     with np.errstate(invalid="ignore"):
@@ -207,7 +207,7 @@ def usable_imu(table: Table | None, body_from_imu: Pose, findings: Findings) -> 
 
 
 def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
-    """True body poses in the world; None when the log has none."""
+    """Read the true body poses in the world; None if the log has none."""
     if (found := read_table(root, TRUTH, findings)) is None:
         return None
     v = found.values[:, :7]
@@ -221,12 +221,12 @@ def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
 
 
 def _measured(values: F64, positive: bool = False) -> F64 | None:
-    """A copy of values that are all measured (sigmas: and above 0), else None."""
+    """Return a copy of values if all are measured (and, for sigmas, positive), else None."""
     return values.copy() if np.isfinite(values).all() and not (positive and (values <= 0).any()) else None
 
 
 def nav_samples(table: Table, local: LocalFrame) -> Iterator[NavSample]:
-    """Samples of `nav0` in the world about `local`."""
+    """Yield the samples of `nav0`, with positions in the world around `local`."""
     position = local.to_enu(*table.values[:, :3].T)
     for t, place, v in zip(table.t_ns, position, table.values, strict=True):
         q = _measured(v[3:7])
@@ -237,6 +237,6 @@ def nav_samples(table: Table, local: LocalFrame) -> Iterator[NavSample]:
 
 
 def imu_samples(table: Table) -> Iterator[ImuSample]:
-    """Samples of `imu0`."""
+    """Yield the samples of `imu0`, in the body's axes."""
     for t, row in zip(table.t_ns, table.values, strict=True):
         yield ImuSample(int(t), row[:3].copy(), row[3:].copy())

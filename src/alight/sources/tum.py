@@ -1,4 +1,4 @@
-"""Trajectories in TUM format: `t x y z qx qy qz qw`, seconds and metres."""
+"""Read trajectories in TUM format: `t x y z qx qy qz qw`, in seconds and metres."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HINT = "each line needs: seconds x y z qx qy qz qw"
 
 def _line(text: str) -> tuple[int, Pose]:
     stamp, *rest = text.replace(",", " ").split()
-    # decimal: a float64 of seconds since 1970 has a resolution of 240 ns, and poses are found by their exact time
+    # decimal, because float64 seconds since 1970 resolve only 240 ns, and poses are looked up by their exact time
     t_ns = int((Decimal(stamp) * 1_000_000_000).to_integral_value())
     x, y, z, qx, qy, qz, qw = (float(v) for v in rest)
     if not np.isfinite([x, y, z]).all() or abs(t_ns) >= 2**63:
@@ -26,11 +26,11 @@ def _line(text: str) -> tuple[int, Pose]:
 
 
 def read_tum(path: Path, local: LocalFrame) -> Trajectory:
-    """Read body poses in the world (ENU about `local`), times to the nanosecond.
+    """Read body poses in the world (ENU around `local`), with times to the nanosecond.
 
     Raises:
-        InputError: no such file, no pose in it, a malformed line, time that does not rise, or positions that are
-            no local ones (UTM, ECEF).
+        InputError: the file is missing or has no pose, a line is malformed, the times do not rise, or the positions are
+            not local (UTM, ECEF).
     """
     try:
         lines = read_bytes(path, 1_000_000_000).decode("utf-8-sig", errors="replace").splitlines()

@@ -1,4 +1,4 @@
-"""Motion of photos far apart: features, first poses, and a bundle adjustment with GPS, gimbal and lens priors.
+"""Motion of photos taken far apart: features, initial poses, and bundle adjustment with GPS, gimbal and lens priors.
 
 Method and equation numbers: docs/method/bundle.md. Needs pycolmap (extra `photos`).
 """
@@ -40,7 +40,7 @@ from alight.records import Event, Frame, InputError, KeyframePosterior, Motion, 
 from alight.settings import BundleSettings
 from alight.spread import robust_sigma
 
-_TIGHT = 4.0, 2.0  # px: cut, and Cauchy scale of the triangulation, about the last adjustment
+_TIGHT = 4.0, 2.0  # px: residual limit, and Cauchy scale of the triangulation, before and after the last adjustment
 _LAST_LOSS = 2.0  # sigmas, Cauchy scale of the last adjustment
 
 
@@ -53,16 +53,16 @@ def adjust(
     jobs: Jobs | None = None,
     above: F64 | None = None,
 ) -> Trajectory:
-    """Find the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
+    """Estimate the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
 
-    `nav[i]` belongs to `frames[i]`: position in metres, attitude body to world, their sigmas; None is 'not
-    measured'. Of each frame the first camera with a picture is used. Photos that cannot be registered have no motion,
-    but a warning. `jobs` finds features and matches pairs; None: this process. `above[i]` is the height of a photo
-    above the place of take-off, m, NaN if not measured: heights above ground are checked by it.
+    `nav[i]` belongs to `frames[i]`: position in metres, attitude world_from_body, and their sigmas; None: not measured.
+    Of each frame, the first camera with a picture is used. Photos that cannot be registered have no motion, but a
+    warning. `jobs` extracts features and matches pairs; None: this process does. `above[i]` is the photo's height above
+    take-off in metres (NaN: unknown), which serves to check heights above ground.
 
     Raises:
         MissingExtraError: pycolmap is not installed.
-        InputError: frames and nav differ in number.
+        InputError: frames and nav differ in length.
     """
     colmap()
     if len(frames) != len(nav):
@@ -101,11 +101,11 @@ def solve_bundle(
     seconds: F64 | None = None,
     frames: Sequence[Frame] = (),
 ) -> Solved | None:
-    """Find first poses, then triangulate, select and adjust in rounds; None when no two photos are connected.
+    """Find initial poses, then triangulate, select and adjust in rounds; None if no two photos are connected.
 
     Args:
-        seconds: (n,) times of the photos; None: rows count as exposed at once.
-        frames: the photos, in which the observations are refined before the last adjustment; none: they are not.
+        seconds: (n,) times of the photos; None: no rolling shutter is estimated.
+        frames: the photos, in which observations are refined before the last adjustment; empty: not refined.
     """
     first = first_poses(pairs, priors)
     if first is None:
@@ -149,9 +149,9 @@ def solve_bundle(
 
 
 def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
-    """(N,) px, the 1-sigma of observations with residuals (N, 2): one of features, one of patches.
+    """Return (N,) 1-sigma in px from residuals (N, 2), one value for features and one for patches.
 
-    It has a lower limit, below which their errors are correlated.
+    A lower limit allows for errors that are correlated.
     """
     out = np.empty(len(residual))
     for which, least in ((~by_patch, 0.3), (by_patch, 0.1)):
@@ -160,14 +160,14 @@ def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
 
 
 def _of_no_height(joint: F64, tags: F64) -> F64:
-    """Covariance of the poses with the scatter of the altitude tags (n,), m, added to their common height."""
+    """Add the scatter of the altitude tags (n,), m, to the poses' covariance, as a common error of all heights."""
     joint, up = joint.copy(), 6 * np.arange(len(tags)) + 2
     joint[np.ix_(up, up)] += float(np.nanmean((tags - np.nanmedian(tags)) ** 2))
     return joint
 
 
 def select(obs: BundleObservations, cap: int) -> BundleObservations:
-    """Keep the longest tracks until every photo has `cap` observations: a bound on time and memory."""
+    """Keep the longest tracks until every photo has `cap` observations, to bound time and memory."""
     length = np.bincount(obs.point)
     photos_of = np.split(obs.photo, obs.starts[1:])
     have = np.zeros(int(obs.photo.max(initial=0)) + 1, dtype=np.int64)
@@ -190,7 +190,7 @@ def _trajectory(survey: Survey, rig: Rig, settings: BundleSettings) -> Trajector
         body = world_from_cam @ rig.cameras[lenses.of[i]].body_from_cam.inverse
         cams = tuple(world_from_cam if k == lenses.of[i] else body @ c.body_from_cam for k, c in enumerate(rig.cameras))
         way = state.rotations[i].T @ priors.velocity[i] * float(readouts[i])
-        rolls = way.any() or state.turns[i].any()  # translation (m) and turns (rad) of the camera during the readout
+        rolls = way.any() or state.turns[i].any()  # translation (m) and rotation (rad) of the camera during the readout
         rolling = np.concatenate([way, *state.turns[i]]) if rolls else None
         motions.append(
             Motion(
@@ -218,15 +218,15 @@ def _trajectory(survey: Survey, rig: Rig, settings: BundleSettings) -> Trajector
 
 
 def confirmed(points: F64, photos: I64, above: float) -> Mask:
-    """True for points (m, 3) seen by three photos or more, and for others about as high as such points near by.
+    """Return a mask of points (m, 3) seen by three or more photos, or about as high as such points nearby.
 
-    Two photos of a wood match many different leaves, and whole groups of wrong matches agree by chance. Their
-    heights, tens of metres off, would be searched in every tile about them. With fewer than a hundred points of three
-    photos, all points count.
+    Two photos of a wood match many different leaves, and groups of wrong matches agree by chance. Wrong heights, tens
+    of metres off, would widen the search in every tile around them. With fewer than a hundred points of three or more
+    photos, all points are used.
 
     Args:
-        points: metres.
-        photos: (m,) number of photos that saw each.
+        points: (m, 3) metres.
+        photos: (m,) number of photos that see each point.
         above: metres, height of the cameras above ground.
     """
     sure = photos >= 3
@@ -239,7 +239,7 @@ def confirmed(points: F64, photos: I64, above: float) -> Mask:
 
 
 def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframePosterior:
-    """Joint covariance of the registered poses and the free lens numbers, these in units of their own sigma."""
+    """Return the joint covariance of the registered poses and of the free lens parameters in units of their sigmas."""
     rows = (6 * solved.registered[:, None] + np.arange(6)).ravel()
     free = np.flatnonzero(solved.free)
     start = 6 * len(priors.centres)
@@ -256,36 +256,36 @@ def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframeP
 
 
 def _moved(rows: F64, move: F64, sigma: F64) -> F64:
-    """Rows of a joint covariance, those of each pose moved by a (6, 6), those of the lens in units of their sigma."""
+    """Transform rows of a joint covariance: multiply poses' rows by `move` (k, 6, 6), divide lens rows by `sigma`."""
     n = 6 * len(move)
     poses = np.matmul(move, rows[:n].reshape(len(move), 6, -1)).reshape(n, -1)
     return np.concatenate([poses, rows[n:] / sigma[:, None]])
 
 
 def _about_body(motion: Motion) -> F64:
-    """(6, 6): error of the body's pose from that of the camera's pose, which the adjustment estimates."""
+    """Return the (6, 6) map from the camera's pose error, which the adjustment estimates, to the body's pose error."""
     out = np.eye(6)
     out[:3, 3:] = -skew(motion.world_from_body.translation - motion.world_from_cams[0].translation)
     return out
 
 
 class BundleLane:
-    """Lane that keeps the photos; their motions come all at once.
+    """Lane that collects the photos and estimates all motions at the end.
 
     Args:
-        jobs: finds features and matches pairs.
-        above: metres above the place of take-off, of photos by their time; as far as they have it.
+        jobs: runs feature extraction and matching.
+        above: height above take-off in metres, by a photo's time in ns; photos without a height are absent.
     """
 
     def __init__(self, rig: Rig, settings: BundleSettings, jobs: Jobs, above: Mapping[int, float]) -> None:
-        colmap()  # if it is missing, fail before the photos are read
+        colmap()  # fail before the photos are read if pycolmap is missing
         self._rig, self._settings, self._jobs, self._above = rig, settings, jobs, above
         self._frames: list[Frame] = []
         self._nav: list[NavSample | None] = []
         self._last: NavSample | None = None
 
     def feed(self, event: Event) -> Navigation | None:
-        """Keep the photo and the navigation sample of its time; the motion comes at the end."""
+        """Store a photo with the navigation sample of its time; its motion follows at the end."""
         if isinstance(event, NavSample):
             self._last = event
         elif isinstance(event, Frame):
@@ -295,7 +295,7 @@ class BundleLane:
         return None
 
     def finish(self, progress: Progress) -> Trajectory:
-        """Adjust; the photos that could not be registered are in the warnings."""
+        """Adjust all photos and return the trajectory; its warnings name the photos that could not be registered."""
         of = " ".join(str(f.t_ns) for f in self._frames)
         above = np.array([self._above.get(f.t_ns, np.nan) for f in self._frames])
         arguments = self._frames, self._nav, self._rig, self._settings, progress, self._jobs, above

@@ -1,18 +1,18 @@
-"""Loops of the adjustment over the observations, and points triangulated from their rays: kernels.
+"""Kernels of the bundle adjustment: loops over observations, and triangulation of points from their rays.
 
 Equation numbers: docs/method/bundle.md.
 
-N observations of m points in n photos by c cameras, sorted by point, those of a point by photo; no photo twice. A photo
-has e unknowns, position and rotation, and six more for turns during the readout; its camera up to f free lens numbers.
-Common arguments of all loops:
+There are N observations of m points in n photos by c cameras, sorted by point, then photo; a photo observes a point
+once. A photo has e unknowns: position, rotation and, if it may rotate during the readout, six more. A camera has up to
+f free lens parameters. Common arguments of all loops:
 
-    photo: (N,) number of the photo. pixels: (N, 2) observed.
-    R, C: (n, 3, 3), (n, 3) world_from_cam in the middle of the photos.
-    turns: (n, 2, 3) rad, linear and quadratic, during the readout. velocity: (n, 3) m/s.
-    camera: (n,) number of the camera that took each photo.
-    lens: (c, 11) focal lengths, principal point, five coefficients, height of a photo, readout in s.
+    photo: (N,) photo indices. pixels: (N, 2) observed pixels.
+    R, C: (n, 3, 3), (n, 3) world_from_cam in the middle of the readout.
+    turns: (n, 2, 3) rad, rotation during the readout, linear and quadratic in time. velocity: (n, 3) m/s.
+    camera: (n,) index of the camera that took each photo.
+    lens: (c, 11) focal lengths, principal point, five coefficients, height of a photo in pixels, readout in s.
     model: (c,) 0 no distortion, 1 radial-tangential, 2 equidistant.
-    point, x: (N,) number of the point, (m, 3) metres, points.
+    point, x: (N,) point indices, (m, 3) points in metres.
 """
 
 import math
@@ -24,8 +24,8 @@ from alight.compiled import kernel, pixelwise
 from alight.motion.point_kernels import MIN_DEPTH, nearest_point, to_camera
 from alight.photos.bundle.camera_kernels import distort, expose, quadratic, row_time, undistort
 
-READOUT_NUMBER = 9  # among the numbers of a lens: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
-FAR = 1e4  # px, the residual of a point behind the camera
+READOUT_NUMBER = 9  # index among the lens parameters: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
+FAR = 1e4  # px, residual of a point behind the camera
 
 
 @kernel
@@ -33,7 +33,7 @@ def predict_pixels(
     photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
     point: I64, x: F64, out: F64, depth: F64,
 ) -> None:  # fmt: skip
-    """Write (N, 2) predicted pixels, NaN behind the camera, and (N,) depths in m (eqs. 1, 10)."""
+    """Write (N, 2) predicted pixels `out`, NaN behind the camera, and (N,) depths in metres (eqs. 1, 10)."""
     turn, row_R, row_C, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
     for n in range(len(photo)):
@@ -51,7 +51,7 @@ def predict_pixels(
 
 @pixelwise
 def _residual(depth: float, flat: F64, of: F64, seen: F64, sigma: float, loss: float, r: F64) -> float:
-    """Write a residual (2,) in pixels; return the root of its Cauchy weight, over sigma."""
+    """Write a residual `r` (2,) in pixels; return the square root of its Cauchy weight, divided by sigma."""
     for h in range(2):
         r[h] = of[h] * flat[h] + of[2 + h] - seen[h] if depth > 0.0 else FAR
         r[h] = min(max(r[h], -FAR), FAR)
@@ -60,7 +60,7 @@ def _residual(depth: float, flat: F64, of: F64, seen: F64, sigma: float, loss: f
 
 @pixelwise
 def _by_point(R: F64, x: float, y: float, near: float, of: F64, by_xy: F64, B: F64) -> None:
-    """Write the derivative (2, 3) of a pixel by its point, at ideal coordinates, `near` one over the depth (eq. 2)."""
+    """Write the derivative B (2, 3) of a pixel by its point, at ideal coordinates and inverse depth `near` (eq. 2)."""
     for h in range(2):
         u, v = of[h] * near * by_xy[h, 0], of[h] * near * by_xy[h, 1]
         z = -(u * x + v * y)
@@ -70,7 +70,7 @@ def _by_point(R: F64, x: float, y: float, near: float, of: F64, by_xy: F64, B: F
 
 @pixelwise
 def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> None:
-    """Write the derivatives (2, e) of a pixel by the unknowns of its photo: position, rotation, turns (eqs. 2, 11)."""
+    """Write the derivatives J (2, e) of a pixel by its photo's position, rotation and turns (eqs. 2, 11)."""
     a, b, c = x[0] - C[0], x[1] - C[1], x[2] - C[2]
     for h in range(2):
         for j in range(3):
@@ -84,7 +84,7 @@ def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> Non
 
 @pixelwise
 def _by_lens(flat: F64, by_k: F64, of: F64, scale: F64, B: F64, velocity: F64, t: float, D: F64) -> None:
-    """Write the derivatives (2, 10) of a pixel by the numbers of its lens, the readout last (eqs. 3, 11)."""
+    """Write the derivatives D (2, 10) of a pixel by the parameters of its lens, the readout last (eqs. 3, 11)."""
     D[0, 1], D[1, 1], D[0, 2], D[1, 2], D[0, 3], D[1, 3] = of[0] * flat[0] / scale[1], 0.0, 1.0, 0.0, 0.0, 1.0
     for h in range(2):
         D[h, 0] = of[h] * flat[h] / scale[0]
@@ -95,7 +95,7 @@ def _by_lens(flat: F64, by_k: F64, of: F64, scale: F64, B: F64, velocity: F64, t
 
 @pixelwise
 def _add_photo(J: F64, r: F64, own: F64, right: F64) -> None:
-    """Add J'J, its lower triangle, and -J'r of rows (2, p) and residuals (2,)."""
+    """Add J'J (lower triangle) to `own` and -J'r to `right`, for derivatives J (2, p) and residuals r (2,)."""
     for a in range(J.shape[1]):
         u, v = J[0, a], J[1, a]
         right[a] -= u * r[0] + v * r[1]
@@ -105,7 +105,7 @@ def _add_photo(J: F64, r: F64, own: F64, right: F64) -> None:
 
 @pixelwise
 def _add_point(B: F64, r: F64, information: F64, gradient: F64) -> None:
-    """Add B'B and -B'r of rows (2, 3) and residuals (2,)."""
+    """Add B'B to `information` and -B'r to `gradient`, for derivatives B (2, 3) and residuals r (2,)."""
     for j in range(3):
         gradient[j] -= B[0, j] * r[0] + B[1, j] * r[1]
         for h in range(3):
@@ -114,7 +114,7 @@ def _add_point(B: F64, r: F64, information: F64, gradient: F64) -> None:
 
 @pixelwise
 def _couple(B: F64, J: F64, each: int, place: I64, coupling: F64, lens_coupling: F64) -> None:
-    """Write B'J of a photo's unknowns (3, e), and add that of its lens's free numbers to their places in (3, k)."""
+    """Write B'J (3, e) of a photo's unknowns; add B'J of free lens parameters to columns `place` of a (3, k) array."""
     for j in range(3):
         u, v = B[0, j], B[1, j]
         for a in range(each):
@@ -130,21 +130,21 @@ def linearise(
     point: I64, x: F64, scale: F64, number: I64, place: I64, each: int, sigma: F64, loss: float,
     own: F64, right: F64, coupling: F64, lens_coupling: F64, information: F64, gradient: F64,
 ) -> None:  # fmt: skip
-    """Add the blocks of the normal equations of all observations, weighted by a Cauchy loss (eqs. 2, 3, 7, 11).
+    """Add all observations to the blocks of the normal equations, weighted by a Cauchy loss (eqs. 2, 3, 7, 11).
 
     Args:
-        photo ... x: see above.
-        scale: (c, 2) 1 + s and 1 + a of the lens (eq. 3).
-        number: (c, f) indices of the free numbers of a lens (`READOUT_NUMBER`), then -1.
-        place: (c, f) index of each among all k that are free.
-        each: e.
-        sigma: (N,) px, of each observation.
-        loss: the scale of the loss in sigmas.
-        own: (n, e + f, e + f) blocks of the photos and their lenses, the lower triangle.
-        right: (n, e + f) right side of these.
-        coupling: (N, 3, e) blocks of points and photos, written and not added to.
-        lens_coupling: (m, 3, k) blocks of points and lens numbers.
-        information, gradient: (m, 3, 3), (m, 3) blocks and right side of the points.
+        photo ... x: common arguments, see the module.
+        scale: (c, 2) 1 + s and 1 + a of each lens (eq. 3).
+        number: (c, f) indices of each lens's free parameters (see `READOUT_NUMBER`), padded with -1.
+        place: (c, f) index of each of them among all k free lens parameters.
+        each: e, number of unknowns per photo.
+        sigma: (N,) px, 1-sigma of each observation.
+        loss: scale of the loss in sigmas.
+        own: (n, e + f, e + f) blocks of the photos and their lenses, lower triangle.
+        right: (n, e + f) right-hand side for `own`.
+        coupling: (N, 3, e) blocks between points and photos; overwritten, not added to.
+        lens_coupling: (m, 3, k) blocks between points and free lens parameters.
+        information, gradient: (m, 3, 3), (m, 3) blocks and right-hand side for the points.
     """
     turn, row_R, row_C, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
@@ -179,7 +179,7 @@ def rays_of_pixels(
     photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
     ray: F64, origin: F64,
 ) -> None:  # fmt: skip
-    """Write the (N, 3) unit rays of pixels in the world, and their (N, 3) origins, metres (eq. 10)."""
+    """Write the (N, 3) unit rays of pixels in the world, and their (N, 3) origins in metres (eq. 10)."""
     turn, row_R, at = np.empty((3, 3)), np.empty((3, 3)), np.empty(2)
     flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
     for n in range(len(photo)):
@@ -196,7 +196,7 @@ def rays_of_pixels(
 
 @pixelwise
 def _reweigh(ray: F64, origin: F64, x: F64, focal: float, scale: float) -> float:
-    """The Cauchy weight of a ray that misses a point by an angle, over its squared distance."""
+    """Return the Cauchy weight of a ray by the angle at which it misses a point, over the point's squared distance."""
     a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
     along = ray[0] * a + ray[1] * b + ray[2] * c
     square = max(a * a + b * b + c * c, 1e-6 * 1e-6)
@@ -213,13 +213,13 @@ def meet_rays(
 
     Args:
         starts: (m + 1,) first ray of each point, then N.
-        ray, origin: (N, 3) unit directions and origins, sorted by point.
-        focal: (N,) px.
-        rounds: of weighting.
-        scale: px, of the Cauchy loss.
-        regular: on the diagonal of a point's information, relative to the largest weight.
-        weight: (N,) those of the first round; then scratch.
-        out: (m, 3)
+        ray, origin: (N, 3) unit directions and origins (m), sorted by point.
+        focal: (N,) focal length of each ray, px.
+        rounds: number of rounds of weighting.
+        scale: scale of the Cauchy loss, px.
+        regular: regularisation on the diagonal of a point's information, relative to the largest weight.
+        weight: (N,) weights of the first round; overwritten.
+        out: (m, 3) points, metres.
     """
     room, y = np.empty((3, 3, 3)), np.empty(3)
     largest = 1.0

@@ -1,4 +1,4 @@
-"""Loops over one pixel: lens models with derivatives, and the pose at the exposure of a row: kernels.
+"""Kernels for one pixel: lens models with derivatives, and the pose at the exposure of a row.
 
 Lens models are those of `Camera.distort`; equation numbers: docs/method/bundle.md.
 """
@@ -12,7 +12,7 @@ from alight.motion.rotation_kernels import exponential, multiply
 
 @pixelwise
 def _radial_tangential(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F64) -> None:
-    """Brown-Conrady: see `distort`."""
+    """Apply the Brown-Conrady model; see `distort`."""
     r2 = x * x + y * y
     s, slope = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4])), k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4])
     out[0] = x * s + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x)
@@ -28,9 +28,9 @@ def _radial_tangential(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F
 
 @pixelwise
 def _equidistant(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F64) -> None:
-    """Kannala-Brandt: see `distort`."""
+    """Apply the Kannala-Brandt model; see `distort`."""
     r = math.sqrt(x * x + y * y)
-    if r < 1e-9:  # at the axis a fisheye does not distort
+    if r < 1e-9:  # no distortion at the axis
         return
     theta = math.atan(r)
     t2 = theta * theta
@@ -53,9 +53,9 @@ def distort(x: float, y: float, model: int, k: F64, out: F64, by_xy: F64, by_k: 
         x, y: ideal coordinates.
         model: 0 no distortion, 1 radial-tangential, 2 equidistant.
         k: (5,) coefficients.
-        out: (2,) out.
-        by_xy: (2, 2) out, by ideal coordinates.
-        by_k: (2, 5) out, by coefficients: 0 for those that a model does not have.
+        out: (2,) out: distorted coordinates.
+        by_xy: (2, 2) out: derivatives by the ideal coordinates.
+        by_k: (2, 5) out: derivatives by the coefficients; 0 for coefficients that the model lacks.
     """
     out[0], out[1] = x, y
     by_xy[0, 0] = by_xy[1, 1] = 1.0
@@ -69,15 +69,15 @@ def distort(x: float, y: float, model: int, k: F64, out: F64, by_xy: F64, by_k: 
 
 @pixelwise
 def undistort(u: float, v: float, model: int, k: F64, out: F64, flat: F64, by_xy: F64, by_k: F64) -> None:
-    """Write ideal coordinates (2,) of distorted ones (Newton); the rest is for `distort` to write into."""
+    """Write ideal coordinates `out` (2,) for distorted ones u, v (Newton); other arrays are scratch for `distort`."""
     out[0], out[1] = u, v
-    for _ in range(20 if model > 0 else 0):  # five are usual
+    for _ in range(20 if model > 0 else 0):  # usually five suffice
         distort(out[0], out[1], model, k, flat, by_xy, by_k)
         e, f = flat[0] - u, flat[1] - v
         det = by_xy[0, 0] * by_xy[1, 1] - by_xy[0, 1] * by_xy[1, 0]
         det = det if abs(det) > 1e-9 else 1e-9
         a, b = (e * by_xy[1, 1] - f * by_xy[0, 1]) / det, (f * by_xy[0, 0] - e * by_xy[1, 0]) / det
-        out[0] -= min(max(a, -0.5), 0.5)  # a longer step may leap over the fold of a lens
+        out[0] -= min(max(a, -0.5), 0.5)  # a longer step may jump over the fold of a lens
         out[1] -= min(max(b, -0.5), 0.5)
         if max(abs(a), abs(b)) < 1e-12:
             break
@@ -85,9 +85,9 @@ def undistort(u: float, v: float, model: int, k: F64, out: F64, flat: F64, by_xy
 
 @pixelwise
 def row_time(row: float, of: F64) -> float:
-    """Time of exposure of a pixel row, -0.5 at the first to 0.5 at the last, in readouts from the photo's middle.
+    """Return the exposure time of a pixel row in readouts from the photo's middle: -0.5 first row, 0.5 last row.
 
-    `of` (11,) is a row of the table of lenses (`adjustment_kernels`).
+    `of` (11,) is a row of the lens table (`adjustment_kernels`).
     """
     t: float = (row + 0.5) / of[9] - 0.5
     return t
@@ -95,22 +95,22 @@ def row_time(row: float, of: F64) -> float:
 
 @pixelwise
 def quadratic(t: float) -> float:
-    """Factor of the quadratic turn of a photo at a time of `row_time`; that of the linear turn is `t`."""
+    """Return the factor of a photo's quadratic turn at time `t` of `row_time`; the linear turn has the factor `t`."""
     return t * t - 1.0 / 12.0
 
 
 @pixelwise
 def expose(R: F64, C: F64, turns: F64, velocity: F64, of: F64, t: float, turn: F64, row_R: F64, row_C: F64) -> None:
-    """Write the pose of a camera when a row was exposed (eq. 10).
+    """Write the pose of a camera at the exposure of a row (eq. 10).
 
     Args:
-        R, C: (3, 3), (3,) world_from_cam in the middle of the photo.
+        R, C: (3, 3), (3,) world_from_cam in the middle of the readout.
         turns: (2, 3) rad, linear and quadratic in time.
         velocity: (3,) m/s.
-        of: (11,) row of the table of lenses.
-        t: of `row_time`.
-        turn: (3, 3) out, from the row's camera to that of the middle.
-        row_R, row_C: out, as `R`, `C`.
+        of: (11,) row of the lens table.
+        t: time of the row by `row_time`.
+        turn: (3, 3) out: rotation from the row's camera to the camera in the middle of the readout.
+        row_R, row_C: (3, 3), (3,) out: world_from_cam at the row.
     """
     q = quadratic(t)
     exponential(

@@ -1,6 +1,6 @@
-"""Elimination of the points of an adjustment, and their steps: kernels. Equation numbers: docs/method/bundle.md.
+"""Kernels that eliminate the points of an adjustment, and compute their steps. Equations: docs/method/bundle.md.
 
-Shapes: `adjustment_kernels`. A block W of a point and other unknowns stands transposed, (3, p).
+Shapes: see `adjustment_kernels`. A block W between a point and other unknowns is stored transposed, (3, p).
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from alight.motion.point_kernels import invert
 
 @pixelwise
 def _times_root(W: F64, root: F64, out: F64) -> None:
-    """Write the transpose of W' root, of a block (3, p) and the upper root of a point's covariance."""
+    """Write root' W (3, p), for a block W (3, p) and the upper triangular root of a point's covariance."""
     for a in range(W.shape[1]):
         out[0, a] = W[0, a] * root[0, 0]
         out[1, a] = W[0, a] * root[0, 1] + W[1, a] * root[1, 1]
@@ -21,7 +21,7 @@ def _times_root(W: F64, root: F64, out: F64) -> None:
 
 @pixelwise
 def _subtract_product(G: F64, H: F64, at: int, to: int, width: int, S: F64) -> None:
-    """Subtract G'H of (3, p) and (3, width) from the block of a matrix whose first row and column are `at` and `to`."""
+    """Subtract G'H, for G (3, p) and H (3, width), from the block of S that begins at row `at` and column `to`."""
     for a in range(G.shape[1]):
         u, v, w = G[0, a], G[1, a], G[2, a]
         for b in range(width):
@@ -30,7 +30,7 @@ def _subtract_product(G: F64, H: F64, at: int, to: int, width: int, S: F64) -> N
 
 @pixelwise
 def _subtract_photos(G: F64, H: F64, at: int, to: int, S: F64) -> None:
-    """As `_subtract_product`, H of one photo: its width is known to the compiler, which makes it a third faster."""
+    """Call `_subtract_product` for an H of one photo; the constant width lets the compiler make it a third faster."""
     if H.shape[1] == 12:
         _subtract_product(G, H, at, to, 12, S)
     else:
@@ -39,7 +39,7 @@ def _subtract_photos(G: F64, H: F64, at: int, to: int, S: F64) -> None:
 
 @pixelwise
 def _subtract_times(G: F64, z: F64, at: int, rhs: F64) -> None:
-    """Subtract G'z of (3, p) and (3,) from a vector, from its place `at` on."""
+    """Subtract G'z, for G (3, p) and z (3,), from a vector, beginning at index `at`."""
     for a in range(G.shape[1]):
         rhs[at + a] -= G[0, a] * z[0] + G[1, a] * z[1] + G[2, a] * z[2]
 
@@ -49,19 +49,19 @@ def eliminate(
     starts: I64, photo: I64, coupling: F64, lens_coupling: F64, information: F64, gradient: F64,
     damping: float, regular: float, lenses: int, G: F64, S: F64, rhs: F64, inverse: F64,
 ) -> None:  # fmt: skip
-    """Subtract the eliminated points from the normal equations of the rest (eq. 8), of S the lower triangle.
+    """Subtract the eliminated points from the normal equations of all other unknowns, lower triangle of S (eq. 8).
 
-    Of a short track few blocks change, whatever the size of the matrix.
+    A short track changes few blocks, whatever the size of the matrix.
 
     Args:
         starts: (m + 1,) first observation of each point, then N.
-        photo, coupling, lens_coupling, information, gradient: as `linearise` wrote them.
+        photo, coupling, lens_coupling, information, gradient: as written by `linearise`.
         damping: share of the diagonal of a point's block that is added to it (Levenberg-Marquardt).
-        regular: added to that diagonal.
-        lenses: the place of the first lens number in S.
-        G: (longest, 3, e) scratch, as many as a point has observations.
-        S, rhs: (p, p), (p,) photos first.
-        inverse: (m, 3, 3) out: covariance of the points for exact poses.
+        regular: constant added to that diagonal.
+        lenses: index of the first lens parameter in S.
+        G: (longest, 3, e) scratch; `longest` is the greatest number of observations of a point.
+        S, rhs: (p, p), (p,) normal equations, photos first.
+        inverse: (m, 3, 3) out: covariance of the points if the poses were exact.
     """
     each = coupling.shape[2]
     V, root, z, L = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, lens_coupling.shape[2]))
@@ -90,7 +90,7 @@ def move_points(
     starts: I64, photo: I64, coupling: F64, lens_coupling: F64, gradient: F64, inverse: F64, pose: F64, lens: F64,
     out: F64,
 ) -> None:  # fmt: skip
-    """Write the steps of the points (m, 3) once photos (n, e) and free lens numbers (k,) have moved (eq. 7)."""
+    """Write the steps of the points (m, 3) for given steps of photos (n, e) and free lens parameters (k,) (eq. 7)."""
     g = np.empty(3)
     for k in range(len(starts) - 1):
         for j in range(3):

@@ -1,8 +1,8 @@
-"""Exposure of photos: factors of their colours, so that all photos show the same ground alike.
+"""Exposure gains of photos: factors of their colours with which all photos show the same ground alike.
 
-With automatic exposure the same ground may be twice as bright in the next photo. The factors follow from the
-points that photos share: `log c_ip + g_i = a_p` for photo i, point p and each colour, by least
-squares (eq. 12 in docs/method/bundle.md).
+With automatic exposure, the same ground may be twice as bright in the next photo. The factors follow from the points
+that photos share: `log c_ip + g_i = a_p` for photo i, point p and each colour, by least squares (eq. 12 in
+docs/method/bundle.md).
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from alight.photos.bundle.features import PhotoFeatures
 from alight.photos.bundle.matching import BundleObservations
 from alight.spread import SIGMA_OF_MAD
 
-TIE = 0.02  # weight, of a photo's observations, of the prior that its factor is 1
+TIE = 0.02  # weight of the prior that a photo's factor is 1, as a share of its observations
 
 
 def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -> F64:
-    """Factor of each colour of each photo, (n, 3).
+    """Compute a factor for each colour of each photo.
 
     Args:
-        features: of all photos, with colours.
-        obs: points that were seen in several.
+        features: features of all photos, with colours.
+        obs: observations of points seen in several photos.
 
     Returns:
-        Factors near 1 on the whole; those that shared points do not determine are 1.
+        (n, 3) factors, 1/4 to 4, close to 1 overall; 1 where shared points do not determine them.
     """
     colour = np.full((len(obs.photo), 3), np.nan)
     for i in np.unique(obs.photo):
@@ -37,7 +37,7 @@ def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -
         if len(of.pixels):
             away, which = cKDTree(of.pixels).query(obs.pixels[rows])
             colour[rows] = np.where(away[:, None] < 1e-6, of.colours[which], np.nan)
-    known = np.all((colour > 8.0) & (colour < 245.0), axis=1)  # without noise and overexposure
+    known = np.all((colour > 8.0) & (colour < 245.0), axis=1)  # exclude noise and overexposure
     obs, value = _of(obs, known, np.log(np.where(known[:, None], colour, 1.0)))
     out = np.zeros((len(features), 3))
     for _ in range(3 if len(value) else 0):
@@ -45,24 +45,23 @@ def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -
         off = value + out[obs.photo]
         off -= _means(obs, off)[obs.point]
         sigma = np.maximum(SIGMA_OF_MAD * np.median(np.abs(off), axis=0), 1e-6)
-        obs, value = _of(obs, np.all(np.abs(off) < 3.0 * sigma, axis=1), value)  # without cars and glints
+        obs, value = _of(obs, np.all(np.abs(off) < 3.0 * sigma, axis=1), value)  # exclude cars and glints
     return np.asarray(np.exp(out).clip(1 / 4.0, 4.0))
 
 
 def _of(obs: BundleObservations, rows: Mask, value: F64) -> tuple[BundleObservations, F64]:
-    """Keep rows, of points that are still seen twice, with their values."""
+    """Return the masked rows and their values, without points that only one photo sees then."""
     rows = rows & (np.bincount(obs.point[rows], minlength=obs.points)[obs.point] >= 2)
     return obs.keep(rows)[0], value[rows]
 
 
 def _means(obs: BundleObservations, value: F64) -> F64:
-    """Mean of the values (N, 3) of each point, (P, 3)."""
     count: I64 = np.bincount(obs.point, minlength=obs.points)
     return np.stack([np.bincount(obs.point, v, obs.points) for v in value.T], axis=1) / np.maximum(count, 1)[:, None]
 
 
 def _solved(obs: BundleObservations, value: F64, photos: int) -> F64:
-    """The logarithms of the factors, (n, 3); the points' own values are eliminated."""
+    """Return the (n, 3) logarithms of the factors; the points' own values are eliminated."""
     if not len(value):
         return np.zeros((photos, 3))
     count, each = np.bincount(obs.photo, minlength=photos), np.bincount(obs.point)

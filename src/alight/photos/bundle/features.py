@@ -1,9 +1,9 @@
-"""SIFT features of photos, from the picture at full size on (Lowe 2004). Descriptors are OpenCV's.
+"""SIFT features of photos, without OpenCV's doubled first octave (Lowe 2004). Descriptors are OpenCV's.
 
 OpenCV doubles the picture first. In a photo of two megapixels it finds 29,000 features, 23,000 of them in the doubled
-picture. The largest 4,000 are kept, none of them from the doubled picture, which takes three quarters of the time and
-memory. The others are found here as by OpenCV, from the same samples a quarter of a pixel beside the pixels.
-Samples on the pixels gave attitudes with larger errors (docs/lab/photos.md).
+picture, which takes three quarters of time and memory. None of the 4,000 largest, which are kept, comes from it. All
+other octaves are computed as OpenCV does, from samples a quarter of a pixel off the pixel centres. Samples at the
+centres gave larger attitude errors (docs/lab/photos.md).
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from alight.raster import grey_levels
 from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
-LAYERS, SIGMA = 3, 1.6  # of an octave; pixels, of its first picture
-BLURRED = 0.5  # pixels, sigma of a photo's own blur
-_CONTRAST = 0.02  # least contrast of a feature, grey levels over 255: it gives as many features as pycolmap
-_ENOUGH = 1500  # features of a photo from which its doubled picture is not used
+LAYERS, SIGMA = 3, 1.6  # layers per octave; sigma of an octave's first picture, pixels
+BLURRED = 0.5  # pixels, sigma of the blur in a photo itself
+_CONTRAST = 0.02  # least contrast of a feature, grey levels over 255; yields as many features as pycolmap
+_ENOUGH = 1500  # with as many features, a photo's doubled picture is not used
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoFeatures:
-    """The features of one photo."""
+    """SIFT features of one photo."""
 
-    pixels: F64  # (K, 2) in the photo's own pixels
-    descriptors: U8  # (K, 128) as found
-    colours: F32  # (K, 3) of the picture about each
+    pixels: F64  # (K, 2) in pixels of the full-size photo
+    descriptors: U8  # (K, 128)
+    colours: F32  # (K, 3) mean RGB around each feature
 
     @property
     def unit(self) -> F32:
-        """The descriptors, (K, 128), of unit length."""
+        """(K, 128) descriptors, normalised to unit length."""
         table = self.descriptors.astype(np.float32)
         return np.asarray(table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9), dtype=np.float32)
 
 
 def colmap() -> ModuleType:
-    """Return pycolmap, silenced.
+    """Import pycolmap, silenced.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: pycolmap is not installed.
     """
     try:
         import pycolmap
@@ -63,7 +63,7 @@ def colmap() -> ModuleType:
 
 
 def colmap_camera(camera: Camera) -> object:
-    """Return a camera of pycolmap, where pixel (0, 0) is the corner and not the centre of the first pixel."""
+    """Convert to a pycolmap camera, whose pixel (0, 0) is the corner, not the centre, of the first pixel."""
     k = [camera.fu, camera.fv, camera.cu + 0.5, camera.cv + 0.5]
     d = list(camera.distortion)
     model, params = {
@@ -77,7 +77,7 @@ def colmap_camera(camera: Camera) -> object:
 
 
 def shrunk(image: Pixels, longest: float) -> U8:
-    """The picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
+    """Return the picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
     picture = np.asarray(image)
     factor = longest / max(picture.shape[:2])
     if factor < 1.0:
@@ -87,9 +87,9 @@ def shrunk(image: Pixels, longest: float) -> U8:
 
 
 def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:
-    """The blurred pictures (`LAYERS` + 3, R, C) of one octave after the other, each of half the size."""
+    """Yield the blurred pictures (`LAYERS` + 3, R, C) of each octave; each octave has half the previous size."""
     step = 2.0 ** (1.0 / LAYERS)
-    weights = np.array([0.25, 0.75, 0.0])  # of pixels, to sample every other place of a doubled picture
+    weights = np.array([0.25, 0.75, 0.0])  # of pixels, to sample every other pixel of a doubled picture
     between = cv2.sepFilter2D(grey.astype(np.float32), -1, weights, weights)
     first = np.asarray(cv2.GaussianBlur(between, (0, 0), float(np.sqrt(SIGMA**2 - blurred**2))), np.float32)
     while min(first.shape) >= 16 and octaves > 0:
@@ -103,13 +103,13 @@ def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:
 
 
 def detect(grey: U8, contrast: float, blurred: float = BLURRED, octaves: int = 16) -> F64:
-    """Find features: (K, 5) column and row in the picture, size, octave as OpenCV packs it, orientation in degrees.
+    """Detect features; return (K, 5) column, row, size (px), octave as OpenCV packs it, orientation in degrees.
 
     Args:
         grey: (H, W).
-        contrast: the least of a feature, shares of 255.
-        blurred: sigma of the picture's own blur, pixels.
-        octaves: most octaves.
+        contrast: least contrast of a feature, as a share of 255.
+        blurred: sigma of the blur in the picture itself, pixels.
+        octaves: greatest number of octaves.
     """
     out = []
     for octave, pictures in enumerate(blurred_octaves(grey, blurred, octaves)):
@@ -125,15 +125,14 @@ def detect(grey: U8, contrast: float, blurred: float = BLURRED, octaves: int = 1
 
 
 def keypoints(found: F64) -> list[cv2.KeyPoint]:
-    """Features as keypoints of OpenCV, to describe them."""
+    """Convert features of `detect` to OpenCV keypoints."""
     return [cv2.KeyPoint(x, y, size, angle, 0.0, int(octave)) for x, y, size, octave, angle in found.tolist()]
 
 
 def extract(image: Pixels | None, settings: BundleSettings) -> PhotoFeatures:
-    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
+    """Extract the SIFT features of one photo, largest scales first; these match twice as often as the strongest ones.
 
-    Where the picture has too few, because it is small or dull, those of the doubled picture are taken as well: it costs
-    four times as much.
+    If a small or dull picture has too few, features of the doubled picture are added, at four times the cost.
     """
     picture = np.zeros((16, 16), np.uint8) if image is None else np.asarray(image)
     read = shrunk(picture, settings.image_px)
@@ -149,7 +148,7 @@ def extract(image: Pixels | None, settings: BundleSettings) -> PhotoFeatures:
 
 
 def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
-    """The largest of the features `found`, at most `count`: their places (K, 2), px, and descriptors (K, 128)."""
+    """Describe the largest `count` of the features `found`; return (K, 2) pixels and (K, 128) descriptors."""
     largest = np.argsort(-found[:, 2], kind="stable")[:count]
     kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
     place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
@@ -157,13 +156,13 @@ def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
 
 
 def rooted(descriptors: F32) -> U8:
-    """The square roots of descriptors (K, 128) over their sums: distances by Hellinger (Arandjelovic 2012)."""
+    """Return square roots of sum-normalised descriptors (K, 128), for Hellinger distances (Arandjelovic 2012)."""
     share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
     return np.asarray(np.rint(np.minimum(512.0 * np.sqrt(share), 255.0)), dtype=np.uint8)
 
 
 def colours_at(picture: U8, pixels: F64) -> F32:
-    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); a grey one has three equal colours."""
+    """Return (K, 3) mean colours around pixels (K, 2) of a picture (H, W) or (H, W, 3); grey is repeated thrice."""
     even = cv2.blur(picture, (9, 9))
     even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
     col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
@@ -171,12 +170,12 @@ def colours_at(picture: U8, pixels: F64) -> F32:
 
 
 def taken_by(frame: Frame) -> int:
-    """The first camera of the rig that has a picture of an exposure; 0 where none has."""
+    """Return the index of the first camera with a picture of an exposure; 0 if no camera has one."""
     return next((k for k, image in enumerate(frame.images) if image is not None), 0)
 
 
 def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures]:
-    """Find the features of every photo, in order; one without a picture has none."""
+    """Extract the features of every photo, in order; a photo without a picture has no features."""
     colmap()
     sent = (Sent(f"photo-{f.t_ns}-{taken_by(f)}", f.images[taken_by(f)]) for f in frames)
     tasks = (Task(f"features-{f.t_ns}", extract, (image, settings)) for f, image in zip(frames, sent, strict=True))

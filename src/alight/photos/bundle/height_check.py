@@ -1,7 +1,7 @@
-"""Whether heights above ground can be trusted: evidence in the photos on the error that all focal lengths share.
+"""Check whether heights above ground can be trusted: evidence in the photos on the common error of all focal lengths.
 
-Heights above ground, and relief, scale with the focal length, and pictures from one height fit any. Each piece of
-evidence is a likelihood of the ratio of the true focal length to the one used (docs/method/bundle.md).
+Heights above ground, and relief, scale with the focal length, and pictures from one height fit any focal length. Each
+piece of evidence is a likelihood of the ratio of the true to the used focal length (docs/method/bundle.md).
 """
 
 from __future__ import annotations
@@ -15,52 +15,52 @@ from alight.arrays import F64
 from alight.photos.bundle.matching import BundleObservations
 from alight.photos.bundle.solver import Adjustment, BundleState, Priors, solved_steps
 
-RATIOS = np.exp(np.linspace(-np.log(8.0), np.log(8.0), 833))  # true focal length over used, in steps of 0.5 %
-ALTITUDE_SIGMA = 1.0  # m; heights above take-off are good to twice as much
-SCORE_SIGMA = 0.04  # of a real lens: the pictures were off by 0.03 where the adjustment claims 0.01
-TOLERANCE = 0.05  # error of the ratio that is left alone
-LIKELIER = 10.0  # times by which another ratio must be likelier than 1
+RATIOS = np.exp(np.linspace(-np.log(8.0), np.log(8.0), 833))  # true over used focal length, in steps of 0.5 %
+ALTITUDE_SIGMA = 1.0  # m, 1-sigma; heights above take-off are accurate to twice as much
+SCORE_SIGMA = 0.04  # least sigma of a real lens; pictures were off by 0.03 where the adjustment reports 0.01
+TOLERANCE = 0.05  # error of the ratio that is accepted
+LIKELIER = 10.0  # factor by which another ratio must be likelier than 1
 ELSEWHERE = 1e-4  # 1/m, likelihood of a take-off far above or below the ground of the map
 
 
 class FocalScore(NamedTuple):
-    """Estimate by the adjustment of log(true focal length / used), and what GPS leaves open."""
+    """Estimate of log(true / used focal length) by the adjustment, and what GPS leaves undetermined."""
 
     estimate: float
     sigma: float  # of the estimate
-    baseline_sigma: float  # relative, of the length of all baselines alike
+    baseline_sigma: float  # relative, of a common error of all baseline lengths
 
     @property
     def curve(self) -> F64:
-        """Log-likelihood of each of `RATIOS`: a step from a wrong one may go a fifth too far, or fall short by half."""
+        """Log-likelihood of each of `RATIOS`, if the estimate overshoots by a fifth at most, or falls short by half."""
         miss = np.log(RATIOS) - self.estimate
         share = np.where(miss * self.estimate > 0.0, 0.5, 0.2)
         return np.asarray(-0.5 * (miss / np.hypot(self.sigma, share * self.estimate)) ** 2)
 
 
 class HeightCheck(NamedTuple):
-    """Outcome of the check."""
+    """Outcome of the check of heights: how far the focal length may be wrong, and why."""
 
-    ratio: float  # true focal length over used, the most likely one
-    low: float  # bounds of those that remain possible
+    ratio: float  # most likely true over used focal length
+    low: float  # bounds of the ratios that remain possible
     high: float
-    because: str = ""  # evidence that contradicts the focal length used; empty: none does
+    because: str = ""  # evidence that contradicts the used focal length; empty: no contradiction
 
     @property
     def is_sharp(self) -> bool:
-        """True if the ratio is known to about a tenth."""
+        """Whether the ratio is known to about a tenth."""
         return self.high < 1.25 * self.low
 
     @property
     def note(self) -> str:
-        """The outcome in words, for the notes of a run."""
+        """Outcome in words, for the notes of a run."""
         found = f"true over used focal length {self.low:.2f} to {self.high:.2f}"
         if self.because:
             return f"contradicted: {found}"
         return f"agree with the photos: {found}" if self.is_sharp else f"cannot be checked: {found}"
 
     def reason(self, focal_px: float) -> str:
-        """Why heights are not to be trusted, and the remedy; empty: nothing speaks against them."""
+        """Return why heights are not to be trusted, and the remedy; empty if no evidence contradicts them."""
         if not self.because:
             return ""
         factor, likely = max(self.ratio, 1.0 / self.ratio), f"{self.ratio * focal_px:.0f}"
@@ -77,12 +77,12 @@ def score_focal(
 ) -> FocalScore:
     """Estimate the common error of all focal lengths by one Gauss-Newton step in which they are free.
 
-    The state is not changed. Sigma grows by the misfit of the GPS that is left after the step, and does not fall below
-    what lenses of real cameras allow. At least two photos have a GPS position, at different places.
+    The state is not changed. The sigma grows with the GPS residuals left after the step, and is not below the
+    uncertainty of real lenses. At least two photos must have GPS positions, which must differ.
 
     Args:
-        obs, priors, pixel_sigma, loss: of the last adjustment.
-        state: its solution.
+        obs, priors, pixel_sigma, loss: inputs of the last adjustment.
+        state: solution of the last adjustment.
     """
     sigma, scales = priors.sigma_lens.copy(), [part.start for part in priors.lenses.parts]
     sigma[scales] = np.inf  # free, without a prior
@@ -100,19 +100,19 @@ def score_focal(
     photos = photos[np.isfinite(priors.centres[photos]).all(axis=1)]
     miss, places = (moved - priors.centres)[photos], priors.centres[photos, :2]
     inflation = max(1.0, float(np.sqrt(((miss / priors.sigma_centres[photos]) ** 2).mean())))
-    noise = np.sqrt((miss[:, :2] ** 2).sum() / max(2 * len(photos) - 4, 1))  # two shifts, a turn and the scale fit
+    noise = np.sqrt((miss[:, :2] ** 2).sum() / max(2 * len(photos) - 4, 1))  # less two shifts, a turn, the scale
     baseline_sigma = float(noise / max(np.linalg.norm(places - places.mean(axis=0)), 1e-6))
     return FocalScore(estimate, float(np.hypot(inflation / np.sqrt(information), SCORE_SIGMA)), baseline_sigma)
 
 
 def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> HeightCheck:
-    """Weigh the evidence on the ratio of the true focal length to the one used.
+    """Weigh the evidence on the ratio of the true to the used focal length.
 
     Args:
-        score: of the adjustment.
+        score: estimate by the adjustment.
         up: (n,) metres, heights of the cameras by the pictures.
-        above: (n,) metres, heights of the cameras above the place of take-off, by their tags; NaN: none.
-        ground: (m, 3) metres, points of the ground.
+        above: (n,) metres, heights of the cameras above take-off by their tags; NaN: unknown.
+        ground: (m, 3) metres, points on the ground.
     """
     log_ratio = np.log(RATIOS)
     curves = {f"the pictures themselves fit {np.exp(score.estimate):.2f} times the focal length": score.curve}
@@ -147,19 +147,19 @@ def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> Height
 
 
 def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:
-    """Likelihood of each of `RATIOS`, 1/m: take-off is as high as some of the ground, or as its slope leads to.
+    """Return the likelihood of each of `RATIOS`, 1/m, if take-off lies on the ground or on its extrapolated slope.
 
-    All heights of the relief count alike, by three quarters, and by how much of the ground they have: a few trees are
-    no likely place.
+    Three quarters of the weight go to all heights of the relief alike, one quarter to heights by their share of the
+    ground, because take-off on a few trees is unlikely.
 
     Args:
-        relative, sigma: metres, height of the cameras above the place of take-off.
-        ground: (m, 3) metres, points of the ground.
-        high: metres, height of the cameras.
+        relative, sigma: metres, height of the cameras above take-off.
+        ground: (m, 3) metres, points on the ground.
+        high: metres, height of the cameras in the world.
     """
     flat = ground[:, :2] - ground[:, :2].mean(axis=0)
     slope = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), ground[:, 2], rcond=None)[0][:2]
-    reach = np.abs(slope) @ np.ptp(flat, axis=0) / 2.0  # as far again beside the map
+    reach = np.abs(slope) @ np.ptp(flat, axis=0) / 2.0  # half the map's extent beyond each side
     most = np.quantile(ground[:, 2], np.linspace(0.02, 0.98, 67))
     places = np.concatenate([most, np.linspace(most[0] - reach, most[-1] + reach, 201)])
     misfit = (relative - RATIOS[:, None] * (high - places)) / sigma

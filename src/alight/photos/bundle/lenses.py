@@ -1,4 +1,4 @@
-"""The cameras of a set of photos: each zoom level is a camera of its own, with a lens of its own to be estimated."""
+"""Cameras of a set of photos: each zoom level is a camera of its own, with its own lens to estimate."""
 
 from __future__ import annotations
 
@@ -14,46 +14,46 @@ from alight.photos.bundle.adjustment_kernels import READOUT_NUMBER
 
 @dataclass(frozen=True, eq=False)
 class PhotoLenses:
-    """The cameras, and the number of the camera of each photo."""
+    """The cameras of a set, and which camera took each photo."""
 
     cameras: tuple[Camera, ...]
-    of: I64  # (n,) number of the camera of each photo
-    readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
-    by_maker: tuple[float | None, ...] = ()  # s, the readout of each camera from its maker, which is held, if known
+    of: I64  # (n,) camera index of each photo
+    readouts: tuple[float, ...] = ()  # s per camera, from the first row to the last; empty: all rows at once
+    by_maker: tuple[float | None, ...] = ()  # s per camera, readout by the maker, which is fixed; None: unknown
 
     def of_photo(self, photo: int) -> Camera:
-        """The camera of one photo."""
+        """Return the camera of one photo."""
         return self.cameras[int(self.of[photo])]
 
     @property
     def parts(self) -> list[slice]:
-        """Range of each camera among all lens numbers: scale aspect cu cv distortion... readout."""
+        """Range of each camera among all k lens parameters: scale, aspect, cu, cv, distortion..., readout."""
         ends = np.cumsum([0] + [5 + len(c.distortion) for c in self.cameras])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def moved(self, lens: F64) -> PhotoLenses:
-        """The cameras moved by lens offsets (k,) (eq. 3)."""
+        """Return the cameras changed by lens offsets (k,) (eq. 3)."""
         moved = tuple(lens_camera(c, lens[part]) for c, part in zip(self.cameras, self.parts, strict=True))
         return replace(self, cameras=moved, readouts=tuple(float(lens[k]) for k in self.readout_numbers))
 
     @property
     def readout_numbers(self) -> list[int]:
-        """Indices of the readouts among all lens numbers."""
+        """Indices of the readouts among all lens parameters."""
         return [part.stop - 1 for part in self.parts]
 
     def with_maker_readouts(self, lens: F64) -> F64:
-        """Lens numbers (k,) with the readouts from the makers."""
+        """Return the lens offsets (k,) with the readouts inserted that the makers give."""
         lens = lens.copy()
         for number, readout in zip(self.readout_numbers, self.by_maker, strict=True):
             lens[number] = lens[number] if readout is None else readout
         return lens
 
     def readout(self, photo: I64) -> F64:
-        """(N,) seconds from the first row to the last of photos (N,)."""
+        """Return the (N,) seconds from the first to the last row of photos (N,)."""
         return np.asarray(self.table()[0][self.of[photo], -1])
 
     def table(self) -> tuple[F64, I64]:
-        """Input of the kernels: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
+        """Return kernel inputs: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
         readouts = self.readouts or (0.0,) * len(self.cameras)
         rows = [
             (c.fu, c.fv, c.cu, c.cv, *c.coefficients, c.height, readout)
@@ -62,9 +62,10 @@ class PhotoLenses:
         return np.array(rows, np.float64), np.array([c.code for c in self.cameras], np.int64)
 
     def free_numbers(self, free: Mask) -> tuple[I64, I64]:
-        """Free numbers of each camera, (c, f), by the kernels' count, -1 where it has fewer; `free` is (k,).
+        """Return two (c, f) tables of each camera's free parameters: indices in its lens, and among all free ones.
 
-        Also the index of each among all that are free, (c, f).
+        `free` (k,) is the mask of free lens parameters. Indices in a lens are those of the kernels. Entries are -1
+        where a camera has fewer free parameters.
         """
         count = np.array([free[part].sum() for part in self.parts])
         number, place = np.full((2, len(count), count.max()), -1, np.int64)
@@ -75,12 +76,12 @@ class PhotoLenses:
         return number, place
 
     def focal(self, photo: I64) -> F64:
-        """(N, 2) focal lengths, pixels."""
+        """Return (N, 2) focal lengths fu, fv in pixels of photos (N,)."""
         return np.array([(c.fu, c.fv) for c in self.cameras])[self.of[photo]]
 
 
 def lens_camera(prior: Camera, lens: F64) -> Camera:
-    """Return the prior camera moved by lens offsets (k,) (eq. 3)."""
+    """Return the prior camera changed by lens offsets (k,) (eq. 3)."""
     s, a, du, dv = lens[:4]
     d = tuple(float(x) for x in np.add(prior.distortion, lens[4:-1])) if prior.distortion else ()
     fv = prior.fv * (1 + s)

@@ -1,6 +1,6 @@
-"""Photos to tracks: pairs of neighbours, matches verified by two-view geometry, tracks.
+"""From photos to tracks: pairs of neighbours, matches verified by two-view geometry, tracks.
 
-Two-view geometry is pycolmap's. Random seeds are fixed.
+Two-view geometry is by pycolmap. Random seeds are fixed.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from alight.photos.bundle.lenses import PhotoLenses
 from alight.records import Frame
 from alight.settings import BundleSettings
 
-_RATIO = 0.8  # best over second-best descriptor distance
-_TWO_VIEW_PX = 4.0  # px, inlier threshold: error of the nominal distortion in the corners
+_RATIO = 0.8  # most allowed ratio of the best to the second-best descriptor distance
+_TWO_VIEW_PX = 4.0  # px, inlier threshold; allows for the error of the nominal distortion in the corners
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two photos of the same ground, matched."""
+    """Two matched photos of the same ground."""
 
-    i: int
+    i: int  # photo indices
     j: int
-    matches: I64  # (M, 2) feature numbers in i and j
+    matches: I64  # (M, 2) feature indices in i and j
     j_from_i: F64  # (3, 3) rotation between the two optical frames
-    direction: F64  # (3,) unit, from the centre of i to that of j, in the optical frame of i
+    direction: F64  # (3,) unit vector from the centre of i to the centre of j, in the optical frame of i; zero: unknown
 
 
 @dataclass(frozen=True, eq=False)
 class BundleObservations:
-    """Observations of all photos, sorted by point, those of a point by photo; no photo sees a point twice."""
+    """Observations of all photos, sorted by point, then photo; no photo observes a point twice."""
 
-    photo: I64  # (N,)
-    point: I64  # (N,) 0 .. points - 1, every number occurs
+    photo: I64  # (N,) photo indices
+    point: I64  # (N,) point indices; each from 0 to points - 1 occurs
     pixels: F64  # (N, 2)
-    by_patch: Mask  # (N,) True: pixels are those of matched patches, not of features
+    by_patch: Mask  # (N,) True: located by patch matching; False: by the feature detector
 
     @property
     def starts(self) -> I64:
-        """First row of each point, as `np.add.reduceat` takes it."""
+        """(m,) first row of each point, as `np.add.reduceat` needs it."""
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
     def without(self, photos: I64) -> BundleObservations:
-        """Return the observations of all other photos."""
+        """Return the observations of all but the given photos."""
         return self.keep(~np.isin(self.photo, photos))[0]
 
     @property
@@ -59,7 +59,7 @@ class BundleObservations:
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
     def keep(self, rows: Mask) -> tuple[BundleObservations, I64]:
-        """Return the rows that are kept, without points that only one photo sees then; old numbers of those left."""
+        """Keep the masked rows, drop points then seen by one photo; return also the old indices of the kept points."""
         count = np.bincount(self.point[rows], minlength=self.points)
         rows = rows & (count[self.point] >= 2)
         old, point = np.unique(self.point[rows], return_inverse=True)
@@ -67,10 +67,11 @@ class BundleObservations:
 
 
 def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
-    """Choose the pairs to match: each photo's nearest, the nearest in each of eight directions, the next in time.
+    """Choose pairs to match: each photo with its `count` nearest, the nearest in each of eight directions, the next.
 
-    `positions` is (n, 3) metres, NaN where unknown: such photos are paired with `count` before and after in time.
-    The eight directions link neighbouring strips, which the nearest alone may miss.
+    `positions` is (n, 3) metres in order of time, NaN where unknown. Photos without a position are paired with the
+    `count` photos before and after them in time. The eight directions link neighbouring strips, which the nearest
+    photos alone may miss.
     """
     n = len(positions)
     pairs: set[tuple[int, int]] = set()
@@ -90,10 +91,10 @@ def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
 
 
 def match_descriptors(a: F32, b: F32) -> I64:
-    """Match unit descriptors (K, 128) and (L, 128): best both ways and clearly better than the second; (M, 2)."""
+    """Match unit descriptors (K, 128) and (L, 128) that are each other's clearly best match; return (M, 2) indices."""
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    block = 1024  # rows matched at once: bounds the table of descriptor products
+    block = 1024  # rows matched at once, to bound the table of descriptor products
     best = np.empty(len(a), dtype=np.int64)
     first, second = np.empty(len(a), dtype=np.float32), np.empty(len(a), dtype=np.float32)
     back = np.full(len(b), -2.0, dtype=np.float32)
@@ -115,7 +116,7 @@ def match_descriptors(a: F32, b: F32) -> I64:
 def verify(
     cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
 ) -> tuple[I64, F64, F64] | None:
-    """Keep the matches of one rigid two-view geometry, with rotation and direction as in `Pair`; None: too few."""
+    """Return the inlier matches of one two-view geometry, with rotation and direction as in `Pair`; None: too few."""
     if len(matches) < least:
         return None
     pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)
@@ -137,9 +138,10 @@ def verify(
 def match_photo(
     cameras: Sequence[Camera], settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
 ) -> list[Pair | None]:
-    """Match and verify one photo with others; `ij` (N, 2) are their numbers. None where they do not match.
+    """Match and verify one photo with several others; return one pair for each of them, None where they do not match.
 
-    `cameras` are that of the first photo and those of the others.
+    `ij` (N, 2) are the photo indices of each pair. `cameras` are the first photo's camera, then the other photos'
+    cameras.
     """
     out = list[Pair | None]()
     for (i, j), other, camera in zip(ij.tolist(), others, cameras[1:], strict=True):
@@ -157,7 +159,7 @@ def match_pairs(
     settings: BundleSettings,
     jobs: Jobs,
 ) -> Iterator[list[Pair]]:
-    """Match and verify the wanted pairs, those of one photo after the other."""
+    """Match and verify the wanted pairs; yield the found pairs of each first photo."""
 
     def sent(k: int) -> Sent:
         return Sent(f"features-{frames[k].t_ns}", features[k])
@@ -177,7 +179,7 @@ def match_pairs(
 
 
 def tracks(features: Sequence[PhotoFeatures], pairs: Sequence[Pair]) -> BundleObservations:
-    """Join matches that share a feature into tracks; a track with two features of one photo is wrong and removed."""
+    """Join matches that share a feature into tracks; tracks with two features in one photo are wrong and removed."""
     offset = np.concatenate([[0], np.cumsum([len(f.pixels) for f in features])])
     total = int(offset[-1])
     if not pairs:

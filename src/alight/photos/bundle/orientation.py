@@ -1,6 +1,6 @@
-"""First poses: relative rotations averaged, then aligned with the world by GPS baselines and gimbal attitudes.
+"""Initial poses: relative rotations are averaged, then aligned with the world by GPS baselines and gimbal attitudes.
 
-Images decide: a gimbal tag is used only where it agrees with them, so that tags that are half a turn off do no harm.
+Images decide. A gimbal tag is used only if it agrees with the images, so tags that are half a turn off do no harm.
 """
 
 from __future__ import annotations
@@ -19,50 +19,50 @@ from alight.photos.bundle.matching import Pair
 from alight.photos.bundle.priors import COMMON_HEADING, HALF_TURN, gps_heading_sigma, levelled
 from alight.photos.bundle.solver import Priors
 
-_MAX_DISAGREEMENT = 0.35  # rad between gimbal and images: chains of rotations drift by a third of it
-_AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
-_MOST_COMMON_HEADING = 1.2  # rad; tags off by more are half a turn off, or of no use
-_DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground it correlates with the rotation
-_NADIR_SIGMA = 0.5  # rad, of a camera that is taken to look straight down, where no photo has an attitude
-_MAX_BASELINE_ERROR = 5.0  # sigmas; a baseline with a larger one is wrong
+_MAX_DISAGREEMENT = 0.35  # rad between gimbal and images; chains of rotations drift by a third of it
+_AXIS_SIGMA = 0.15  # rad, 1-sigma of an axis by the gimbal in the absolute orientation
+_MOST_COMMON_HEADING = 1.2  # rad; tags with a larger error are half a turn off, or useless
+_DIRECTION_SIGMA = 0.1  # rad, 1-sigma of a direction between photos; over flat ground it correlates with the rotation
+_NADIR_SIGMA = 0.5  # rad, 1-sigma of a camera that is assumed to look straight down, if no photo has an attitude
+_MAX_BASELINE_ERROR = 5.0  # sigmas; a baseline with a larger error is wrong
 
 
 @dataclass(frozen=True, eq=False)
 class _Oriented:
-    """First poses of the photos of one connected component."""
+    """Initial poses of the photos of one connected component."""
 
-    photos: I64  # (k,) photo numbers
+    photos: I64  # (k,) photo indices
     world_from_cam: F64  # (k, 3, 3)
-    turned: I64  # photo numbers whose gimbal tag is half a turn off about the optical axis
-    contradicted: I64  # photo numbers whose gimbal tag contradicts the pictures in any other way
-    jumped: I64  # photo numbers whose GPS position contradicts the pictures
-    guessed: bool  # the roll about a straight line of flight is found by assuming that the camera looks down
-    cost: float  # Cauchy, of GPS baselines and attitudes
+    turned: I64  # indices of photos whose gimbal tag is half a turn off about the optical axis
+    contradicted: I64  # indices of photos whose gimbal tag contradicts the pictures in any other way
+    jumped: I64  # indices of photos whose GPS position contradicts the pictures
+    guessed: bool  # the roll about a straight line of flight relies on the assumption that the camera looks down
+    cost: float  # Cauchy cost of GPS baselines and attitudes
     baselines: int  # number of baselines
     heading: float  # rad, common error of the headings of all tags, clockwise from above
 
 
 @dataclass(frozen=True, eq=False)
 class FirstPoses:
-    """First poses of all photos, and the tags that the images contradict."""
+    """Initial poses of all photos, and the tags that the images contradict."""
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
-    groups: tuple[I64, ...]  # photos that are connected by matches
-    photos: I64  # photos with a pose
+    groups: tuple[I64, ...]  # photo indices, grouped by connection through matches
+    photos: I64  # indices of photos with a pose; so below
     turned: I64  # photos whose attitude tag is half a turn off
     contradicted: I64  # photos whose attitude tag is wrong
-    overruled: I64  # photos whose heading has the common error of all headings
+    overruled: I64  # photos whose heading tag has an error common to its group
     jumped: I64  # photos whose GPS position is wrong
     warnings: list[str]
-    climbs: bool  # a level flight fits better than the altitude tags, which are ignored
+    climbs: bool  # whether a level flight fits better than the altitude tags, which are then ignored
 
 
 def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
-    """Orient every connected component; None when no two photos with GPS are connected.
+    """Orient every connected component; None if no two photos with GPS are connected.
 
-    Altitude tags are ignored where a level flight fits better, by a tenth of the cost of a baseline, and half of the
-    tags are more than two sigmas off one height.
+    Altitude tags are ignored if half of them are more than two sigmas off one height, and a level flight fits better:
+    it lowers the cost by more than 0.1 per baseline.
     """
     n = len(priors.centres)
     gimbal = priors.world_from_body @ priors.body_from_cam
@@ -102,7 +102,7 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
 
 
 def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
-    """Give photos without GPS the mean position of the photos they match, weighted by matches."""
+    """Give photos without GPS the mean position of the photos they match, weighted by the number of matches."""
     out = centres.copy()
     for _ in range(len(centres)):
         missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
@@ -120,7 +120,7 @@ def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
-    """Return the photos of each connected component of two and more, largest first."""
+    """Return the photo indices of each connected component of two or more photos, largest component first."""
     if not pairs:
         return []
     ij = np.array([(p.i, p.j) for p in pairs])
@@ -131,7 +131,7 @@ def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
 
 
 def _median_rotation(rotations: F64, start: F64) -> F64:
-    """Return the geometric median of (k, 3, 3) rotations by Weiszfeld steps: robust to a minority of wrong ones."""
+    """Return the geometric median of (k, 3, 3) rotations by Weiszfeld steps; robust to a minority of wrong ones."""
     R = start
     for _ in range(3):
         logs = so3_log(rotations @ R.T)
@@ -141,10 +141,10 @@ def _median_rotation(rotations: F64, start: F64) -> F64:
 
 
 def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
-    """Return (k, 3, 3) `frame_from_cam` of one component, the frame being the first photo's camera (L1 averaging).
+    """Return (k, 3, 3) `frame_from_cam` of one component; the frame is the first photo's camera.
 
-    Start: the spanning tree of most matches. Then each photo takes the median of the rotations by its neighbours
-    (L1 rotation averaging, Hartley et al. 2011 and 2013).
+    The spanning tree of the pairs with most matches gives initial rotations. Then each photo takes the median of the
+    rotations that its neighbours predict (L1 rotation averaging, Hartley et al. 2011 and 2013).
     """
     slot = {int(p): s for s, p in enumerate(photos)}
     edges = [(slot[p.i], slot[p.j], p.j_from_i, len(p.matches)) for p in pairs if p.i in slot]
@@ -166,19 +166,19 @@ def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Baselines:
-    """Unit directions between photos: by GPS, and by the images in the frame of the averaged rotations."""
+    """Unit directions between photos, by GPS in the world and by the images in the frame of the averaged rotations."""
 
-    ends: I64  # (q, 2) photo numbers
+    ends: I64  # (q, 2) photo indices
     world: F64  # (q, 3)
     frame: F64  # (q, 3)
     noise: F64  # (q,) rad
 
     def misfit(self, R: F64) -> F64:
-        """Return (q,) squared disagreement under `world_from_frame`, in sigmas."""
+        """Return the (q,) squared misfits under `world_from_frame` R, in sigmas."""
         return np.asarray(((self.world - self.frame @ R.T) ** 2).sum(axis=1) / self.noise**2)
 
     def aligned(self) -> F64:
-        """Return the `world_from_frame` that fits best, with Cauchy weights (Wahba's problem)."""
+        """Return the best-fitting `world_from_frame`, with Cauchy weights (Wahba's problem)."""
         weight = 1.0 / self.noise**2
         for _ in range(21):
             R = np.asarray(Rotation.align_vectors(self.world, self.frame, weights=weight)[0].as_matrix())
@@ -202,7 +202,7 @@ def _baselines(photos: I64, frame_from_cam: F64, pairs: Sequence[Pair], centres:
 
 
 def _jumped(base: _Baselines, R: F64) -> I64:
-    """Return the photos whose GPS position jumped: most of their baselines are wrong. The worst is removed first."""
+    """Return the photos whose GPS position makes most of their baselines wrong; the worst photo is removed first."""
     is_wrong = base.misfit(R) > _MAX_BASELINE_ERROR**2
     left = np.ones(len(is_wrong), dtype=bool)
     out: list[int] = []
@@ -218,13 +218,12 @@ def _jumped(base: _Baselines, R: F64) -> I64:
 
 
 def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> _Oriented:
-    """Turn the averaged rotations of one component into the world.
+    """Align the averaged rotations of one component with the world.
 
-    `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
-    Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of three
-    starts, with the heading of the gimbal, without it, and with cameras that look down, the one that fits best is
-    taken. The common error of all headings counts once, not once a photo. Tags that are wrong in most photos count in
-    none.
+    `centres` (n, 3) metres, `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
+    Directions between photos are compared with GPS baselines, and camera axes with the gimbal, with robust weights. Of
+    three starts (gimbal with heading, gimbal without heading, cameras looking down), the best fit is used. The common
+    heading error enters the cost once, not once per photo. If tags are wrong in most photos, they are used in no photo.
     """
     frame_from_cam = average_rotations(photos, pairs)
     base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
@@ -259,7 +258,7 @@ def _in_line(base: _Baselines) -> bool:
 
 
 def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
-    """Return `world_from_frame` by the baselines and the named optical axes of the tags."""
+    """Return `world_from_frame` from the baselines and the given axes of the tags."""
     world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
     frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
     noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
@@ -267,7 +266,7 @@ def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tu
 
 
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
-    """Return the Cauchy cost of a rotation over baselines and all axes: the same for every start."""
+    """Return the Cauchy cost of a rotation R over the baselines and all axes of the tags, to compare the starts."""
     heading = _common_heading(R @ frame_from_cam, tags)
     axes = ((so3_exp([0.0, 0.0, heading]) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
     common = (heading / COMMON_HEADING) ** 2
@@ -275,7 +274,7 @@ def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
 
 
 def _common_heading(world_from_cam: F64, tags: F64) -> float:
-    """Return the common error, rad about the vertical, of most tags (k, 3, 3); 0: there is none."""
+    """Return the heading error (rad, about the vertical) that tags (k, 3, 3) share; 0 without tags or if too large."""
     if not len(tags):
         return 0.0
     off = world_from_cam @ np.swapaxes(tags, 1, 2)
@@ -286,6 +285,6 @@ def _common_heading(world_from_cam: F64, tags: F64) -> float:
 
 
 def _agree(a: F64, b: F64) -> Mask:
-    """Return True where rotations (k, 3, 3) agree to `_MAX_DISAGREEMENT`; NaN never does."""
+    """Return a mask of rotations (k, 3, 3) that agree to `_MAX_DISAGREEMENT`; False for NaN."""
     cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
     return np.asarray(cosine > np.cos(_MAX_DISAGREEMENT))

@@ -1,7 +1,8 @@
-"""Observations to a twentieth of a pixel: least squares matching of patches (Foerstner 1982; Gruen 1985).
+"""Refine observations to a twentieth of a pixel by least squares matching of patches (Foerstner 1982; Gruen 1985).
 
-A feature is found in each photo by itself, to a quarter of a pixel. Once the poses are known roughly, the patch about a
-point's first observation is matched with each of its other photos. Equation numbers: docs/method/patches.md.
+The detector locates a feature in each photo separately, to a quarter of a pixel. Once rough poses are known, the patch
+around a point's first observation is matched in all other photos of the point. Equation numbers:
+docs/method/patches.md.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from alight.records import Frame, Pixels
 
 log = logging.getLogger(__name__)
 
-LEAST_LIKENESS = 0.8  # coefficient of correlation of a patch that counts as found
-MOST_PX = 3200  # longest side of the pictures that patches are matched in
+LEAST_LIKENESS = 0.8  # least correlation coefficient of a patch that is found
+MOST_PX = 3200  # longest side of the pictures in which patches are matched
 _SIDE = 2 * kernels.HALF + 3  # pixels of a patch with its margin
 
 
 def refine_observations(
     state: BundleState, obs: BundleObservations, priors: Priors, frames: Sequence[Frame]
 ) -> BundleObservations:
-    """Move the observations to the pixels where their patches are found (eqs. 13, 14); the others stay.
+    """Move observations to the pixels where their patches are found (eqs. 13, 14); other observations stay unchanged.
 
     Args:
-        state: as adjusted so far, with the points of the observations.
-        obs: sorted by point.
-        priors: of all photos.
+        state: state as adjusted so far, with the points of the observations.
+        obs: observations, sorted by point.
+        priors: priors of all photos.
         frames: the photos.
     """
     if not len(obs.photo):
@@ -64,7 +65,7 @@ def refine_observations(
 
 
 def _by_photo(obs: BundleObservations, rows: Mask) -> list[tuple[int, I64]]:
-    """Photos with some of the rows, and the rows of each."""
+    """Return the index of each photo with chosen rows, and the indices of its chosen rows."""
     chosen = np.flatnonzero(rows)
     order = chosen[np.argsort(obs.photo[chosen], kind="stable")]
     photos, begin = np.unique(obs.photo[order], return_index=True)
@@ -73,19 +74,18 @@ def _by_photo(obs: BundleObservations, rows: Mask) -> list[tuple[int, I64]]:
 
 def _picture(frame: Frame) -> Pixels:
     image = frame.images[taken_by(frame)]
-    assert image is not None  # it has features
+    assert image is not None  # the photo has features
     return image
 
 
 def _grey(image: Pixels) -> tuple[F32, F64]:
-    """Grey levels (H, W) of a picture that is not too large, and (2,) its pixels over the photo's."""
+    """Return grey levels (H, W) of a picture, shrunk if large, and (2,) its width and height over the photo's."""
     picture = np.asarray(image)
     read = grey_levels(shrunk(picture, MOST_PX))
     return read.astype(np.float32), np.array(read.shape[1::-1]) / picture.shape[1::-1]
 
 
 def _cut(image: Pixels, pixels: F64) -> F16:
-    """Patches about pixels (K, 2) of a photo."""
     grey, scale = _grey(image)
     out = np.empty((len(pixels), _SIDE, _SIDE), np.float32)
     kernels.sample_patches(grey, (pixels + 0.5) * scale - 0.5, out)
@@ -93,7 +93,7 @@ def _cut(image: Pixels, pixels: F64) -> F16:
 
 
 def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
-    """Shift of the patches found against pixels (K, 2) of a photo, (K, 2) of its pixels; NaN: not found."""
+    """Return the shifts (K, 2) in photo pixels from pixels (K, 2) to where the patches are found; NaN: not found."""
     grey, scale = _grey(image)
     moved, likeness = np.empty((len(pixels), 2)), np.empty(len(pixels))
     kernels.match_patches(
@@ -104,10 +104,10 @@ def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
 
 
 def _warps(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
-    """(N, 2, 2) shift of the ground in each picture, pixels, for a shift by one pixel in the point's first picture.
+    """Return (N, 2, 2) derivatives of a ground point's pixel in each picture by its pixel in the point's first picture.
 
-    Pixels are those of the pictures that patches are matched in. The ground counts as level over five pixels about a
-    point. NaN where the patch is stretched more than three times: it cannot be found there.
+    Pixels are those of the pictures in which patches are matched. The ground is assumed level over five pixels around a
+    point. NaN where a patch is stretched more than three times, since it cannot be found there.
     """
     lenses, first = priors.lenses.moved(state.lens), obs.starts[obs.point]
     away = np.linalg.norm(state.points[obs.point] - state.centres[obs.photo], axis=1)

@@ -1,6 +1,6 @@
-"""Least squares matching of patches: kernels. Equation numbers: docs/method/patches.md.
+"""Kernels for least squares matching of patches. Equation numbers: docs/method/patches.md.
 
-A patch is a square of (2 `HALF` + 1 + 2) pixels about an observation, a margin of one about the compared square.
+A patch is a square with S = 2 `HALF` + 3 pixels per side around an observation; one pixel on each side is margin.
 """
 
 import math
@@ -10,8 +10,8 @@ import numpy as np
 from alight.arrays import F32, F64
 from alight.compiled import kernel, pixelwise
 
-HALF = 7  # pixels from the middle of a patch to its sides
-_LEAST_VARIANCE = 1.0  # squared grey levels of a patch
+HALF = 7  # pixels from the middle of a patch to the sides of the compared square
+_LEAST_VARIANCE = 1.0  # squared grey levels, least variance of a patch
 
 
 @pixelwise
@@ -25,7 +25,7 @@ def _weights(f: float, out: F64) -> None:
 
 @pixelwise
 def _sample(picture: F32, x: float, y: float, wx: F64, wy: F64) -> float:
-    """The grey level at a place (column, row); NaN too near the picture's edge."""
+    """Return the grey level at a position x (column), y (row); NaN too near the picture's edge."""
     i, j = math.floor(x), math.floor(y)
     if i < 1 or j < 1 or i > picture.shape[1] - 3 or j > picture.shape[0] - 3:
         return math.nan
@@ -42,7 +42,7 @@ def _sample(picture: F32, x: float, y: float, wx: F64, wy: F64) -> float:
 
 @kernel
 def sample_patches(picture: F32, at: F64, out: F32) -> None:
-    """Write the patches (K, S, S) of a picture (H, W) about places (K, 2), NaN beyond its edge."""
+    """Write the patches (K, S, S) of a picture (H, W) around positions (K, 2) in pixels; NaN beyond its edge."""
     wx, wy = np.empty(4), np.empty(4)
     for k in range(len(at)):
         for r in range(out.shape[1]):
@@ -52,7 +52,7 @@ def sample_patches(picture: F32, at: F64, out: F32) -> None:
 
 @pixelwise
 def _inverse(N: F64, out: F64) -> bool:
-    """Write the inverse of a symmetric matrix (3, 3); False: it has none."""
+    """Write the inverse of a symmetric matrix (3, 3); return False if the matrix is nearly singular."""
     a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
     out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
     out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
@@ -68,9 +68,9 @@ def _inverse(N: F64, out: F64) -> bool:
 
 @pixelwise
 def _template(patch: F32, weight: F64, terms: F64, N: F64) -> float:
-    """Write the grey levels and slopes (3, P) of a patch less their means, and their products (3, 3) with weights (P,).
+    """Write a patch's grey levels and slopes (3, P) minus their means, and their products (3, 3), weighted by (P,).
 
-    Returns its variance, squared grey levels; NaN where it reaches over the edge of its picture.
+    Returns the patch's variance in squared grey levels; NaN if the patch reaches beyond the edge of its picture.
     """
     side = 2 * HALF + 1
     mean, whole = np.zeros(3), 0.0
@@ -98,9 +98,9 @@ def _template(patch: F32, weight: F64, terms: F64, N: F64) -> float:
 def _overlap(
     picture: F32, x: float, y: float, warp: F64, weight: F64, terms: F64, wx: F64, wy: F64, right: F64
 ) -> tuple[float, float]:
-    """Write the products (3,) of a patch's terms with the picture about a place, with weights (P,).
+    """Write the products (3,) of a patch's `terms` with the picture around a position, weighted by (P,).
 
-    Returns the weighted sums of its grey levels and of their squares; NaN where it reaches over the edge.
+    Returns the weighted sums of the picture's grey levels and of their squares; NaN beyond the picture's edge.
     """
     side = 2 * HALF + 1
     right[:] = 0.0
@@ -123,7 +123,7 @@ def _slide(
     picture: F32, at: F64, warp: F64, weight: F64, whole: float, terms: F64, variance: float, C: F64, wx: F64, wy: F64,
     right: F64, h: F64, moved: F64,
 ) -> float:  # fmt: skip
-    """Write the shift (2,) at which a patch is found (eqs. 13, 14); return its correlation there, 0: not found."""
+    """Write the shift (2,) at which a patch is found (eqs. 13, 14); return its correlation there, 0 if not found."""
     moved[:] = 0.0
     for _ in range(10):
         mean, square = _overlap(picture, at[0] + moved[0], at[1] + moved[1], warp, weight, terms, wx, wy, right)
@@ -138,7 +138,7 @@ def _slide(
         step_x, step_y = warp[0, 0] * dx + warp[0, 1] * dy, warp[1, 0] * dx + warp[1, 1] * dy
         moved[0] -= step_x
         moved[1] -= step_y
-        if moved[0] * moved[0] + moved[1] * moved[1] > 1.5 * 1.5:  # px that an observation may move
+        if moved[0] * moved[0] + moved[1] * moved[1] > 1.5 * 1.5:  # px, greatest shift of an observation
             break
         if step_x * step_x + step_y * step_y < 0.003 * 0.003:
             likeness: float = right[0] / whole / math.sqrt(there * variance)
@@ -151,12 +151,12 @@ def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, li
     """Find patches (K, S, S) in another picture (H, W) to a fraction of a pixel (eqs. 13, 14).
 
     Args:
-        patches: grey levels about the first observation of each point.
+        patches: grey levels around the first observation of each point.
         picture: the other picture.
-        at: (K, 2) expected places there, px.
-        warp: (K, 2, 2) shift there, px, for one pixel of the patch.
-        moved: (K, 2) out: shift from the expected places, px; NaN: not found.
-        likeness: (K,) coefficient of correlation; 0 where they were not found.
+        at: (K, 2) expected positions in the other picture, px.
+        warp: (K, 2, 2) shift in the other picture, px, per pixel of the patch.
+        moved: (K, 2) out: shift from the expected positions, px; NaN: not found.
+        likeness: (K,) out: coefficient of correlation; 0: not found.
     """
     side = 2 * HALF + 1
     weight = np.empty(side * side)

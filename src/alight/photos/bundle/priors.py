@@ -1,8 +1,8 @@
 """Priors of a bundle adjustment from GPS, gimbal and calibration, and their correction by the images.
 
-With a rolling shutter the rows of a photo are exposed one after the other. Over the readout a camera moves by its
-velocity times the readout and turns by a small angle. The readout is one number of each camera, the turn six of each
-photo (eqs. 10 and 11 in docs/method/bundle.md).
+With a rolling shutter, the rows of a photo are exposed one after the other. During the readout, a camera moves by its
+velocity times the readout time, and rotates by a small angle. Each camera has one readout time, and each photo has six
+numbers for its rotation (eqs. 10 and 11 in docs/method/bundle.md).
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from alight.photos.bundle.solver import Priors
 from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
 
-_SIGMA_LENS = {  # 1-sigma of scale aspect cu cv and distortion; for the focal length see docs/method/bundle.md
+_SIGMA_LENS = {  # 1-sigma of scale, aspect, cu, cv, distortion; for the focal length see docs/method/bundle.md
     "radial-tangential": (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
-_SIGMA_FOCAL = 0.02  # relative, where it is free
-_SIGMA_RATE = 0.2  # rad/s, 1-sigma of the turning of a camera without a gimbal
-_SIGMA_READOUT = 0.05  # s; cheap cameras take 20 to 160 ms: 0.2 to 2 m of flight
-COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings: some compasses are off by 0.9
-HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
+_SIGMA_FOCAL = 0.02  # relative 1-sigma of a free focal length
+_SIGMA_RATE = 0.2  # rad/s, 1-sigma of the rotation of a camera without a gimbal
+_SIGMA_READOUT = 0.05  # s, 1-sigma; cheap cameras take 20 to 160 ms, which is 0.2 to 2 m of flight
+COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings; some compasses are off by 0.9 rad
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # half a turn about the optical axis
 _COMPASS = 0.05  # rad; headings with a smaller sigma are not from a compass
-_LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
+_LENS_PHOTOS = 12  # with fewer photos of a camera, its radial distortion is fixed
 
 
 def make_priors(
     nav: Sequence[NavSample | None], rig: Rig, settings: BundleSettings, cameras: I64 | None = None
 ) -> Priors:
-    """Collect positions, attitudes and calibration; sigmas are those of the settings where a photo has none.
+    """Build priors from positions, attitudes and calibration; where a photo gives no sigma, the settings do.
 
-    `cameras` (n,): camera of the rig that took each photo; None: the first one. All have one pose in the body. Rows
-    count as exposed at once until `rolling_priors` changes that.
+    `cameras` (n,) is the index of the rig's camera that took each photo; None: the first camera took all photos. All
+    cameras are assumed to have one pose in the body. There is no rolling shutter until `rolling_priors` adds it.
     """
     n = len(nav)
     centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
@@ -70,7 +70,7 @@ def make_priors(
 
 
 def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
-    """Return the initial camera and the sigmas of its numbers; a free lens without distortion gets a model."""
+    """Return the initial camera and the sigmas of its parameters; a free lens without a distortion model gets one."""
     if settings.lens == "free" and camera.model == "none":
         camera = replace(camera, model="radial-tangential", distortion=(0.0,) * 4)
     sigma = np.zeros(5 + len(camera.distortion))
@@ -81,14 +81,14 @@ def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
 
 
 def levelled(priors: Priors) -> Priors:
-    """The priors of a flight at one height, the median of the altitude tags."""
+    """Return the priors of a flight at one height, the median of the altitude tags."""
     centres = priors.centres.copy()
     centres[:, 2] = np.where(np.isfinite(centres[:, 2]), np.nanmedian(centres[:, 2]), np.nan)
     return replace(priors, centres=centres)
 
 
 def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
-    """Turn back the gimbal tags that are half a turn off; drop those that the images contradict."""
+    """Rotate the gimbal tags of `turned` photos by half a turn, and drop the tags of `contradicted` photos."""
     attitude = priors.world_from_body.copy()
     B = priors.body_from_cam
     attitude[turned] = attitude[turned] @ (B @ HALF_TURN @ B.T)
@@ -97,9 +97,9 @@ def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
 
 
 def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
-    """Let the headings of each group of connected photos count as one: a compass is off for all of them alike.
+    """Enlarge heading sigmas so that connected photos, which share a compass error, weigh like one heading per group.
 
-    Headings with a smaller sigma than a compass has are not changed.
+    Headings with a sigma below 0.05 rad do not come from a compass and are not changed.
     """
     sigma = priors.sigma_rotation.copy()
     tagged = np.isfinite(priors.world_from_body).all(axis=(1, 2)) & (sigma[:, 2] >= _COMPASS)
@@ -110,7 +110,7 @@ def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
 
 
 def gps_heading_sigma(photos: I64, priors: Priors) -> float:
-    """1-sigma in rad of the heading from the positions of two or more photos; infinite where all are one place."""
+    """Return the 1-sigma (rad) of a heading from the GPS positions of two or more photos; infinite if all are equal."""
     centres, sigma = priors.centres[photos, :2], priors.sigma_centres[photos, :2]
     known = np.isfinite(centres).all(axis=1)
     arm = float(np.linalg.norm(centres[known] - centres[known].mean(axis=0)))
@@ -118,7 +118,7 @@ def gps_heading_sigma(photos: I64, priors: Priors) -> float:
 
 
 def observable_lens(priors: Priors, photos: I64) -> Priors:
-    """Hold the radial distortion where photos are few: it correlates with the height (docs/method/bundle.md)."""
+    """Fix the radial distortion of cameras with few photos: it correlates with height (docs/method/bundle.md)."""
     sigma = priors.sigma_lens.copy()
     for k, (camera, part) in enumerate(zip(priors.lenses.cameras, priors.lenses.parts, strict=True)):
         if (priors.lenses.of[photos] == k).sum() < _LENS_PHOTOS:
@@ -131,14 +131,14 @@ def observable_lens(priors: Priors, photos: I64) -> Priors:
 
 
 def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
-    """Let rows be exposed one after the other; the readout is free where velocities are known and the maker gives none.
+    """Add a rolling shutter; estimate its readout time if enough velocities are known and the maker gives no readout.
 
-    Where all lens numbers are held, so are the readouts.
+    If all lens parameters are fixed, so are the readout times.
 
     Args:
-        priors: of all photos.
-        centres: (n, 3) metres, as adjusted so far.
-        seconds: (n,) when each photo was taken.
+        priors: priors of all photos.
+        centres: (n, 3) metres, camera centres as adjusted so far.
+        seconds: (n,) exposure time of each photo; NaN: unknown.
     """
     velocity = velocities(centres, seconds, priors.lenses.of)
     sigma, held = priors.sigma_lens.copy(), not priors.sigma_lens.any()
@@ -150,27 +150,28 @@ def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
 
 
 def turning_priors(priors: Priors, readouts: tuple[float, ...]) -> Priors:
-    """Let the photos turn while they are read out, and hold the readouts (s, of each camera)."""
+    """Let the photos rotate during the readout, and fix the readout times (s, one per camera)."""
     return replace(at_once(priors), sigma_turn=_SIGMA_RATE * max(abs(r) for r in readouts))
 
 
 def at_once(priors: Priors) -> Priors:
-    """Hold the readouts, and let no photo turn during the readout."""
+    """Fix the readout times, and let no photo rotate during the readout."""
     sigma = priors.sigma_lens.copy()
     sigma[priors.lenses.readout_numbers] = 0.0
     return replace(priors, sigma_lens=sigma, sigma_turn=0.0)
 
 
 def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
-    """Velocity (n, 3) m/s at every photo, from places and times of the photos before and after it; 0 where not known.
+    """Return the (n, 3) velocity in m/s at each photo, from the photos before and after it; 0 where unknown.
 
-    Of two ways in different directions, at the end of a strip, the faster one counts: turns take time. Longer pauses
-    than a minute, ways of less than a metre and more than 60 m/s, as by a wrong tag, give none.
+    If the legs before and after a photo differ in direction, as at the end of a strip, the faster leg is used, because
+    turns take time. Legs that last over a minute, are shorter than a metre, or are faster than 60 m/s (wrong tags) are
+    ignored.
 
     Args:
         centres: (n, 3) metres.
-        seconds: (n,) time of each photo; NaN: not known.
-        camera: (n,) number of the camera of each: photos of one camera are compared.
+        seconds: (n,) time of each photo; NaN: unknown.
+        camera: (n,) camera index of each photo; only photos of one camera are compared.
     """
     out = np.zeros_like(centres)
     for one in np.unique(camera):
@@ -185,12 +186,12 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
 
 
 def _between(before: int, after: int, way: F64, time: F64, good: Mask) -> F64:
-    """Velocity (3,) m/s at the photo between two ways, from those that are good; 0 if none is."""
+    """Return the velocity (3,) in m/s at the photo between two legs, from the good legs; 0 if neither is good."""
     used = [k for k in (before, after) if 0 <= k < len(good) and good[k]]
     speed = [way[k] / time[k] for k in used]
     if len(used) == 2:
         a, b = (v / np.linalg.norm(v) for v in speed)
-        if float(a @ b) > 0.8:  # the same way
+        if float(a @ b) > 0.8:  # the same direction
             return np.asarray((way[used[0]] + way[used[1]]) / (time[used[0]] + time[used[1]]))
         return np.asarray(speed[int(np.argmax([np.linalg.norm(v) for v in speed]))])
     return np.asarray(speed[0]) if speed else np.zeros(3)

@@ -1,7 +1,7 @@
-"""Rounds of a bundle adjustment, loose to tight: triangulate, remove outliers, adjust; test for rolling shutter.
+"""Rounds of a bundle adjustment, loose to tight: triangulate, remove outliers, adjust; test for a rolling shutter.
 
-Photos with a wrong first pose are set aside during the first rounds, then placed by resection from the points.
-Otherwise a GPS jump of one photo would bend the whole survey, because its matches tie it to the others.
+Photos with a wrong initial pose are set aside during the first rounds, then located by resection from the points.
+Otherwise a GPS jump of one photo would bend the whole survey, because matches tie the photo to the others.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from alight.photos.bundle.solver import (
 
 log = logging.getLogger(__name__)
 
-ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
-_LENS_ROUND = 2  # from here on the lens is free: earlier it would absorb the errors of the first poses
-_GAIN = 25.0  # least gain of cost, a photo, for its six numbers of turning
-_LEAST_INLIERS = 12  # points of a resection
+ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale (sigma 1 px), cut
+_LENS_ROUND = 2  # first round with a free lens; earlier it would absorb the errors of the initial poses
+_GAIN = 25.0  # least reduction of the cost per photo that justifies its six rotation parameters
+_LEAST_INLIERS = 12  # least inlier points of a resection
 
 
 def coarse_rounds(
@@ -43,7 +43,10 @@ def coarse_rounds(
     progress: Callable[[float], None],
     seconds: F64 | None,
 ) -> tuple[BundleState, Priors, I64]:
-    """Do the coarse rounds without the photos that jumped; photos found to be misplaced are set aside, too."""
+    """Do the coarse rounds without the photos `aside`; return the state, the priors and the extended `aside`.
+
+    Photos that prove misplaced are added to `aside`. `seconds` (n,) are exposure times; None: no rolling shutter.
+    """
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
     few = few.without(aside)
     for k, (loss, cut) in enumerate(ROUNDS[:_LENS_ROUND]):
@@ -58,7 +61,7 @@ def coarse_rounds(
         state = _lens_rounds(state, few, priors)
     else:
         seconds = seconds.copy()
-        seconds[aside] = np.nan  # their place is not known yet
+        seconds[aside] = np.nan  # their positions are not known yet
         state = replace(state, lens=priors.lenses.with_maker_readouts(state.lens))
         state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, seconds))
     progress(0.6)
@@ -66,17 +69,17 @@ def coarse_rounds(
 
 
 def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) -> BundleState:
-    """Do the coarse rounds with a free lens: before them it would absorb the errors of the first poses."""
     for loss, cut in ROUNDS[_LENS_ROUND:-1]:
         state = one_round(state, obs, priors, loss, cut)
     return state
 
 
 def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tuple[BundleState, Priors]:
-    """Do the rounds with a free lens, and choose a model of the rows: at once, with translation, or with turns as well.
+    """Do the rounds with a free lens, and choose the rolling shutter: none, with translation, or also with rotation.
 
-    A readout that moves rows by less than a pixel is noise. Over level ground a turn looks much like a translation: the
-    readout is held when turns are free, and turns are kept only where they lower the cost far more than by chance.
+    A readout that moves rows by less than a pixel is noise. Over level ground, a rotation looks much like a
+    translation. The readout is therefore fixed when rotations are free. Rotations are used only if they lower the cost
+    much more than by chance.
     """
     state = _lens_rounds(first, obs, priors)
     lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
@@ -99,14 +102,14 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
 
 
 def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> float:
-    """Robust cost of all observations; those without a point count as the mean of the others."""
+    """Return the robust cost of all observations; observations without a point get the mean cost of the others."""
     state, used = retriangulate(state, obs, priors, np.inf, 2.0)
     cost = Adjustment(used, priors, np.ones(len(used.photo)), 2.0).cost(state)
     return cost * len(obs.photo) / max(len(used.photo), 1)
 
 
 def one_round(state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float) -> BundleState:
-    """Triangulate, remove outliers, adjust."""
+    """Triangulate, remove outliers beyond `cut` px, and adjust with Cauchy scale `loss` px."""
     state, used = retriangulate(state, obs, priors, cut, loss)
     if len(used.photo):
         state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
@@ -118,7 +121,7 @@ def one_round(state: BundleState, obs: BundleObservations, priors: Priors, loss:
 def retriangulate(
     state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
 ) -> tuple[BundleState, BundleObservations]:
-    """Triangulate all tracks; remove observations with a residual above `cut` px and points with small angles."""
+    """Triangulate all tracks; remove observations with residuals above `cut` px, and points with narrow ray angles."""
     for _ in range(2):
         points = triangulate_bundle(state, obs, priors, scale)
         state = replace(state, points=points)
@@ -132,16 +135,16 @@ def retriangulate(
 
 
 def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> I64:
-    """Return the photos that lost a far larger share of their observations than the median."""
+    """Return the photos that lost a far larger share of their observations than the median photo did."""
     seen = np.bincount(before.photo, minlength=count)
     share = np.bincount(after.photo, minlength=count) / np.maximum(seen, 1)
     return np.flatnonzero((seen > 0) & (share < 0.5 * np.median(share[seen > 0])))
 
 
 def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Priors) -> tuple[BundleState, Priors, I64]:
-    """Place photos by the points that the others see; their GPS and attitude priors are dropped.
+    """Locate `photos` from the points that other photos see; drop the GPS and attitude priors of located photos.
 
-    Returns the new state and priors, and the photos that could be placed. `obs` are those of all photos.
+    `obs` are the observations of all photos. Returns the new state and priors, and the indices of the located photos.
     """
     others, old = obs.keep(~np.isin(obs.photo, photos))
     lenses = priors.lenses.moved(state.lens)
@@ -161,7 +164,7 @@ def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Pri
 
 
 def _absolute_pose(camera: Camera, pixels: F64, points: F64) -> tuple[F64, F64] | None:
-    """Return rotation world_from_cam and centre by RANSAC over (k, 2) pixels of (k, 3) points; None: too few."""
+    """Return world_from_cam (3, 3) and centre (3,) by RANSAC from (k, 2) pixels of (k, 3) points; None: too few."""
     if len(points) < _LEAST_INLIERS:
         return None
     pc = colmap()

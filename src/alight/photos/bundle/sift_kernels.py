@@ -1,6 +1,6 @@
-"""Loops of the SIFT detector: extrema of differences of Gaussians, placed between pixels, and their orientations.
+"""Kernels of the SIFT detector: extrema of differences of Gaussians, their sub-pixel positions and orientations.
 
-Lowe 2004, sections 3 to 5. They find the features that OpenCV's detector finds from the picture at full size on.
+See Lowe 2004, sections 3 to 5. The kernels find the features of OpenCV's detector, except those in its doubled picture.
 """
 
 import numpy as np
@@ -8,13 +8,13 @@ import numpy as np
 from alight.arrays import F32, F64
 from alight.compiled import inline, kernel
 
-EDGE = 5  # pixels about the picture that are left out
-BINS = 36  # of an orientation histogram
+EDGE = 5  # pixels at each edge of the picture that are left out
+BINS = 36  # bins of an orientation histogram
 
 
 @inline
 def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
-    """True if a sample is the highest or the lowest of the 27 about it."""
+    """Whether a sample is the highest or lowest of the 27 samples around it."""
     v = dogs[k, r, c]
     sign = np.float32(1) if v > 0 else np.float32(-1)
     for j in range(k - 1, k + 2):
@@ -27,7 +27,7 @@ def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
 
 @kernel
 def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
-    """Fill the shift (columns, rows, layers) to the parabola's extremum, its value, and trace^2 / determinant there."""
+    """Write the shift (columns, rows, layers) to the extremum, its value, trace^2 / determinant; False: singular."""
     v = 2.0 * dogs[k, r, c]
     dx = 0.5 * (dogs[k, r, c + 1] - dogs[k, r, c - 1])
     dy = 0.5 * (dogs[k, r + 1, c] - dogs[k, r - 1, c])
@@ -52,7 +52,7 @@ def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
 
 @kernel
 def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F64) -> bool:
-    """Fill column, row, layer (between samples) and the layer's number of an extremum; False where it is none."""
+    """Write column, row, layer of an extremum, then its nearest layer, column, row; return whether it is usable."""
     layers, rows, cols = dogs.shape
     for _ in range(5):
         if not _newton(dogs, k, r, c, way):
@@ -60,7 +60,7 @@ def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F6
         if max(abs(way[0]), abs(way[1]), abs(way[2])) < 0.5:
             place[0], place[1], place[2], place[3] = c + way[0], r + way[1], k + way[2], k
             place[4], place[5] = c, r
-            strong: bool = abs(way[3]) >= least and way[4] < (10.0 + 1.0) ** 2 / 10.0  # beyond, it slides along an edge
+            strong: bool = abs(way[3]) >= least and way[4] < (10.0 + 1.0) ** 2 / 10.0  # more: it slides along an edge
             return strong
         if max(abs(way[0]), abs(way[1]), abs(way[2])) > 1e6:
             return False
@@ -73,7 +73,7 @@ def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F6
 
 @kernel
 def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F64) -> None:
-    """Fill a smoothed histogram (`BINS`,) of the gradients' directions about a pixel; `raw` has two more a side."""
+    """Write a smoothed histogram `even` (`BINS`,) of gradient directions around a pixel; `raw` is scratch."""
     rows, cols = picture.shape
     reach, fall = int(np.rint(4.5 * scale)), -0.5 / (1.5 * scale) ** 2
     raw[:] = 0.0
@@ -90,7 +90,7 @@ def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F
 
 @kernel
 def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
-    """Add a feature for each high peak of its histogram; return the new number of features."""
+    """Add a feature for each high peak of an orientation histogram; return the new number of features."""
     most = even.max()
     for k in range(BINS):
         left, mid, right = even[k - 1], even[k], even[(k + 1) % BINS]
@@ -104,14 +104,14 @@ def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
 
 @kernel
 def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) -> int:
-    """Fill `found` with the features of an octave and return their number; those beyond M are left out.
+    """Write the features of an octave into `found` and return their number; features that do not fit are dropped.
 
     Args:
         dogs: (L + 2, R, C) differences of the blurred pictures.
-        blurred: (L + 3, R, C).
-        first: sigma of the first of them, pixels; each L further ones have twice that.
-        least: contrast of a feature, in units of the picture.
-        found: (M, 5) out: column, row, layer between layers, layer, orientation in degrees.
+        blurred: (L + 3, R, C) blurred pictures.
+        first: sigma of the first blurred picture, pixels; it doubles every L pictures.
+        least: least contrast of a feature, in units of the picture.
+        found: (M, 5) out: column, row, layer (fractional), nearest layer, orientation in degrees.
     """
     layers, rows, cols = dogs.shape
     way, place, raw, even = np.empty(5), np.empty(6), np.empty(BINS + 4), np.empty(BINS)
@@ -122,7 +122,7 @@ def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) ->
                 v = dogs[k, r, c]
                 if abs(v) <= some:
                     continue
-                # four neighbours exclude nearly all
+                # the left and right neighbours exclude nearly all samples
                 a, b = dogs[k, r, c - 1], dogs[k, r, c + 1]
                 if (v > 0 and (a > v or b > v)) or (v < 0 and (a < v or b < v)):
                     continue

@@ -1,7 +1,7 @@
-"""The adjustment itself: Levenberg-Marquardt over poses, lens, mounting and points, points eliminated (Schur).
+"""Bundle adjustment: Levenberg-Marquardt over poses, lens, mounting and points, with points eliminated (Schur).
 
-Own code and not pycolmap's adjuster, which has priors of positions only: a straight strip would be free to roll about
-its line of flight. Equation numbers: docs/method/bundle.md.
+pycolmap's adjuster is not used, because it has priors on positions only: a straight strip could roll about its line of
+flight. Equation numbers: docs/method/bundle.md.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from alight.photos.bundle.elimination_kernels import eliminate, move_points
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.matching import BundleObservations
 
-_PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
+_PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with a Cauchy loss, one GPS jump stretched the whole survey
 
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """Priors from GPS, gimbal and the maker's calibration. NaN = none."""
+    """Priors from GPS, gimbal and the maker's calibration; NaN: no prior."""
 
     centres: F64  # (n, 3) metres
     sigma_centres: F64  # (n, 3) metres
     world_from_body: F64  # (n, 3, 3)
     sigma_rotation: F64  # (n, 3) rad, about the world's axes
     body_from_cam: F64  # (3, 3)
-    sigma_mounting: float  # rad; 0 holds it
+    sigma_mounting: float  # rad; 0: the mounting is fixed
     lenses: PhotoLenses
-    sigma_lens: F64  # (k,) of scale, aspect, cu, cv, distortion..., readout of each camera in turn; 0 holds one
-    velocity: F64  # (n, 3) m/s when the photos were taken; 0: not known
-    sigma_turn: float = 0.0  # rad, 1-sigma of a photo's turn during the readout; 0: rows are exposed at once
+    sigma_lens: F64  # (k,) scale, aspect, cu, cv, distortion..., readout, camera by camera; 0: fixed
+    velocity: F64  # (n, 3) m/s at the exposures; 0: unknown
+    sigma_turn: float = 0.0  # rad, 1-sigma of a photo's rotation during the readout; 0: no rotation
 
 
 @dataclass(frozen=True, eq=False)
 class BundleState:
-    """All estimated unknowns."""
+    """All parameters that a bundle adjustment estimates."""
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
     points: F64  # (m, 3) metres
-    lens: F64  # (k,) offsets from the prior cameras, one after the other: scale and aspect relative, px, coefficients
-    mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
-    turns: F64  # (n, 2, 3) rotation vectors in the camera during the readout: linear, and quadratic in time
+    lens: F64  # (k,) offsets from the prior, camera by camera: scale, aspect, cu, cv (px), coefficients, readout (s)
+    mounting: F64  # (3,) rotation vector m in the body: world_from_cam = world_from_body exp(m) body_from_cam
+    turns: F64  # (n, 2, 3) rotation vectors in the camera during the readout, linear and quadratic in time
 
     def for_kernels(self, obs: BundleObservations, priors: Priors) -> tuple[F64 | I64, ...]:
-        """Observations, poses and lenses as input of the kernels, in their order (`adjustment_kernels`)."""
+        """Return observations, poses and lenses as the first arguments of the kernels (`adjustment_kernels`)."""
         lenses = priors.lenses.moved(self.lens)
         lens, model = lenses.table()
         poses = (self.rotations, self.centres, self.turns, priors.velocity)
@@ -62,46 +62,46 @@ class BundleState:
 
 
 class Projection(NamedTuple):
-    """Predicted observations."""
+    """Predicted observations: pixels and depths."""
 
     pixels: F64  # (N, 2), NaN behind the camera
     depth: F64  # (N,) metres
 
 
 class NormalEquations(NamedTuple):
-    """Blocks of the normal equations of N observations of m points in n photos (eq. 7)."""
+    """Blocks of the normal equations (eq. 7) for N observations of m points in n photos, with e unknowns per photo."""
 
-    U: F64  # (p, p) of photos, free lens numbers and mounting, the lower triangle
-    b: F64  # (p,) right side of these
-    coupling: F64  # (N, 3, e) of points and photos
-    lens_coupling: F64  # (m, 3, k) of points and lens numbers
-    information: F64  # (m, 3, 3) of points
-    gradient: F64  # (m, 3) right side of these
+    U: F64  # (p, p) lower triangle for photos, free lens parameters and mounting
+    b: F64  # (p,) right-hand side for U
+    coupling: F64  # (N, 3, e) blocks between points and photos
+    lens_coupling: F64  # (m, 3, k) blocks between points and free lens parameters
+    information: F64  # (m, 3, 3) blocks of the points
+    gradient: F64  # (m, 3) right-hand side for the points
 
 
 class Reduced(NamedTuple):
-    """Normal equations after the points are eliminated (eq. 8)."""
+    """Normal equations after elimination of the points (eq. 8)."""
 
     S: F64  # (p, p)
     rhs: F64  # (p,)
-    covariances: F64  # (m, 3, 3) of the points for exact poses
+    covariances: F64  # (m, 3, 3) covariances of the points if the poses were exact
 
 
 def project_points(state: BundleState, obs: BundleObservations, priors: Priors) -> Projection:
-    """Predict the observations (eqs. 1, 10)."""
+    """Predict the pixels and depths of all observations (eqs. 1, 10)."""
     pixels, depth = np.empty((len(obs.photo), 2)), np.empty(len(obs.photo))
     predict_pixels(*state.for_kernels(obs, priors), obs.point, state.points, pixels, depth)
     return Projection(pixels, depth)
 
 
 def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
-    """Return (N, 2) pixels, predicted less observed; a point behind the camera has a large residual."""
+    """Return the (N, 2) residuals in pixels, predicted minus observed; large (`FAR`) for a point behind the camera."""
     r = project_points(state, obs, priors).pixels - obs.pixels
     return np.nan_to_num(np.clip(r, -FAR, FAR), nan=FAR)
 
 
 def _attitude(state: BundleState, priors: Priors) -> tuple[I64, F64, F64]:
-    """Return the photos with an attitude prior, (k, 3) residuals, (k, 3, 3) derivatives by the mounting (eq. 5)."""
+    """Return photos with an attitude prior, (k, 3) residuals in rad, (k, 3, 3) derivatives by the mounting (eq. 5)."""
     who = np.flatnonzero(
         np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
     )
@@ -112,7 +112,7 @@ def _attitude(state: BundleState, priors: Priors) -> tuple[I64, F64, F64]:
 
 
 def _prior_cost(state: BundleState, priors: Priors) -> float:
-    """Return the cost of GPS, gimbal, mounting and lens (eqs. 4 to 6)."""
+    """Return the cost of the priors: GPS, gimbal, mounting and lens (eqs. 4 to 6)."""
     g = np.nan_to_num((state.centres - priors.centres) / priors.sigma_centres)
     who, a, _ = _attitude(state, priors)
     cost = huber((g**2).sum(axis=1), _PRIOR_LOSS)[1]
@@ -125,11 +125,11 @@ def _prior_cost(state: BundleState, priors: Priors) -> float:
 
 
 class Adjustment:
-    """One Gauss-Newton system over fixed observations: build it, step, accept or damp.
+    """Gauss-Newton system over fixed observations: linearise, step, then accept or damp the step.
 
     Args:
-        obs: N of them.
-        priors: of GPS, gimbal and lens.
+        obs: the N observations.
+        priors: priors of GPS, gimbal and lens.
         pixel_sigma: (N,) px, 1-sigma of each observation.
         loss: Cauchy scale in sigmas.
     """
@@ -137,13 +137,13 @@ class Adjustment:
     def __init__(self, obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float) -> None:
         self.obs, self.priors, self.pixel_sigma, self.loss = obs, priors, pixel_sigma, loss
         self.free = np.flatnonzero(priors.sigma_lens > 0)
-        self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns of a photo: position, rotation, and its turns
-        self.poses = self.each * len(priors.centres)  # unknowns of all photos; those of the lenses follow
+        self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns per photo: position, rotation, turns
+        self.poses = self.each * len(priors.centres)  # unknowns of all photos; the unknowns of the lenses follow
         self.size = self.poses + len(self.free) + 3 * (priors.sigma_mounting > 0)
         self._starts = np.append(obs.starts, len(obs.point))
 
     def cost(self, state: BundleState) -> float:
-        """Return the whole robust cost."""
+        """Return the robust cost of observations and priors."""
         r = residuals(state, self.obs, self.priors) / self.pixel_sigma[:, None]
         return cauchy((r**2).sum(axis=1), self.loss)[1] + _prior_cost(state, self.priors)
 
@@ -153,7 +153,7 @@ class Adjustment:
         numbers, places = lenses.free_numbers(self.priors.sigma_lens > 0)
         scales = 1.0 + state.lens[np.array([[part.start, part.start + 1] for part in lenses.parts])]
         lens = places[lenses.of]
-        # (n, e + f) indices of each photo's unknowns, and of its lens's free numbers; 0 where a lens has fewer
+        # (n, e + f) indices of each photo's unknowns and its lens's free parameters; 0 where a lens has fewer
         at = np.concatenate([self._of_photos(self.each), np.where(lens >= 0, self.poses + lens, 0)], axis=1)
         own, right = np.zeros((*at.shape, at.shape[1])), np.zeros(at.shape)
         coupling, lens_coupling = np.empty((len(obs.photo), 3, self.each)), np.zeros((m, 3, k))
@@ -168,11 +168,11 @@ class Adjustment:
         return NormalEquations(U, b, coupling, lens_coupling, information, gradient)
 
     def _of_photos(self, stop: int, start: int = 0) -> I64:
-        """(n, stop - start) indices of some of the unknowns of each photo."""
+        """Return the (n, stop - start) indices of unknowns `start` to `stop` of each photo."""
         return np.arange(0, self.poses, self.each)[:, None] + np.arange(start, stop)
 
     def prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
-        """Matrix (p, p), the lower triangle, and right side (p,) of the priors (eqs. 4 to 6)."""
+        """Return the matrix (p, p), lower triangle, and right-hand side (p,) of the priors (eqs. 4 to 6)."""
         pr = self.priors
         U, b = np.zeros((self.size, self.size)), np.zeros(self.size)
         g = np.nan_to_num((state.centres - pr.centres) / pr.sigma_centres)
@@ -203,7 +203,7 @@ class Adjustment:
         return U, b
 
     def reduce(self, equations: NormalEquations, damping: float) -> Reduced:
-        """Eliminate the points (eq. 8)."""
+        """Eliminate the points from the normal equations, damped by a share of their diagonal (eq. 8)."""
         S, rhs, *blocks = (equations.U.copy(), equations.b.copy(), *equations[2:])
         S[np.diag_indices_from(S)] *= 1.0 + damping
         longest = int(np.diff(self._starts).max(initial=1))
@@ -235,7 +235,7 @@ class Adjustment:
         )
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
-        """Iterate (Levenberg-Marquardt) until the cost falls by less than a share; a step that raises it is damped."""
+        """Iterate (Levenberg-Marquardt) until the relative decrease of the cost is below `tolerance`."""
         damping, cost, equations = 1e-5, self.cost(state), self.linearise(state)
         for _ in range(iterations):
             try:
@@ -256,9 +256,9 @@ class Adjustment:
         return state
 
     def covariance(self, state: BundleState) -> F64:
-        """Return (6 n + k, 6 n + k) of poses (position, rotation) and free lens numbers (eq. 9).
+        """Return the covariance (6 n + k, 6 n + k) of all poses (position, rotation) and free lens parameters (eq. 9).
 
-        Mounting, points, turns and readouts are marginalised.
+        Mounting, points, rotations during the readout and readout times are marginalised.
         """
         C = covariance_of(self.reduce(self.linearise(state), 0.0).S)
         lens = self.poses + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
@@ -267,9 +267,9 @@ class Adjustment:
 
 
 def covariance_of(S: F64) -> F64:
-    """The inverse of an information matrix (p, p), with positive variances also where rounding left it none.
+    """Invert an information matrix (p, p); variances stay positive even if rounding made the matrix indefinite.
 
-    Unknowns that no observation fixes, as of photos of other ground, get a large variance.
+    Unknowns that no observation determines, such as poses of photos of other ground, get a large variance.
     """
     C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
     if np.isfinite(C).all() and (np.diag(C) > 0).all():
@@ -280,10 +280,10 @@ def covariance_of(S: F64) -> F64:
 
 
 def solved_steps(S: F64, rhs: F64) -> F64:
-    """Solve the reduced normal equations (p, p); of many photos as a sparse matrix, because each overlaps few others.
+    """Solve the reduced normal equations (p, p); above 1200 unknowns as sparse, since each photo overlaps few others.
 
-    Of 1000 photos in strips 3 % of the factor are filled, and it takes a fiftieth of the time. Up to 1200 unknowns a
-    dense matrix is as fast.
+    For 1000 photos in strips, 3 % of the factor is non-zero, and solving takes a fiftieth of the time of a dense
+    matrix. Up to 1200 unknowns, a dense matrix is as fast.
 
     Raises:
         LinAlgError: the matrix is singular.
@@ -299,7 +299,7 @@ def solved_steps(S: F64, rhs: F64) -> F64:
 
 
 def triangulate_bundle(state: BundleState, obs: BundleObservations, priors: Priors, scale_px: float = 3.0) -> F64:
-    """Return (m, 3) points nearest to their rays (midpoint method), with Cauchy weights in four rounds."""
+    """Return (m, 3) points nearest to their rays (midpoint method), reweighted in four rounds (Cauchy, `scale_px`)."""
     ray, origin = np.empty((len(obs.photo), 3)), np.empty((len(obs.photo), 3))
     rays_of_pixels(*state.for_kernels(obs, priors), ray, origin)
     starts, weight = np.append(obs.starts, len(obs.point)), np.ones(len(ray))
@@ -309,7 +309,7 @@ def triangulate_bundle(state: BundleState, obs: BundleObservations, priors: Prio
 
 
 def intersection_angle(points: F64, centres: F64, obs: BundleObservations) -> F64:
-    """Return (m,) the angle in rad between the first ray of each point and the one farthest from it."""
+    """Return (m,) angles in rad between the first ray of each point and the ray that is farthest from it."""
     way = points[obs.point] - centres[obs.photo]
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
     sine = np.linalg.norm(np.cross(way[obs.starts[obs.point]], way), axis=1)

@@ -1,4 +1,4 @@
-"""Result of a bundle adjustment, and its warnings and numbers for the report."""
+"""Result of a bundle adjustment, with its warnings and numbers for the report."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from alight.photos.bundle.solver import BundleState, Priors, residuals
 from alight.records import Frame, PhotoOutcome
 from alight.settings import BundleSettings
 
-LEAST_OBSERVED = 20  # observations that a registered photo keeps
-_GPS_FAR = 6.0  # sigmas of GPS residual worth a warning
+LEAST_OBSERVED = 20  # least observations of a registered photo
+_GPS_FAR = 6.0  # sigmas; a larger GPS residual is worth a warning
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The adjusted state of all photos; only those in `registered` are valid."""
+    """Adjusted state of all photos; valid only for the photos in `registered`."""
 
     state: BundleState
-    registered: I64
-    observations: BundleObservations  # of `state.points`, outliers removed
-    joint: F64  # (6 n + k, 6 n + k) of the poses of all photos and the k lens numbers that are free
+    registered: I64  # photo indices
+    observations: BundleObservations  # observations of `state.points`, without outliers
+    joint: F64  # (6 n + k, 6 n + k) covariance of all n poses and the k free lens parameters
     first: FirstPoses
-    placed: I64  # photos whose GPS was ignored and which were placed by resection
-    free: Mask  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are left out
-    priors: Priors  # as the images corrected them
+    placed: I64  # indices of photos located by resection, whose GPS was ignored
+    free: Mask  # mask of estimated lens parameters (scale, aspect, cu, cv, distortion...); False for readouts
+    priors: Priors  # as corrected by the images
     score: FocalScore
 
     @property
     def covariance(self) -> F64:
-        """(n, 6, 6) of each photo's position and rotation."""
+        """(n, 6, 6) covariance of each photo's position (m) and rotation (rad)."""
         n = (len(self.joint) - int(self.free.sum())) // 6
         at = 6 * np.arange(n)[:, None] + np.arange(6)
         return np.asarray(self.joint[at[:, :, None], at[:, None, :]])
@@ -44,22 +44,22 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The photos of an adjustment, their tags, and what came of them."""
+    """Photos of a bundle adjustment, their tags, and the result."""
 
     frames: Sequence[Frame]
     features: Sequence[PhotoFeatures]
-    tagged: Priors  # by the tags as they are
-    priors: Priors  # the same, or at one height where the altitude tags are ignored
+    tagged: Priors  # from the tags as written
+    priors: Priors  # `tagged`, but at one height if the altitude tags are ignored
     solved: Solved
-    above: F64  # (n,) metres above the place of take-off, by the tags; NaN: not known or not to be compared
+    above: F64  # (n,) metres above take-off by the tags; NaN: unknown or not to be compared
 
     def names(self, which: Sequence[int] | I64) -> str:
-        """The first names of some photos."""
+        """Return the names of the first three of the given photos, and the number of the others."""
         shown = [self.frames[i].name or str(self.frames[i].t_ns) for i in which[:3]]
         return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
 
     def why_out(self, photo: int) -> str:
-        """Reason why a photo was not registered; empty: it was."""
+        """Return why a photo was not registered; empty if it was registered."""
         if photo in self.solved.registered:
             return ""
         few = len(self.features[photo].pixels) < LEAST_OBSERVED
@@ -80,7 +80,7 @@ def why_no_motion(features: Sequence[PhotoFeatures], priors: Priors) -> str:
 
 
 def bundle_warnings(survey: Survey) -> list[str]:
-    """Return the warnings: photos left out with the reason, and photos whose tags contradict the images."""
+    """Return warnings about photos left out, with the reason, and photos whose tags contradict the images."""
     solved, tagged, priors = survey.solved, survey.tagged, survey.priors
     out = list(solved.first.warnings)
     if solved.first.climbs:
@@ -109,11 +109,11 @@ def bundle_warnings(survey: Survey) -> list[str]:
 
 
 def fixed_attitudes(joint: F64, photos: int) -> Mask:
-    """True for photos (n,) whose attitude the pictures fix to 3 rad: false matches of noise leave any one possible.
+    """Return a mask (n,) of photos whose attitude is determined to 3 rad; false matches leave it undetermined.
 
     Args:
-        joint: (6 n + k, 6 n + k) covariance of positions and attitudes; of unknowns that nothing fixes,
-            the inverse of a nearly singular matrix: huge, or by rounding even negative.
+        joint: (6 n + k, 6 n + k) covariance of positions and attitudes. Undetermined unknowns have huge or, by
+            rounding, negative variances.
         photos: n.
     """
     at = 6 * np.arange(photos)[:, None] + np.arange(3, 6)
@@ -124,7 +124,7 @@ def fixed_attitudes(joint: F64, photos: int) -> Mask:
 
 
 def outcomes_of(survey: Survey) -> tuple[PhotoOutcome, ...]:
-    """Return the outcome of the tags of each photo."""
+    """Return the outcome of each photo: whether its tags were used, or why it was left out."""
     out, first = [], survey.solved.first
     for k, frame in enumerate(survey.frames):
         if why := survey.why_out(k):
@@ -146,7 +146,7 @@ def outcomes_of(survey: Survey) -> tuple[PhotoOutcome, ...]:
 def notes_of(
     survey: Survey, state: BundleState, obs: BundleObservations, settings: BundleSettings
 ) -> dict[str, object]:
-    """Return the numbers of the report; lengths in metres, angles in rad, `_px` in pixels."""
+    """Return the numbers for the report; lengths in metres, angles in rad, `_px` in pixels."""
     solved, priors = survey.solved, survey.priors
     lenses = priors.lenses.moved(state.lens)
     camera = lenses.cameras[0]

@@ -1,1 +1,1 @@
-"""Whether a set of photos will do, before a run."""
+"""Check before a run whether a set of photos is suitable."""

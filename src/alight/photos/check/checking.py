@@ -1,4 +1,4 @@
-"""All checks of a set of photos, and the verdict whether a run will find something in them."""
+"""All checks of a set of photos, and the verdict whether a run can use them."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from alight.photos.check.evidence import PhotoEvidence, coverage, gather_photos
 from alight.photos.reading.photos import Photos
 from alight.settings import Settings
 
-CPU_A_MEGAPIXEL = 1.0  # s, of a run (docs/lab/photos.md)
+CPU_A_MEGAPIXEL = 1.0  # s of CPU time per megapixel of a run (docs/lab/photos.md)
 
 
 def check_photos(
     source: Photos, settings: Settings, progress: Callable[[float], None] = lambda share: None
 ) -> list[CheckResult]:
-    """Check whether photos will do, by their tags and a sample of their pictures; the verdict is last.
+    """Check whether photos are suitable, by their tags and a sample of their pictures; the verdict is last.
 
     Args:
         source: the photos.
-        settings: of the run that is planned.
-        progress: called with the share that is done.
+        settings: settings of the planned run.
+        progress: called with the completed share.
     """
     found = gather_photos(source, progress)
     results = [
@@ -39,14 +39,14 @@ def check_photos(
 
 
 def _of_reading(source: Photos) -> Iterator[CheckResult]:
-    """What was noticed while the tags were read: contradictions are faults."""
+    """Yield what was noticed while the tags were read; contradictions are faults, all else is a warning."""
     for sentence in source.warnings:
         contradicts = sentence in source.findings.contradictions
         yield bad("reading", sentence, "remove the wrong tags") if contradicts else warning("reading", sentence, "")
 
 
 def judge_set(found: PhotoEvidence) -> CheckResult:
-    """Number, size and kind of the pictures, and those that are not used."""
+    """Judge number, size and kind of the pictures, and report unused pictures."""
     notes, used = found.source.notes, len(found.exposures)
     left_out = [p for p in found.source.photos if p.left_out]
     cameras = notes.get("cameras") or [notes["camera"]]
@@ -65,7 +65,7 @@ def judge_set(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_focal(found: PhotoEvidence) -> CheckResult:
-    """Focal length and its source; whether the pictures confirm it stands with the heights."""
+    """Judge the source of the focal length; `judge_heights` checks whether the pictures confirm it."""
     notes = found.source.notes
     facts = [
         f"{notes['focal_px']:.0f} px, {notes['focal_from']}",
@@ -77,7 +77,7 @@ def judge_focal(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_positions(found: PhotoEvidence) -> CheckResult:
-    """Kinds of fix, and their 1-sigma."""
+    """Judge whether all photos have positions; report kinds of fix and their 1-sigma."""
     notes, lack = found.source.notes, int((~np.isfinite(found.centres).all(axis=1)).sum())
     kinds = ", ".join(f"{n} {kind}" for kind, n in notes["gps"].items())
     east, north, up = notes["position_sigma"]
@@ -88,7 +88,7 @@ def judge_positions(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_heights(found: PhotoEvidence) -> CheckResult:
-    """What altitudes count from, and height above ground by the tags against that by focal length and baseline."""
+    """Compare the height above take-off by tags with the height above ground by focal length and baseline."""
     counted, tagged, seen = found.source.notes["heights_count_from"], found.above, found.measured
     check = Check("heights", [f"altitudes count from: {counted}"], incomplete="not declared" in counted)
     if np.isfinite(tagged).any():
@@ -111,7 +111,7 @@ def judge_heights(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_attitude(found: PhotoEvidence) -> CheckResult:
-    """Source of the attitudes, and where the cameras looked."""
+    """Judge where the cameras looked, and report the source of the attitudes."""
     kinds = ", ".join(f"{n} {kind or 'none'}" for kind, n in found.source.notes["attitude_from"].items())
     if not np.isfinite(found.down).any():
         return unknown("attitude", f"{kinds}: whether the cameras looked down follows from the pictures in a run")
@@ -120,7 +120,7 @@ def judge_attitude(found: PhotoEvidence) -> CheckResult:
         f"{kinds}; optical axes {np.median(off):.0f} degrees from straight down, one in ten more than "
         f"{np.percentile(off, 90):.0f}"
     )
-    if np.median(off) > 30:  # no fault: a run drops the tags if the pictures contradict them
+    if np.median(off) > 30:  # no fault, since a run drops tags that the pictures contradict
         return warning(
             "attitude", evidence, "point the camera down, or up to 30 degrees off, unless the tags are wrong"
         )
@@ -128,7 +128,7 @@ def judge_attitude(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_exposure(found: PhotoEvidence) -> CheckResult:
-    """Whether pictures of the sample are saturated, black or flat."""
+    """Judge whether the sampled pictures are saturated, black or flat."""
     if not found.brightness:
         return unknown("exposure", "no picture of the sample can be read")
     light = Brightness(*np.median(np.array(found.brightness), axis=0))
@@ -145,7 +145,7 @@ def judge_exposure(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_sharpness(found: PhotoEvidence) -> CheckResult:
-    """Focus and motion blur, from the width of the sharpest edges: good pictures have 1.8 to 3 px."""
+    """Judge focus and motion blur by the width of the sharpest edges, which is 1.8 to 3 px in good pictures."""
     known = found.edges[np.isfinite(found.edges).all(axis=1)]
     if len(known) < 3:
         return unknown("sharpness", "too few edges in the pictures")
@@ -162,7 +162,7 @@ def judge_sharpness(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_overlap(found: PhotoEvidence) -> CheckResult:
-    """Overlap by positions, height and field of view, and by matching neighbours, which counts for more."""
+    """Judge the overlap by matched neighbours or, without matches, by positions, height and field of view."""
     check, matched = Check("overlap"), [p.overlap for p in found.pairs if p.matches]
     along = float(np.nanmedian(matched)) if np.isfinite(matched).any() else float("nan")
     cover = coverage(found, found.height) if found.height > 0 else None
@@ -185,7 +185,7 @@ def judge_overlap(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_resolution(found: PhotoEvidence, settings: Settings) -> CheckResult:
-    """Size of a pixel on the ground, and whether it lets the lander's limits exclude obstacles."""
+    """Judge whether a pixel on the ground is small enough to exclude obstacles beyond the lander's limits."""
     height, stages = found.height, settings.stages()
     enough = pixel_that_settles(read_detection(), stages.lander, stages.hazards)
     tallest = stages.lander.tallest_obstacle
@@ -202,7 +202,7 @@ def judge_resolution(found: PhotoEvidence, settings: Settings) -> CheckResult:
 
 
 def estimate(found: PhotoEvidence, settings: Settings) -> CheckResult:
-    """Time, memory and disk that a run will take, an estimate by the number of photos and their pixels."""
+    """Estimate the time, memory and disk space of a run from the number of photos and pixels."""
     n, cores = len(found.exposures), os.cpu_count() or 1
     megapixels = sum(e.tags.size[0] * e.tags.size[1] for e in found.exposures) / 1e6
     minutes = CPU_A_MEGAPIXEL * megapixels / 60
@@ -215,7 +215,7 @@ def estimate(found: PhotoEvidence, settings: Settings) -> CheckResult:
 
 
 def verdict(results: list[CheckResult]) -> CheckResult:
-    """Whether the photos will do, by all checks."""
+    """Summarise all checks: whether the photos are suitable."""
     wrong, doubtful = (
         list(dict.fromkeys(r.name for r in results if r.verdict is kind)) for kind in (Judged.BAD, Judged.WARNING)
     )

@@ -1,4 +1,4 @@
-"""Evidence about a set of photos: a sample of its pictures, pairs of neighbours that are matched, and its geometry."""
+"""Evidence about a set of photos: a sample of pictures, matched pairs of neighbours, and the geometry of the set."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ from alight.photos.reading.photos import Photos, UsedPhoto
 from alight.spread import robust_sigma
 
 SAMPLE = 8  # pairs of neighbours, spread over the set, whose pictures are read
-MATCHED_PX = 800  # longer side at which they are matched
+MATCHED_PX = 800  # longer side at which neighbours are matched
 NADIR = np.cos(np.radians(15.0))
 
 
 class NeighbourPair(NamedTuple):
-    """Two neighbours, as their pictures show them."""
+    """Two neighbouring photos, and what their pictures show."""
 
-    first: int  # numbers of the exposures
+    first: int  # indices of the exposures
     other: int
-    matches: int  # features that follow one homography; 0: none was found
-    overlap: float  # share of the first picture that the other one shows; NaN without matches
-    height: float  # metres above ground, by focal length and baseline; NaN: not known
+    matches: int  # features that follow one homography; 0: no match
+    overlap: float  # share of the first picture that the other picture shows; NaN without matches
+    height: float  # metres above ground, by focal length and baseline; NaN: unknown
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoEvidence:
-    """Evidence about one set."""
+    """Evidence about one set of photos."""
 
     exposures: list[UsedPhoto]
     source: Photos
-    brightness: list[Brightness]  # of the sample
-    edges: F64  # (N, 2) px, widths of the sharpest edges of the sample, as `edge_widths`
+    brightness: list[Brightness]  # of each sampled picture
+    edges: F64  # (N, 2) px, widths of the sharpest edges of sampled pictures, see `edge_widths`
     pairs: list[NeighbourPair]
-    unread: list[str]  # pictures of the sample that cannot be read, with the reason
-    poses: F64  # (n, 3, 3) world_from_cam by the tags, else looking down along the flight
-    centres: F64  # (n, 3) metres; NaN: not known
+    unread: list[str]  # sampled pictures that cannot be read, with the reason
+    poses: F64  # (n, 3, 3) world_from_cam by the tags, else looking down with the top along the flight
+    centres: F64  # (n, 3) metres; NaN: unknown
 
     @property
     def above(self) -> F64:
-        """(n,) metres above the place of take-off, by the tags; NaN: not known."""
+        """(n,) metres above take-off by the tags; NaN: unknown."""
         heights = [e.tags.relative_altitude for e in self.exposures]
         return np.array([np.nan if h is None else h for h in heights])
 
     @property
     def measured(self) -> float:
-        """Height above ground by the matched pairs, metres, their median; NaN: too few, or they disagree."""
+        """Median height above ground by the matched pairs, metres; NaN: too few pairs, or they disagree."""
         heights = np.array([p.height for p in self.pairs if np.isfinite(p.height)])
         if len(heights) < 3:
             return np.nan
@@ -62,19 +62,19 @@ class PhotoEvidence:
 
     @property
     def height(self) -> float:
-        """Height above ground, metres, by the tags, else by the pairs; NaN: not known."""
+        """Height above take-off by the tags, else above ground by matched pairs, metres; NaN: unknown."""
         above = self.above
         return float(np.nanmedian(above)) if np.isfinite(above).any() else self.measured
 
     @property
     def down(self) -> F64:
-        """(n,) cosine of the angle between the optical axis and the vertical, by the tags; NaN: they give none."""
+        """(n,) cosine of the angle between optical axis and straight down, by the tags; NaN: unknown."""
         tagged = np.array([e.nav.world_from_body is not None for e in self.exposures])
         return np.where(tagged, -self.poses[:, 2, 2], np.nan)
 
 
 def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvidence:
-    """Read a sample of the pictures, and match each of them with a neighbour."""
+    """Read a sample of the pictures, and match each with a neighbour; `progress` receives the completed share."""
     exposures = source.exposures
     centres = np.array(
         [np.full(3, np.nan) if e.nav.position_world is None else e.nav.position_world for e in exposures]
@@ -107,13 +107,12 @@ def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvi
 
 
 def _middle(picture: U8, side: int = 1200) -> U8:
-    """The middle of a picture, where its lens is sharpest."""
     top, left = (max(0, (n - side) // 2) for n in picture.shape[:2])
     return np.ascontiguousarray(picture[top : top + side, left : left + side])
 
 
 def _neighbour(number: int, centres: F64) -> int | None:
-    """The next photo, or else the one before, unless another one is much nearer."""
+    """Return the index of the next photo (for the last photo, the previous one), or of a much nearer photo."""
     if len(centres) < 2:
         return None
     next_one = number + 1 if number + 1 < len(centres) else number - 1
@@ -126,7 +125,7 @@ def _neighbour(number: int, centres: F64) -> int | None:
 
 
 def _poses(exposures: list[UsedPhoto], centres: F64) -> F64:
-    """(n, 3, 3) world_from_cam by the tags; without them, looking down with the top of the picture along the flight."""
+    """Return (n, 3, 3) world_from_cam by the tags; without tags, looking down with the top along the flight."""
     out = np.empty((len(exposures), 3, 3))
     known = np.nan_to_num(centres)
     for k, exposure in enumerate(exposures):
@@ -139,7 +138,6 @@ def _poses(exposures: list[UsedPhoto], centres: F64) -> F64:
 
 
 def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8]) -> NeighbourPair:
-    """Match two neighbours by SIFT features that follow one homography."""
     sift = cv2.SIFT.create(1500)
     (points, table), (others, its_table) = (sift.detectAndCompute(s, None) for s in small)
     nothing = NeighbourPair(*numbers, 0, np.nan, np.nan)
@@ -153,7 +151,7 @@ def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8
     factors = [-(-max(lens.width, lens.height) // MATCHED_PX) for lens in lenses]
     a = full_size(np.array([points[m.queryIdx].pt for m in good]), factors[0])
     b = full_size(np.array([others[m.trainIdx].pt for m in good]), factors[1])
-    H, inside = cv2.findHomography(a, b, cv2.RANSAC, 4.0 * factors[1])  # relief moves features by pixels
+    H, inside = cv2.findHomography(a, b, cv2.RANSAC, 4.0 * factors[1])  # relief shifts features by pixels
     if H is None or inside.sum() < LEAST_FEATURES:
         return nothing
     lens, its = lenses
@@ -166,32 +164,32 @@ def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8
 
 
 def _height(found: PhotoEvidence, numbers: tuple[int, int], ray: F64) -> float:
-    """Metres above ground by parallax, for cameras that look down; NaN: not known.
+    """Return the height above ground in metres by parallax, for cameras that look down; NaN: unknown.
 
     Args:
-        found: with the poses.
-        numbers: of two exposures.
-        ray: (3,) in the second camera, of the ground on the optical axis of the first.
+        found: evidence with poses and centres.
+        numbers: indices of two exposures.
+        ray: (3,) ray in the second camera to the ground on the first camera's optical axis.
     """
     i, j = numbers
     down = np.nan_to_num(found.down[[i, j]], nan=1.0)
-    way = (found.centres[i] - found.centres[j]) * [1.0, 1.0, 0.0]  # altitudes are wrong too often
+    way = (found.centres[i] - found.centres[j]) * [1.0, 1.0, 0.0]  # without altitudes, which are wrong too often
     if not (down > NADIR).all() or not np.linalg.norm(way) > 1.0:
         return np.nan
     axis, base = found.poses[j].T @ (found.poses[i][:, 2] / down[0]), found.poses[j].T @ way
     turned, moved = (np.linalg.norm(v[:2] - ray[:2] / ray[2] * v[2]) for v in (axis, base))
-    return float(moved / turned) if turned > 0 else np.nan  # a common error of both headings does no harm
+    return float(moved / turned) if turned > 0 else np.nan  # a heading error common to both has no effect
 
 
 class Coverage(NamedTuple):
-    """How photos overlap on level ground."""
+    """Overlap of photos on level ground."""
 
-    along: F64  # share of a picture that the next one shows, of photos that have a next one
-    views: I64  # photos that show the ground in the middle of each
+    along: F64  # share of each picture that the next picture shows, for photos with a next one
+    views: I64  # number of photos that show the ground in the middle of each picture
 
 
 def coverage(found: PhotoEvidence, height: float) -> Coverage:
-    """Overlap by positions, attitudes and the field of view, over level ground so many metres below each photo."""
+    """Compute the overlap by positions, attitudes and fields of view, over ground `height` metres below each photo."""
     known = np.flatnonzero(np.isfinite(found.centres).all(axis=1) & (-found.poses[:, 2, 2] > 0.3)).tolist()
     chosen = known[:: max(1, len(known) // 400)]
     views, along = list[int](), list[float]()
@@ -214,7 +212,6 @@ def _near(found: PhotoEvidence, k: int, j: int, height: float) -> bool:
 
 
 def _shows(found: PhotoEvidence, number: int, ground: F64) -> Mask:
-    """True for ground (N, 3) metres that a photo shows."""
     lens = found.source.rig.cameras[found.exposures[number].camera].camera
     seen = (ground - found.centres[number]) @ found.poses[number]
     pixels = lens.project(np.where(seen[:, 2:] > 0, seen, np.nan))

@@ -1,12 +1,13 @@
-"""The time between a film and its telemetry: the path of the picture over the ground against the track.
+"""Clock offset between a film and its telemetry, from the path of the pictures over the ground and the GPS track.
 
-A camera that looks down sees the ground move by its own velocity, turned by its heading and divided by the height above
-ground. With the heading summed up from the pictures' rotation, and all as complex numbers, two numbers are unknown:
+A camera that looks down sees the ground move with its own velocity, rotated by its heading and divided by the height
+above ground. The heading is integrated from the pictures' rotation. With plane vectors as complex numbers, the velocity
+u in the pictures follows from the velocity v of the telemetry up to two unknown factors, c (complex) and k (real):
 
-    u(t) = c v(t + offset) + k g(t),  k real
+    u(t) = c v(t + offset) + k g(t)
 
-with the motion g that turning causes in the middle of the picture if the camera looks down a little obliquely. So every
-stop, turn and change of speed shows the offset, and neither focal length nor attitude is needed.
+Here g is the motion that turning causes at the picture's centre if the camera is slightly tilted. Every stop, turn and
+change of speed shows the offset, so neither focal length nor attitude is needed.
 """
 
 from __future__ import annotations
@@ -26,27 +27,27 @@ from alight.geometry import Camera
 from alight.photos.reading.film_frames import FilmFrames
 from alight.photos.reading.film_telemetry import FilmTelemetry
 
-Complex = NDArray[np.complex128]  # one direction + 1j the one to its left
+Complex = NDArray[np.complex128]  # first axis + 1j times the axis to its left
 
-BETWEEN = 0.2  # s between two pictures that are compared
-LONGEST = 120.0  # s of film that are compared
-SPAN = 1.0  # s over which a velocity is taken: GPS repeats and rounds its places
-PARTLY = 30.0  # s of motion from which film and telemetry may overlap by two thirds; else the shorter lies in the other
-TILT = 0.3  # rad, 1-sigma, of a camera that looks down: less, and a turn at an even speed looks like an offset
-MODEL = 0.15  # of the motion that tilt, relief and GPS may leave unexplained at the true offset
+BETWEEN = 0.2  # s, least time between two compared pictures
+LONGEST = 120.0  # s, longest part of a film that is compared
+SPAN = 1.0  # s over which a velocity is averaged, because GPS repeats and rounds its positions
+PARTLY = 30.0  # s; if both last longer, an overlap of two thirds suffices, else the longer contains the shorter
+TILT = 0.3  # rad, 1-sigma tilt of a camera that looks down; with less, a turn at constant speed looks like an offset
+MODEL = 0.15  # share of the motion that tilt, relief and GPS may leave unexplained at the true offset
 
 
 @dataclass(frozen=True, eq=False)
 class PicturePath:
-    """The way that the pictures moved over the ground."""
+    """Path of the pictures over the ground."""
 
-    seconds: F64  # (N,) s, of the film
-    path: Complex  # (N,) in focal lengths per height above ground
-    heading: Complex  # (N,) of length 1
+    seconds: F64  # (N,) s, on the film's clock
+    path: Complex  # (N,) image shift by the ground's motion, in units of an assumed focal length
+    heading: Complex  # (N,) unit complex numbers
 
 
 def picture_path(film: Path) -> PicturePath:
-    """Follow the ground through a film."""
+    """Compute the path of the pictures over the ground, from the first `LONGEST` seconds of a film."""
     seconds, path, headings, move, last = list[float](), [0j], [1.0 + 0j], 0j, None
     with FilmFrames(film) as frames:
         for t in frames:
@@ -57,7 +58,7 @@ def picture_path(film: Path) -> PicturePath:
             small, factor = downscaled(frame, 640)
             if last is not None:
                 seen = _motion(last, small, factor)
-                move, half = seen or (move, 1.0 + 0j)  # unseen: as before
+                move, half = seen or (move, 1.0 + 0j)  # no match: repeat the last motion
                 path.append(path[-1] + headings[-1] * half * move)
                 headings.append(headings[-1] * half * half)
             seconds.append(t)
@@ -66,9 +67,9 @@ def picture_path(film: Path) -> PicturePath:
 
 
 def _motion(then: U8, now: U8, factor: int) -> tuple[complex, complex] | None:
-    """The camera's motion to the right + 1j forward, in focal lengths per height above ground, and half its rotation.
+    """Return the camera's motion (right + 1j forward), and half its rotation as a unit complex number.
 
-    None where too few features agree.
+    The motion is in units of an assumed focal length. None if too few features agree.
     """
     height, width = (float(n * factor) for n in now.shape)
     lens = Camera(round(width), round(height), width, width, width / 2, height / 2)
@@ -83,7 +84,7 @@ def film_offset(pictures: PicturePath, telemetry: FilmTelemetry) -> ClockOffset:
     """Find the time of the telemetry at which the film begins.
 
     Returns:
-        the offset to be added to the film's time, s.
+        The offset in seconds to add to the film's time, and the reason if it is unclear.
     """
     t0, u = _velocity(pictures.seconds, pictures.path)
     _, g = _velocity(pictures.seconds, 1j * pictures.heading)
@@ -94,7 +95,7 @@ def film_offset(pictures: PicturePath, telemetry: FilmTelemetry) -> ClockOffset:
     vu, vg, gu = _sums(v, u), _sums(v, g), _sums(always, u * np.conj(g))
     vv, uu, gg = _sums(_energy(v), np.ones(len(u))).real, *(_sums(always, _energy(x)).real for x in (u, g))
     vv, uu = np.maximum(vv, 1e-9 * vv.max()), np.maximum(uu, 1e-9 * uu.max())
-    left, turning = uu - abs(vu) ** 2 / vv, (gu - vg.conj() * vu / vv).real  # without what c explains
+    left, turning = uu - abs(vu) ** 2 / vv, (gu - vg.conj() * vu / vv).real  # left after the part that c explains
     left -= turning**2 / (gg - abs(vg) ** 2 / vv + uu * (MODEL / TILT) ** 2)
     left = np.sqrt((left / uu).clip(0.0) + MODEL**2)
     first = np.arange(1 - len(u), len(v))
@@ -111,12 +112,12 @@ def _energy(z: Complex) -> F64:
 
 
 def _sums(a: Complex | F64, b: Complex | F64) -> Complex:
-    """(N + M - 1,) sums of a[j + k] conj(b[j]) over the common j, from k = 1 - M on."""
+    """Return the (N + M - 1,) sums over j of a[j + k] conj(b[j]), for k = 1 - M, ..., N - 1."""
     return np.asarray(fftconvolve(a, np.conj(b[::-1])))
 
 
 def _velocity(seconds: F64, path: Complex) -> tuple[float, Complex]:
-    """Start, and velocity at equal steps, of a path; empty for one that is too short."""
+    """Return the first time (s) and the velocity at steps of `STEP` s along a path; empty if the path is too short."""
     t = np.arange(seconds[0] + SPAN / 2, seconds[-1] - SPAN / 2 + 1e-9, STEP)
     after, before = (np.interp(t + d, seconds, path) for d in (SPAN / 2, -SPAN / 2))
     return float(t[0]) if len(t) else 0.0, np.asarray((after - before) / SPAN)

@@ -1,4 +1,4 @@
-"""The frames of a film in order, with the times that the decoder gives them, as they are stored."""
+"""Frames of a film in order, as stored, with the decoder's time stamps."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from alight.arrays import U8
 
 
 class FilmFrames:
-    """A film while it is read: iterating gives the time of each frame in seconds, `image` its pixels."""
+    """An open film. Iteration yields the time of each frame in seconds; `image` decodes the current frame."""
 
     def __init__(self, path: Path) -> None:
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder repeats our own messages on stderr
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # else the decoder repeats Alight's messages on stderr
         self._film = cv2.VideoCapture(str(path))
         self._film.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         self._rate = self._film.get(cv2.CAP_PROP_FPS) or 30.0
-        self.number = -1  # of the frame
+        self.number = -1  # index of the current frame
 
     def __enter__(self) -> Self:
         return self
@@ -39,22 +39,22 @@ class FilmFrames:
             yield max(before, 0.0)
 
     def image(self) -> U8 | None:
-        """The frame, RGB (H, W, 3); None if it is damaged."""
+        """Decode the current frame, (H, W, 3) RGB; None if it is damaged."""
         fine, frame = self._film.retrieve()
         return np.ascontiguousarray(frame[..., ::-1]) if fine else None
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the frames."""
+        """Width and height of the frames in pixels."""
         return int(self._film.get(cv2.CAP_PROP_FRAME_WIDTH)), int(self._film.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
     @property
     def orientation(self) -> int:
-        """EXIF orientation that shows the frames upright; 1: as they are stored."""
+        """EXIF orientation that displays the frames upright; 1: the frames are stored upright."""
         turn = round(self._film.get(cv2.CAP_PROP_ORIENTATION_META) / 90) % 4
         return (1, 6, 3, 8)[turn]
 
     @property
     def seconds(self) -> float:
-        """Length of the film by its header."""
+        """Length of the film in seconds by its header; 0 if not given."""
         return max(self._film.get(cv2.CAP_PROP_FRAME_COUNT), 0.0) / self._rate

@@ -1,4 +1,4 @@
-"""The telemetry of a film, whatever it was read from: rows by time, and the values between two of them."""
+"""Telemetry of a film, independent of its format: rows by time, and interpolation between two rows."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-BETWEEN = ("latitude", "longitude", "abs_alt", "rel_alt")  # values that are interpolated
+BETWEEN = ("latitude", "longitude", "abs_alt", "rel_alt")  # interpolated values
 
 
 @dataclass(frozen=True)
 class TelemetryRow:
-    """Values of one moment."""
+    """Telemetry values at one time: position, heights, camera angles."""
 
     seconds: float  # on the clock of the telemetry
     values: dict[str, float]  # latitude, longitude [degrees], abs_alt, rel_alt [m], focal_len, gb_yaw, ...
     taken: datetime | None = None
-    coarse: bool = False  # latitude and longitude have few decimals
+    coarse: bool = False  # whether latitude and longitude have few decimals
 
     @property
     def place(self) -> tuple[float, float] | None:
@@ -35,41 +35,41 @@ class TelemetryRow:
 
 @dataclass(frozen=True)
 class FilmTelemetry:
-    """Rows with a place, in order of time."""
+    """Rows with a position, in order of time."""
 
     rows: tuple[TelemetryRow, ...]
-    source: str  # where it was read
-    found: str = ""  # what was settled on reading it
-    of_film: bool = True  # its clock begins with the film, unless the film was cut
+    source: str  # file or track that the telemetry was read from
+    found: str = ""  # what was inferred while reading, in words
+    of_film: bool = True  # whether the clock begins with the film, unless the film was cut
 
     @classmethod
     def of(cls, rows: Iterable[TelemetryRow], source: str, found: str = "", of_film: bool = True) -> FilmTelemetry:
-        """Sort the rows that have a place; of several at one time the first counts."""
+        """Build telemetry from the rows that have a position; of rows with equal times, the first is used."""
         by_time = {r.seconds: r for r in reversed(list(rows)) if r.place is not None}
         return cls(tuple(by_time[t] for t in sorted(by_time)), source, found, of_film)
 
     @cached_property
     def seconds(self) -> list[float]:
-        """Times of the rows."""
+        """Times of the rows in seconds."""
         return [r.seconds for r in self.rows]
 
     @cached_property
     def step(self) -> float:
-        """Usual time from one row to the next, s."""
+        """Median time between rows, s; 1 for a single row."""
         return float(np.median(np.diff(self.seconds))) if len(self.rows) > 1 else 1.0
 
     @property
     def length(self) -> float:
-        """Seconds from the first row to the end of the last."""
+        """Time from the first row to the end of the last row, s."""
         return self.seconds[-1] - self.seconds[0] + self.step
 
     @property
     def speed(self) -> float:
-        """Mean speed over the ground, m/s."""
+        """Mean ground speed, m/s."""
         return sum(abs(apart(a, b)) for a, b in pairwise(self.rows)) / self.length
 
     def at(self, seconds: float) -> TelemetryRow | None:
-        """Return the values at a time, places and heights interpolated; None outside, and in a gap of 2 s or more."""
+        """Interpolate positions and heights at a time, s; None outside the rows and in gaps over 2 s (or 3 steps)."""
         k = bisect_right(self.seconds, seconds + 1e-6) - 1  # s: times are written in milliseconds at best
         reach = max(2.0, 3.0 * self.step)
         if k < 0 or seconds - self.seconds[k] > (reach if k + 1 < len(self.rows) else self.step):
@@ -87,15 +87,16 @@ class FilmTelemetry:
         return self._moved(replace(row, values=row.values | between), seconds)
 
     def _moved(self, row: TelemetryRow, seconds: float) -> TelemetryRow:
-        """A row at another time; its date follows from that of the first row."""
+        """Return a row moved to another time; its date follows from the first row's date."""
         first = self.rows[0]
         taken = None if first.taken is None else first.taken + timedelta(seconds=seconds - first.seconds)
         return replace(row, seconds=seconds, taken=taken)
 
     def path(self) -> NDArray[np.complex128]:
-        """(N,) metres east + 1j north from the first row, divided by the height above take-off where all rows have it.
+        """Return the (N,) path from the first row in metres, east + 1j north.
 
-        So divided, it is the path that the picture of level ground moves by, in focal lengths.
+        If all rows have a height above take-off, the path is divided by it. It then equals the path of the picture over
+        level ground, in focal lengths.
         """
         steps = [(apart(a, b), min(a.values.get("rel_alt", 0.0), b.values.get("rel_alt", 0.0)))
                  for a, b in pairwise(self.rows)]  # fmt: skip
@@ -105,9 +106,9 @@ class FilmTelemetry:
 
 
 def apart(a: TelemetryRow, b: TelemetryRow) -> complex:
-    """Metres east + 1j north from one row to another."""
+    """Return the vector from one row to another in metres, east + 1j north."""
     assert a.place is not None
-    scale = 111_194.0  # m a degree
+    scale = 111_194.0  # m per degree
     east = math.cos(math.radians(a.place[0])) * _difference(a, b, "longitude")
     return scale * complex(east, _difference(a, b, "latitude"))
 

@@ -1,4 +1,4 @@
-"""Where a film's telemetry is found: in a file beside it, or in a track of the film."""
+"""Find a film's telemetry, in a file next to it or in one of its tracks."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SUBTITLES = (".srt", ".ass", ".vtt")
 
 
 def telemetry_beside(film: Path) -> FilmTelemetry | None:
-    """The telemetry in subtitles or in a GPX track of the film's name; None: there is no such file.
+    """Read the telemetry from the subtitles or GPX track that share the film's name; None if there is no such file.
 
     Raises:
-        InputError: it has no place, or cannot be used.
+        InputError: no file holds a position, or a file cannot be used.
     """
     files = {p.suffix.lower(): p for p in sorted(film.parent.iterdir()) if p.stem == film.stem}
     found = [files[suffix] for suffix in (*SUBTITLES, ".gpx") if suffix in files]
@@ -42,13 +42,13 @@ def telemetry_beside(film: Path) -> FilmTelemetry | None:
 
 
 def read_gpx(text: str, source: str) -> FilmTelemetry:
-    """The track of a GPX file; its clock begins with its first point.
+    """Parse the track of a GPX file; its clock begins at its first point.
 
     Raises:
-        InputError: it is no GPX track, or has no times.
+        InputError: the text is not a GPX track, or no point has a time.
     """
     try:
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # no GPX has one, and it is a known attack
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # no GPX track has a document type, which is a known attack
             raise InputError(f"{source}: has a document type; give a GPX track")
         points = ET.fromstring(text).iterfind(".//{*}trkpt")
         timed = [(datetime.fromisoformat(t.strip()), p) for p in points if (t := p.findtext("{*}time"))]
@@ -68,11 +68,11 @@ def _values(point: ET.Element) -> dict[str, float]:
 
 
 def telemetry_inside(film: Path, seconds: float) -> FilmTelemetry | None:
-    """The telemetry in a track of a film; None: there is none that can be read.
+    """Read the telemetry from a track of a film; None if no track can be read.
 
     Args:
-        film: the file.
-        seconds: its length.
+        film: the film's path.
+        seconds: length of the film.
 
     Raises:
         InputError: neither `av` nor `ffmpeg` is installed.
@@ -96,7 +96,7 @@ def telemetry_inside(film: Path, seconds: float) -> FilmTelemetry | None:
 
 
 def _by_av(film: Path) -> tuple[list[tuple[float, bytes]], str]:
-    """GPMF payloads with their times, and the subtitles in SubRip's form."""
+    """Return (seconds, GPMF payload) pairs and the subtitles in SubRip format, read by `av`."""
     import av
 
     payloads, subtitles = list[tuple[float, bytes]](), list[str]()
@@ -109,18 +109,18 @@ def _by_av(film: Path) -> tuple[list[tuple[float, bytes]], str]:
                     continue
                 seconds = float(packet.pts * packet.time_base)
                 if kind == "subtitle":
-                    skip = 2 if int.from_bytes(data[:2], "big") == len(data) - 2 else 0  # mov_text has its length first
+                    skip = 2 if int.from_bytes(data[:2], "big") == len(data) - 2 else 0  # mov_text: the length is first
                     body = data[skip:].decode("utf-8", errors="replace").replace("\\N", "\n")
                     subtitles.append(f"{_clock(seconds)} --> {_clock(seconds)}\n{body}")
                 elif data.startswith(b"DEVC"):
                     payloads.append((seconds, data))
     except av.error.FFmpegError:
-        pass  # a damaged file: what came before the damage counts
+        pass  # a damaged file: use what came before the damage
     return payloads, "\n\n".join(subtitles)
 
 
 def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], str]:
-    """The same by the tool; the payloads of a track follow each other in equal times."""
+    """Return what `_by_av` returns, read by `ffmpeg`; the payloads are assumed to be evenly spaced in time."""
 
     def track(*arguments: str) -> bytes:
         command = ["ffmpeg", "-v", "error", "-nostdin", "-i", str(film), *arguments, "-"]
@@ -132,6 +132,5 @@ def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], s
 
 
 def _clock(seconds: float) -> str:
-    """A time as SubRip writes it."""
     ms = round(1000 * seconds)
     return f"{ms // 3_600_000:02d}:{ms // 60_000 % 60:02d}:{ms // 1000 % 60:02d},{ms % 1000:03d}"

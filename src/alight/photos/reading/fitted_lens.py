@@ -1,4 +1,4 @@
-"""Lens models of makers as the nearest ones of ours, by least squares over the picture."""
+"""Convert makers' lens models to the nearest supported model, by least squares over the picture."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import numpy as np
 
 from alight.arrays import F64, Mask
 
-MARGIN = 1.02  # of the fitted range, over the radius of the image's corner
+MARGIN = 1.02  # fitted range of radii, in multiples of the radius of the image's corner
 
 
 def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 | None:
-    """The focal length in pixels, and it times k1, ..., k4, of the equidistant model nearest to Pix4D's fisheye model.
+    """Fit the equidistant model to Pix4D's fisheye; return (5,) pixels: f, f k1, ..., f k4; None: too few samples.
 
     Args:
         scale: pixels, `C` of the affine matrix, in `r = C sum(p[i] t**i)` with `t = 2 angle / pi`. The focal length is
-            `2 C / pi` where the even terms vanish.
-        polynomial: p0 (0), p1 (1), p2, ...
+            `2 C / pi` if the even terms vanish.
+        polynomial: coefficients p0 (0), p1 (1), p2, ...
         radius: pixels from the centre to the image's farthest corner.
     """
     t = np.linspace(0.0, 1.0, 401)[1:]
@@ -25,10 +25,10 @@ def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 |
 
 
 def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[float, float, float]:
-    """k1, k2, k3 nearest to a rational model, `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
+    """Fit k1, k2, k3 to a rational model in the radius r, `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
 
     Args:
-        radius: of the image's farthest corner, in focal lengths.
+        radius: r of the image's farthest corner, in focal lengths from the centre.
     """
     r = np.linspace(0.0, np.tan(np.radians(75.0)), 401)[1:]
     even = r[:, None] ** np.array([2, 4, 6])
@@ -39,13 +39,13 @@ def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[
 
 
 def _within(rising: F64, limit: float) -> Mask:
-    """Samples up to a limit, as long as they rise."""
+    """Return a mask of the leading samples, as long as they rise and stay within the limit."""
     fine = np.diff(rising, prepend=0.0) > 0
     return np.asarray(np.logical_and.accumulate(fine & (rising <= limit)))
 
 
 def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
-    """Coefficients of x**start, x**(start + 2), ... by least squares."""
+    """Fit y by x**start, x**(start + 2), ..., x**(2 last - 1); return the least-squares coefficients."""
     powers = np.arange(start, 2 * last, 2)
     size = x.max()
     found = np.linalg.lstsq((x[:, None] / size) ** powers, y, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""GPS of GoPro cameras: the telemetry track of a film, in GPMF (github.com/gopro/gpmf-parser)."""
+"""GPS of GoPro cameras, from a film's telemetry track in GPMF format (github.com/gopro/gpmf-parser)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from alight.arrays import F64, Mask
 from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 
 FIX_3D = 3
-WORST_DOP = 10.0  # dilution of precision: beyond, places are off by tens of metres
+WORST_DOP = 10.0  # dilution of precision; above it, positions are off by tens of metres
 _NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "f": ">f4", "d": ">f8", "j": ">i8",
             "J": ">u8"}  # fmt: skip
 
 
 def read_gpmf(payloads: Sequence[tuple[float, bytes]], source: str) -> FilmTelemetry:
-    """Read GPS5 or GPS9 from the payloads of a track, each with its time in seconds; they are a second apart.
+    """Read GPS5 or GPS9 from the (seconds, payload) pairs of a track, in order of time; the last payload lasts 1 s.
 
     Samples without a 3D fix or with a large dilution of precision are left out.
     """
@@ -35,7 +35,7 @@ def read_gpmf(payloads: Sequence[tuple[float, bytes]], source: str) -> FilmTelem
 
 
 def _samples(payload: bytes) -> Iterator[tuple[F64, Mask]]:
-    """(N, 5 or 9) samples of each GPS stream, and whether each is good."""
+    """Yield the (N, 5 or 9) samples of each GPS stream, and an (N,) mask of samples with a good fix."""
     for key, _, device in _elements(payload):
         for name, _, stream in _elements(device) if key == "DEVC" else ():
             tags = {k: (kind, data) for k, kind, data in _elements(stream)} if name == "STRM" else {}
@@ -60,7 +60,7 @@ def _samples(payload: bytes) -> Iterator[tuple[F64, Mask]]:
 
 
 def _numbers(tags: dict[str, tuple[str, bytes]], key: str, count: int) -> F64:
-    """(count,) numbers of an element, one repeated; zeros without it."""
+    """Return (count,) numbers of an element, repeated if it has fewer; zeros if it is missing."""
     kind, data = tags.get(key, ("b", b"\0"))
     row = np.dtype(_NUMBERS.get(kind, "u1"))
     whole = data[: len(data) // row.itemsize * row.itemsize]
@@ -68,7 +68,7 @@ def _numbers(tags: dict[str, tuple[str, bytes]], key: str, count: int) -> F64:
 
 
 def _elements(data: bytes) -> Iterator[tuple[str, str, bytes]]:
-    """Key, type and content of each element; a type of "\\0" has elements inside."""
+    r"""Yield (key, type, content) of each element; an element of type `\0` contains elements."""
     at = 0
     while at + 8 <= len(data):
         key, kind, size, repeat = struct.unpack_from(">4scBH", data, at)

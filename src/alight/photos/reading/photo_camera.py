@@ -1,4 +1,4 @@
-"""The lens of a photo camera, from the best calibration that its photos carry."""
+"""Lens of a photo camera, from the best calibration in the tags of its photos."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
 
 
 class Claim(NamedTuple):
-    """The camera of a photo by one source."""
+    """Camera of a photo according to one source."""
 
     name: str
     camera: Camera
-    tolerance: float  # relative error that its focal length may have
-    family: str  # sources of one family go wrong together: `pixels` by resizing, all but `film` by a digital zoom
+    tolerance: float  # relative error that the focal length may have
+    family: str  # sources of a family share their errors: resizing affects `pixels`, a digital zoom all but `film`
     notes: Notes
 
     @property
     def words(self) -> str:
-        """The source and its focal length."""
+        """Name of the source and its focal length."""
         return f"{self.name} {self.camera.fu:.0f} px"
 
     def agrees(self, other: Claim) -> bool:
-        """True if two focal lengths differ by no more than both may be off."""
+        """Whether two focal lengths differ by no more than the sum of their tolerances."""
         return abs(math.log(self.camera.fu / other.camera.fu)) <= self.tolerance + other.tolerance
 
 
 def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, Notes]:
-    """Return the camera of a photo, and notes on the source of its numbers.
+    """Return the camera of a photo, and notes on where its numbers come from.
 
-    All sources are compared. One that most families agree with is chosen, and of those that agree with it the most
-    exact one is used. `focal_warning` among the notes names those that disagree.
+    All sources are compared. The source that agrees with the most families is chosen; of the sources that agree with
+    it, the most exact one is used. The note `focal_warning` names the sources that disagree.
 
     Args:
-        tags: of the photo.
-        given: by the user, which is used whatever the tags are; None: nothing.
+        tags: tags of the photo.
+        given: camera given by the user, which is used whatever the tags contain; None: use the tags.
 
     Raises:
         InputError: the photo carries no focal length in any form.
@@ -78,10 +78,10 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
 
 
 def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
-    """The focal length that the user gives, pixels, with the lens of the best source.
+    """Combine a focal length in pixels, given by the user, with the distortion of the best source.
 
     Raises:
-        InputError: it is no focal length.
+        InputError: the number is not a focal length.
     """
     claims = _claims(tags)
     camera = _with_focal(claims[0].camera, focal_px) if claims else _camera(tags, focal_px)
@@ -91,7 +91,7 @@ def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
 
 
 def _claims(tags: PhotoTags) -> list[Claim]:
-    """The cameras by all sources that the photo carries, the most exact one first."""
+    """Return the cameras by all sources in the photo's tags, the most exact source first."""
     out = []
     for read, tolerance, family in (
         (_from_dewarp, 0.03, "pixels"), (_from_skydio, 0.03, "pixels"), (_from_pix4d, 0.03, "pixels"),
@@ -100,7 +100,7 @@ def _claims(tags: PhotoTags) -> list[Claim]:
     ):  # fmt: skip
         try:
             found = read(tags)
-        except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's
+        except (ValueError, OverflowError, ZeroDivisionError):  # the tags describe no camera
             continue
         if found is not None and why_no_lens(found[0]) is None:
             camera, notes = found
@@ -109,10 +109,11 @@ def _claims(tags: PhotoTags) -> list[Claim]:
 
 
 def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
-    """The best of some claims.
+    """Choose the best of some claims.
 
-    Where as many families speak for either side, the 35 mm equivalent counts most: resizing leaves it right. Where it
-    is longer than all others and no tag names a digital zoom, it contains one that the others lack.
+    If equally many families support two claims, the 35 mm equivalent decides, because resizing does not affect it. If
+    it is longer than all others and no tag names a digital zoom, it is chosen, because it contains a zoom that the
+    others lack.
     """
 
     def weight(c: Claim) -> tuple[bool, int, bool]:
@@ -130,14 +131,14 @@ def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
 
 
 def _with_focal(lens: Camera, focal: float) -> Camera:
-    """A lens with another focal length: the picture was resized or zoomed, and its principal point moved alike."""
+    """Return a lens with another focal length; its principal point moves as by resizing or zooming the picture."""
     u, v, k = 0.5 * (lens.width - 1), 0.5 * (lens.height - 1), focal / lens.fu
     return replace(lens, fu=focal, fv=k * lens.fv, cu=u + k * (lens.cu - u), cv=v + k * (lens.cv - v))
 
 
 def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
-    """A camera of usual field of view, where the photo carries no focal length in any form."""
-    camera = _camera(tags, 0.85 * max(tags.size))  # most cameras have 0.65 to 1.05
+    """Return a camera with a typical field of view, and notes, for a photo without a focal length."""
+    camera = _camera(tags, 0.85 * max(tags.size))  # 0.65 to 1.05 in most cameras
     return camera, {
         "focal_from": GUESSED,
         "focal_px": round(camera.fu, 2),
@@ -146,8 +147,8 @@ def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
 
 
 def photo_readout(tags: PhotoTags) -> float | None:
-    """Seconds from the exposure of the first row to that of the last, by `LineReadoutTime`; None without that tag."""
-    line = tags.xmp_number("camera:LineReadoutTime")  # nanoseconds a row of the sensor
+    """Return the seconds from the exposure of the first row to the last, by `LineReadoutTime`; None if not given."""
+    line = tags.xmp_number("camera:LineReadoutTime")  # nanoseconds per row of the sensor
     if line is None:
         return None
     seconds = 1e-9 * line * tags.size[1] * _calibrated_width(tags) / tags.size[0]
@@ -155,16 +156,16 @@ def photo_readout(tags: PhotoTags) -> float | None:
 
 
 def dewarp_text(tags: PhotoTags) -> str:
-    """DJI's factory calibration as it is written; empty without one."""
+    """Return DJI's factory calibration as written; empty if absent."""
     return tags.xmp.get("dji:DewarpData", "") or tags.xmp.get("dji:DewarpDataK6", "")
 
 
 def _camera(
     tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = (), model: str = ""
 ) -> Camera:
-    """Make a camera from a focal length and an offset of the principal point from the image's centre, pixels.
+    """Build a camera from a focal length and the principal point's offset from the image's centre, pixels.
 
-    Makers put the image's centre at (w/2, h/2), counted from the corner; our (0, 0) is the centre of the first pixel.
+    Makers define the centre as (w/2, h/2) from the image's corner; here, (0, 0) is the centre of the first pixel.
     """
     w, h = tags.size
     model = model or ("radial-tangential" if any(lens) else "none")
@@ -175,34 +176,33 @@ def _camera(
 
 
 def _calibrated_width(tags: PhotoTags) -> float:
-    """Width in pixels of the image that the factory calibration is for: photos may have been resized or turned since.
+    """Return the width (px) of the image that the factory calibration is for; photos may since be resized or rotated.
 
-    A picture that has another shape than in its tags was cut; its wider scale counts.
+    If the picture and its tags differ in aspect ratio, the picture was cropped, and the larger scale is used.
     """
     (w, h), width = tags.size, tags.number(Base.ExifImageWidth) or tags.size[0]
     height = tags.number(Base.ExifImageHeight) or width * h / w
     if (w > h) != (width > height):
         width, height = height, width
     centre = tags.xmp_number("dji:CalibratedOpticalCenterX") or tags.xmp_number("skydio:CalibratedOpticalCenterX")
-    if centre and abs(2 * centre / width - 1) > 0.1:  # a tool that resized and rewrote the EXIF size
+    if centre and abs(2 * centre / width - 1) > 0.1:  # a tool resized the picture and rewrote the EXIF size
         return 2 * centre
     return min(width, height * w / h)
 
 
 def _scale(tags: PhotoTags) -> float:
-    """Pixels of the photo a pixel of the factory calibration: it was resized since, or zoomed digitally."""
+    """Return photo pixels per pixel of the factory calibration, which result from resizing and digital zoom."""
     return tags.size[0] / _calibrated_width(tags) * tags.digital_zoom
 
 
 def _pixels_a_millimetre(tags: PhotoTags) -> float | None:
-    """Pixels of the photo a millimetre of the sensor, a digital zoom included; None without the tags."""
+    """Return photo pixels per millimetre of the sensor, digital zoom included; None without the tags."""
     resolution = tags.number(Base.FocalPlaneXResolution) or tags.number(Base.FocalPlaneYResolution)
     unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
     return None if not resolution or unit is None else resolution / unit * _scale(tags)
 
 
 def _comma_numbers(text: str) -> list[float]:
-    """Numbers with commas between them; none where one is malformed."""
     values = [finite(v) for v in text.split(",")]
     numbers = [v for v in values if v is not None]
     return numbers if len(numbers) == len(values) else []
@@ -212,7 +212,7 @@ def _comma_numbers(text: str) -> list[float]:
 
 
 def _from_dewarp(tags: PhotoTags) -> Found:
-    """DJI's `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre.
+    """Read DJI's `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, with the principal point relative to the image's centre.
 
     `DewarpDataK6` of the Matrice 4 adds `k4,k5,k6`, the denominator of the radial term.
     """
@@ -226,7 +226,7 @@ def _from_dewarp(tags: PhotoTags) -> Found:
     name = "DewarpData" if tags.xmp.get("dji:DewarpData") else "DewarpDataK6"
     focal, note = _one_focal(tags, fx, fy)
     notes: Notes = {"focal_from": f"factory calibration ({name})"} | note
-    if p1 == p2 and abs(p1) > 1e-4:  # two that agree in every digit: a maker's error, not a lens
+    if p1 == p2 and abs(p1) > 1e-4:  # equal in every digit: a maker's error, not a lens
         notes["lens_note"] = f"p1 and p2 are both {p1:g}, which no lens is: left out"
         p1 = p2 = 0.0
     lens: tuple[float, ...] = (k1, k2, p1, p2, k3)
@@ -238,12 +238,12 @@ def _from_dewarp(tags: PhotoTags) -> Found:
 
 
 def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
-    """One focal length from the two of a calibration, which are equal for square pixels, and a note if they are not.
+    """Return one focal length (px) from fx and fy, which are equal for square pixels, and a note if they differ.
 
-    If they differ by more than those of a sensor can, the one nearer to the lens's design is chosen: a calibration that
-    is wrong in one direction is not wrong towards the design. Height scales with the choice. On an FC6360 (fx 1973.1,
-    fy 1955.7, design 1913.3), against an independent self-calibration and up to a rotation: fy 0.96 px RMS over the
-    image, their mean 2.8, fx 5.5; with the tangential terms as written, 4.8.
+    If they differ by more than a sensor's pixels can, the one nearer to the lens's design is chosen, because errors
+    rarely point towards the design. Heights scale with the choice. On an FC6360 (fx 1973.1, fy 1955.7, design 1913.3),
+    the RMS difference over the image from an independent self-calibration, after the best rotation, is 0.96 px with fy,
+    2.8 with the mean, 5.5 with fx, and 4.8 with the tangential terms as written.
     """
     if abs(fx / fy - 1) <= 0.003:
         return (fx + fy) / 2, {}
@@ -260,7 +260,7 @@ def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
 
 
 def _from_skydio(tags: PhotoTags) -> Found:
-    """Camera by Skydio's tags: pixels, the centre counted from the centre of the first pixel, and k1, k2, k3."""
+    """Read the camera by Skydio's tags: fx, fy, centre in pixels from the centre of the first pixel, and k1, k2, k3."""
     keys = "FocalLengthX", "FocalLengthY", "OpticalCenterX", "OpticalCenterY"
     fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in keys)
     if fx is None or fy is None or min(fx, fy) <= 0:
@@ -277,10 +277,10 @@ def _from_skydio(tags: PhotoTags) -> Found:
 
 
 def _from_pix4d(tags: PhotoTags) -> Found:
-    """Pix4D's perspective model: focal length, principal point, and k1, k2, k3, p1, p2.
+    """Read Pix4D's perspective model: focal length, principal point, and k1, k2, k3, p1, p2.
 
-    Parrot, senseFly, Sentera and MicaSense write these `Camera` tags. The focal length is in pixels or millimetres;
-    without a unit, the size of the number decides.
+    Parrot, senseFly, Sentera and MicaSense write these `Camera` tags. The focal length is in pixels or millimetres.
+    Without a unit, it is in millimetres if the sensor's resolution is known, else in pixels if above 100.
     """
     focal, pixels = tags.xmp_number("camera:PerspectiveFocalLength"), _pixels_a_millimetre(tags)
     unit = tags.xmp.get("camera:PerspectiveFocalLengthUnits", "").lower()
@@ -298,7 +298,7 @@ def _from_pix4d(tags: PhotoTags) -> Found:
 
 
 def _pix4d_offset(tags: PhotoTags) -> tuple[float, float]:
-    """The principal point from the image's centre, pixels; it is written in millimetres from the corner."""
+    """Return the principal point relative to the image's centre, pixels; its tag is in millimetres from the corner."""
     centre, pixels = _comma_numbers(tags.xmp.get("camera:PrincipalPoint", "")), _pixels_a_millimetre(tags)
     if len(centre) != 2 or pixels is None:
         return 0.0, 0.0
@@ -306,7 +306,7 @@ def _pix4d_offset(tags: PhotoTags) -> tuple[float, float]:
 
 
 def _from_fisheye(tags: PhotoTags) -> Found:
-    """Pix4D's fisheye model (as of the bands of a Parrot Sequoia), fitted by the equidistant model."""
+    """Fit the equidistant model to Pix4D's fisheye model, which a Parrot Sequoia writes for its bands."""
     affine, polynomial = (
         _comma_numbers(tags.xmp.get(f"camera:Fisheye{k}", "")) for k in ("AffineMatrix", "Polynomial")
     )
@@ -344,7 +344,7 @@ def _from_film(tags: PhotoTags) -> Found:
 
 
 def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
-    """A camera by a focal length in units of so many pixels."""
+    """Build a camera from a focal length in units of `unit` pixels; None if either is missing."""
     return None if not focal or unit is None else (_camera(tags, focal * unit), {"focal_from": name})
 
 
@@ -353,18 +353,18 @@ def _film_focal(tags: PhotoTags) -> float | None:
     if not film or film <= 0:
         return None
     shape, own = _sensor(tags)[1], max(tags.size) / min(tags.size)
-    if shape is None:  # DJI cuts its wide pictures out of a 4:3 sensor
+    if shape is None:  # DJI crops wide pictures from a 4:3 sensor
         shape = 4 / 3 if tags.text(Base.Make).lower() == "dji" and own > 1.6 else own
     return film_focal_px(film, _sensor_width(tags.size, shape), shape)
 
 
 def film_focal_px(film: float, width: float, shape: float) -> float:
-    """Focal length in pixels from the 35 mm equivalent: makers compare the diagonals of film and whole sensor.
+    """Compute the focal length in pixels from the 35 mm equivalent; makers compare the diagonals of film and sensor.
 
     Args:
-        film: mm.
-        width: of the sensor, pixels.
-        shape: its width over its height.
+        film: 35 mm equivalent focal length, mm.
+        width: width of the whole sensor, pixels.
+        shape: the sensor's width over its height.
     """
     return math.hypot(width, width / shape) * film / math.hypot(36, 24)
 
@@ -378,7 +378,7 @@ def _from_model(tags: PhotoTags) -> Found:
 
 
 def _sensor(tags: PhotoTags) -> tuple[float, float] | tuple[None, None]:
-    """Width of the sensor in mm, and width over height, by the makers' data sheets; None: it is not in the table."""
+    """Return the sensor's width in mm and its width over height, by makers' data sheets; None for other models."""
     make, model = tags.text(Base.Make).lower(), tags.text(Base.Model).lower()
     for maker, start, width, shape in _sensors():
         if maker in make and model.startswith(start):
@@ -388,12 +388,12 @@ def _sensor(tags: PhotoTags) -> tuple[float, float] | tuple[None, None]:
 
 @cache
 def _sensors() -> list[tuple[str, str, float, str]]:
-    """Part of the maker's name, start of the model's name, width in mm, shape; of one maker the first fit counts."""
+    """Return rows (part of maker's name, start of model's name, width in mm, shape); the first match is used."""
     return [
         (m, s, w, shape) for m, s, w, shape in json.loads(Path(__file__).with_name("sensor_sizes.json").read_text())
     ]
 
 
 def _sensor_width(size: tuple[int, int], shape: float) -> float:
-    """Width of the sensor in pixels of a photo, which is cut out of its middle: it keeps the width or the height."""
+    """Return the width of the whole sensor in photo pixels; photos are cropped to its full width or height."""
     return max(max(size), min(size) * shape)

@@ -1,4 +1,4 @@
-"""Pictures of photos: read on demand, and the last ones kept, so that memory does not grow with a set."""
+"""Pictures of photos, decoded on demand. The last used ones are cached, so that memory does not grow with the set."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from alight.records import InputError
 from alight.sources.image_formats import Levels, levels_of
 from alight.sources.images import read_image
 
-LEVELS_OF = 24  # pictures by which the range of a set is found
+LEVELS_OF = 24  # pictures sampled to find the range of levels of a set
 
 
 class PictureReader:
-    """Decodes the pictures of one set alike."""
+    """Decoder for the pictures of one set: all with one range of levels, all in colour or all in grey."""
 
     def __init__(self) -> None:
-        self._levels: dict[Path, Levels] = {}  # of pictures with more than eight bits
+        self._levels: dict[Path, Levels] = {}  # range of each picture with more than eight bits
         self._as_grey = False
 
     def read(self, path: Path, size: tuple[int, int]) -> U8:
-        """The pixels of a file, (H, W) grey or (H, W, 3) RGB, of a (width, height).
+        """Decode a file of `size` (width, height) to (H, W) grey or (H, W, 3) RGB.
 
         Raises:
-            ValueError: as `read_image`.
+            ValueError: the file cannot be decoded or has another size; see `read_image`.
         """
         pixels = read_image(path, size, self._levels.get(path))
         return grey_levels(pixels) if self._as_grey else pixels
 
     def pixels_of(self, photo: PhotoTags) -> U8:
-        """As `read`, of a photo."""
+        """Decode a photo; see `read` for shapes and errors."""
         return self.read(photo.path, photo.size)
 
     def settle(self, photos: Sequence[PhotoTags]) -> dict[str, str]:
-        """Find the range of pictures with more than eight bits, and whether colours are false: these become grey.
+        """Determine the range of pictures with more than eight bits, and whether to convert false colours to grey.
 
         Returns:
-            Notes of what was found: `levels`, `false_colours`.
+            Notes on the findings: `levels`, `false_colours`; each is absent if it does not apply.
         """
         notes = dict[str, str]()
         deep = [p.path for p in photos if p.bits > 8]
@@ -58,28 +58,28 @@ class PictureReader:
 
 
 class PictureMemory:
-    """Cache of the pictures that were used last.
+    """Cache of the most recently used pictures.
 
     Args:
-        most_bytes: limit of its memory; the newest picture is kept however large.
-        read: decodes a file of a (width, height), as `read_image`.
+        most_bytes: limit of the cache's size; the newest picture is kept even if it is larger.
+        read: decodes a file of a given (width, height); see `read_image`.
     """
 
     def __init__(self, most_bytes: float, read: Callable[[Path, tuple[int, int]], U8] = read_image) -> None:
         self._most, self._read = most_bytes, read
-        self._pictures: dict[Path, U8] = {}  # the newest one last
-        self._lock = Lock()  # features are found by several threads
+        self._pictures: dict[Path, U8] = {}  # the most recently used picture last
+        self._lock = Lock()  # several threads extract features
 
     @property
     def held_bytes(self) -> int:
-        """Size of the pictures."""
+        """Size of the cached pictures in bytes."""
         return sum(pixels.nbytes for pixels in self._pictures.values())
 
     def get(self, path: Path, size: tuple[int, int]) -> U8:
-        """The pixels of a file, (H, W) grey or (H, W, 3) RGB, of a (width, height).
+        """Return the pixels of a file of `size` (width, height), (H, W) grey or (H, W, 3) RGB.
 
         Raises:
-            ValueError: as `read_image`.
+            ValueError: the file cannot be decoded or has another size; see `read_image`.
         """
         with self._lock:
             found = self._pictures.get(path)
@@ -92,13 +92,13 @@ class PictureMemory:
         return pixels
 
     def let_go(self, path: Path) -> None:
-        """Forget the pixels of a file."""
+        """Drop the pixels of a file from the cache."""
         with self._lock:
             self._pictures.pop(path, None)
 
 
 class PhotoPixels:
-    """The picture of one photo, read on demand; it has been read as a whole before."""
+    """The picture of one photo, decoded on demand; the file has been decoded without error before."""
 
     nbytes = 0
 
@@ -106,10 +106,10 @@ class PhotoPixels:
         self._path, self._size, self._memory = path, size, memory
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> U8:
-        """The pixels.
+        """Return the pixels.
 
         Raises:
-            InputError: the file has changed since it was read first.
+            InputError: the file has changed or vanished since it was first read.
         """
         try:
             pixels = self._memory.get(self._path, self._size)
@@ -118,5 +118,5 @@ class PhotoPixels:
         return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
 
     def let_go(self) -> None:
-        """Keep no copy of the pixels."""
+        """Drop the pixels from the cache."""
         self._memory.let_go(self._path)

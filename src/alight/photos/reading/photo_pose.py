@@ -13,34 +13,34 @@ from alight.geometry import LocalFrame, Pose, enu_from_flu
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.records import NavSample
 
-# the body of a photo is its gimbal: x along the optical axis, y left, z up, when all gimbal angles are zero
+# a photo's body frame is its gimbal's; at zero angles x points along the optical axis, y left, z up
 BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
 
 GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
-LEAST_SIGMA = {  # m, limit of a receiver's own
+LEAST_SIGMA = {  # m, lower limit of the sigma that a receiver gives
     k: np.array(v) for k, v in {"RTK fixed": [0.01] * 3, "RTK float": [0.5] * 3, "others": [0.02, 0.02, 0.03]}.items()
 }
 ATTITUDE_SIGMA = {"gimbal": np.array([0.02, 0.02, 0.1]), "flight": np.array([0.05, 0.05, 0.1])}  # rad, roll pitch yaw
 GIMBALS = (
     "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
-    "yuneec:Gimbal{}", "Camera{}",  # the last one of Yuneec's CGO3+
+    "yuneec:Gimbal{}", "Camera{}",  # the last pattern is of Yuneec's CGO3+
 )  # fmt: skip
 PIX4D, FLIGHT = "camera:{}", "dji:Flight{}Degree"
-ACCURACIES = (  # across, up
+ACCURACIES = (  # horizontal, vertical
     ("camera:GPSXYAccuracy", "camera:GPSZAccuracy"), ("skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"),
 )  # fmt: skip
 
 
 def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
-    """`world_from_body` (3, 3) of the gimbal, and the kind of tags that it came from ("" without any).
+    """Return `world_from_body` (3, 3) of the gimbal, and its kind of tags ("" without any) or why it is not used.
 
-    None where the EXIF orientation turns the picture: it is not documented whether the angles belong to the turned
-    picture or to the pixels as they are stored.
+    The attitude is None without usable tags. It is also None if the EXIF orientation turns the picture, because no
+    maker documents whether the angles then belong to the turned picture or to the stored pixels.
 
-    Makers' own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
-    Pitch, Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others): zero is a camera that looks down with the
-    image's top to the north. Some Autel drones write a pitch from the horizon into these: no camera looks so far back.
+    Makers' own names give angles about NED; at zero the camera looks to the horizon. Pix4D's `Camera:Yaw, Pitch, Roll`
+    (Autel, Parrot Sequoia, senseFly, Sentera and others) are zero if the camera looks down with the image's top to the
+    north. Some Autel drones write a pitch from the horizon into Pix4D's tags; a pitch below -45 degrees reveals it.
     """
     if tags.turned:
         return None, f"not used: EXIF orientation {tags.turned}"
@@ -51,7 +51,7 @@ def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
         return enu_from_flu(*pix4d), "camera, from the horizon"
     if pix4d is not None:
         yaw, pitch, roll = pix4d
-        sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly counts roll the other way round
+        sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly's roll has the opposite sign
         return enu_from_flu(yaw, pitch, sign * roll) @ CRAFT_FROM_NADIR, "camera"
     if (flight := _angles(tags, FLIGHT)) is not None:
         return enu_from_flu(*flight) @ CRAFT_FROM_NADIR, "flight"
@@ -59,12 +59,12 @@ def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
 
 
 def with_attitudes_settled(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], list[str]]:
-    """The photos without angles that cannot be attitudes, and a warning for each kind.
+    """Mark angles that cannot be attitudes as distrusted; return the photos, and a warning for each kind of angles.
 
-    They are zero in all photos, or the same to the last digit although the flight turned.
+    Such angles are zero in all photos, or equal to the last digit although the flight turned.
 
     Args:
-        photos: three or more; with fewer, all angles are kept.
+        photos: all photos of the set; with fewer than three, no angles are distrusted.
     """
     same, warnings = set[str](), list[str]()
     for pattern in (*GIMBALS, PIX4D, FLIGHT):
@@ -72,7 +72,7 @@ def with_attitudes_settled(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags]
         if not found:
             continue
         if len(found) > 1 or len(photos) < 3 or (any(*found) and not _turns(photos)):
-            break  # these are used
+            break  # the first angles that vary are used
         same.add(pattern)
         which = pattern.format("").rstrip(":").removesuffix("Degree")
         what = "are the same, although the flight turned," if any(*found) else "are 0"
@@ -81,9 +81,9 @@ def with_attitudes_settled(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags]
 
 
 def _turns(photos: Sequence[PhotoTags]) -> bool:
-    """Whether the directions of some legs, each longer than GPS is wrong, differ by more than 45 degrees from others.
+    """Whether at least two legs each differ in direction by more than 45 degrees from at least two other legs.
 
-    One leg alone may be an error of GPS.
+    Legs shorter than the error of GPS are ignored. A single leg in another direction may be an error of GPS.
     """
     timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
     places = np.array([p.place for p in timed if p.place is not None]).reshape(-1, 2)
@@ -105,7 +105,7 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """1-sigma (3,) of east, north, up in metres: that of the file of places, or of the receiver, else a consumer's."""
+    """Return (3,) 1-sigma in metres, east, north, up: by the position file, else the receiver, else a GPS default."""
     if tags.settled is not None and tags.settled.sigma is not None:
         return np.array(tags.settled.sigma)
     own = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
@@ -115,13 +115,13 @@ def position_sigma(tags: PhotoTags) -> F64:
     for names in ACCURACIES:
         for name, axes in zip(names, (slice(0, 2), slice(2, 3)), strict=True):
             value = tags.xmp_number(name)
-            if value is not None and value > 0:  # 0: not known
+            if value is not None and value > 0:  # 0: unknown
                 sigma[axes] = np.maximum(value, LEAST_SIGMA["others"][axes])
     return sigma
 
 
 def rtk_fix(tags: PhotoTags) -> str:
-    """The kind of fix: the file of places, else by DJI's flag; empty without it."""
+    """Return the name of the position file if one is used, else the kind of fix by DJI's flag; empty without a flag."""
     if tags.settled is not None and tags.settled.source:
         return tags.settled.source
     flag = tags.xmp_number("dji:RtkFlag")
@@ -133,10 +133,10 @@ def rtk_fix(tags: PhotoTags) -> str:
 
 
 def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
-    """The world's origin: the median place, at the height of take-off.
+    """Return the local frame of the set: its origin is the median location at the height of take-off.
 
-    The height of take-off is the first photo's absolute less its relative altitude; without one, 50 m below the
-    lowest photo. It only keeps the numbers small: no measurement depends on it.
+    The height of take-off is the first photo's absolute minus its relative altitude or, without a relative altitude, 50
+    m below the lowest photo. This height only keeps the numbers small; no measurement depends on it.
     """
     places = np.array([p for t in photos if (p := t.position) is not None])
     if np.ptp(places[:, 1]) > 180:  # photos on both sides of longitude 180: counted eastwards from 0 to 360
@@ -150,7 +150,7 @@ def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
 
 
 def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
-    """One photo's position and attitude; each is None where the tags do not give it."""
+    """Return the position and attitude of one photo as a measurement; each is None if the tags do not give it."""
     place = tags.position
     world_from_body, source = photo_attitude(tags)
     sigma = ATTITUDE_SIGMA["flight" if source == "flight" else "gimbal"]

@@ -1,4 +1,4 @@
-"""Search for the photos of a folder, as of a card or a survey: thermal pictures, further bands, and false colours."""
+"""Find the photos in a folder, and leave out thermal pictures and further spectral bands; recognise false colours."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from alight.sources.image_formats import EXTRAS, missing_extra
 
 PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 SUFFIXES = (*PLAIN, *EXTRAS)
-MICROBOLOMETERS = (  # width and height of thermal sensors
+MICROBOLOMETERS = (  # width and height of thermal sensors, pixels
     (1280, 1024), (640, 512), (640, 480), (384, 288), (336, 256), (320, 256), (320, 240), (256, 192), (160, 120),
 )  # fmt: skip
-VIVID = 30.0  # grey levels about the mean of red, green and blue: photos of the ground have 4 to 21, palettes 24 to 170
+VIVID = 30.0  # grey levels, spread of the colours about grey: photos of the ground have 4 to 21, palettes 24 to 170
 
 
 class FoundPhotos(NamedTuple):
-    """Pictures of a folder, sorted, and its sub-folders that may not be read."""
+    """Pictures found in a folder, sorted, and sub-folders without read permission."""
 
     files: list[Path]
     closed: list[Path]
 
 
 def find_photos(folder: Path) -> FoundPhotos:
-    """Pictures of a folder and of its sub-folders (as `DCIM/100MEDIA` of a card).
+    """Find the pictures in a folder and its sub-folders, such as `DCIM/100MEDIA` on a card.
 
-    Hidden files are left out, as are thumbnails and the output of programs, Alight's included. A file that links reach
-    as well is taken once, and so is a picture that stands beside its raw picture.
+    Hidden files, thumbnails and the output of programs, including Alight, are left out. A file that links also reach
+    appears once. A raw or HEIC picture is left out if a plain picture of the same name lies next to it.
 
     Raises:
         OSError: the folder itself cannot be read.
@@ -51,7 +51,7 @@ def find_photos(folder: Path) -> FoundPhotos:
 
 
 def _pictures(folder: Path, depth: int, closed: list[Path]) -> Iterator[Path]:
-    """Yield the pictures of a folder and of so many levels below it; folders without permission go to `closed`."""
+    """Yield the pictures in a folder, down to `depth` levels below it; folders without permission go to `closed`."""
     for path in sorted(folder.iterdir()):
         if not path.is_dir():
             if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
@@ -72,15 +72,15 @@ def _may_hold_photos(folder: Path) -> bool:
 
 
 class LeftOut(NamedTuple):
-    """Photos of a set that are not used."""
+    """Photos of a set that are not used, with reasons."""
 
-    reasons: dict[Path, str]  # of each
-    group: str  # name for their number
-    warning: str = ""  # one sentence; empty: none
+    reasons: dict[Path, str]  # reason by path
+    group: str  # name under which these photos are counted
+    warning: str = ""  # one sentence; empty: no warning
 
 
 def without_extra(files: Sequence[Path]) -> LeftOut:
-    """Files that cannot be read since an extra is missing."""
+    """Return the files to leave out because their format needs an extra (optional package) that is not installed."""
     lacking = {path: str(error) for path in files if (error := missing_extra(path)) is not None}
     counts = Counter(lacking.values())
     warning = "; ".join(f"{count} photo(s) are left out: {why}" for why, count in counts.items())
@@ -88,10 +88,10 @@ def without_extra(files: Sequence[Path]) -> LeftOut:
 
 
 def thermal_photos(photos: Sequence[PhotoTags]) -> LeftOut:
-    """Thermal pictures of a set that has others as well; none where there are no others.
+    """Return the thermal pictures to leave out of a set that also has other pictures.
 
-    They are recognised by the tags or the file's name. The size alone decides only beside enough others, since photos
-    that were made smaller may have it too.
+    Thermal pictures are recognised by tags or file name. A thermal sensor's picture size is evidence only next to
+    enough other pictures, because downsized photos may have that size too. A set of thermal pictures alone is kept.
     """
     tagged = [p for p in photos if _is_tagged_thermal(p)]
     rest = [p for p in photos if not _is_tagged_thermal(p)]
@@ -102,10 +102,10 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> LeftOut:
 
 
 def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
-    """The band of a multispectral camera that is used alone; empty: the colour pictures; None: there are no bands.
+    """Choose the one band of a multispectral camera to use; empty: the colour pictures; None: the set has no bands.
 
-    Each band has a lens and a place of its own. Colour pictures are used if they are at least half as many as those of
-    a band.
+    Bands are not mixed, because each has its own lens and position. Colour pictures are used if they are at least
+    half as many as the pictures of the largest band.
     """
     counts = Counter(p.band for p in photos)
     colour = counts.pop("", 0)
@@ -113,12 +113,12 @@ def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
         return None
     if colour >= max(counts.values()) / 2:
         return ""
-    # the first ones among as many photos of each: most like a grey picture, the sharpest lenses
+    # of bands with equally many photos, green and red come first: most like a grey picture, the sharpest lenses
     return max(counts, key=lambda band: (counts[band], *(band.lower() == b for b in ("green", "red"))))
 
 
 def other_bands(photos: Sequence[PhotoTags]) -> LeftOut:
-    """Pictures of a multispectral camera that are of other bands than the one that is used."""
+    """Return the pictures to leave out because a multispectral camera took them in a band that is not used."""
     group, band = "pictures of other bands", band_to_use(photos)
     if band is None:
         return LeftOut({}, group)
@@ -132,14 +132,14 @@ def other_bands(photos: Sequence[PhotoTags]) -> LeftOut:
 
 
 def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> str:
-    """What the colours of a set show instead of the ground's own; empty: they are its own, or there are none.
+    """Return what the colours of a set show: `temperatures`, `near infrared`, or empty for true colours and for grey.
 
-    The size of the pictures decides only with colours that no ground has, since photos that were made smaller may have
-    it too.
+    A thermal sensor's picture size is evidence only together with colours that no ground has, because downsized photos
+    may have that size too.
 
     Args:
-        photos: of the set, thermal pictures beside others left out.
-        read: pixels of a photo, (H, W) or (H, W, 3); may raise ValueError.
+        photos: photos of the set; thermal pictures are already left out if there are other pictures.
+        read: decodes a photo, (H, W) or (H, W, 3); may raise ValueError.
     """
     if all(_is_tagged_thermal(p) for p in photos):
         return "temperatures"
@@ -168,7 +168,7 @@ def _has_thermal_size(photo: PhotoTags) -> bool:
 
 
 def _sees_infrared(photo: PhotoTags) -> bool:
-    """Whether one of the three colours is infrared, by the names of the bands, or of the filter in a MAPIR camera."""
+    """Whether one of the colours is infrared, by the band names or by the filter name of a MAPIR Survey camera."""
     bands = [b.strip().lower() for b in photo.xmp.get("camera:BandName", "").split(",") if b.strip()]
     by_filter = re.search(r"(RGN|NGB|OCN|RE|NIR)$", photo.text(Base.Model)) is not None
     by_bands = len(bands) > 1 and not set(bands) <= {"red", "green", "blue", *COLOUR}

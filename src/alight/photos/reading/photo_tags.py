@@ -1,4 +1,4 @@
-"""Tags of a drone's photos: EXIF (pillow) and XMP."""
+"""Read the tags of a drone's photos: EXIF (by pillow) and XMP."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from alight.photos.reading.photo_xmp import Xmp, parse_xmp
 from alight.sources.images import read_header
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
-COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
+COLOUR = ("rgb", "color", "colour", "visible")  # band names that mean a colour picture
 
 
 class PhotoCamera(NamedTuple):
-    """Identity of a camera: photos with equal values are of one camera."""
+    """Identity of a camera: photos with equal values come from one camera."""
 
     make: str
     model: str
     size: tuple[int, int]  # width, height
-    focal: float | None  # mm, a digital zoom counted in
-    band: str = ""  # of a camera of several bands; empty: colour
-    film: float | None = None  # mm, 35 mm equivalent
+    focal: float | None  # mm, digital zoom included
+    band: str = ""  # spectral band of a multispectral camera; empty: colour
+    film: float | None = None  # mm, 35 mm equivalent focal length
 
     @property
     def title(self) -> str:
-        """Name of the camera for a reader."""
+        """Readable name of the camera."""
         width, height = self.size
         focal = f", {self.focal:g} mm" if self.focal else ""
         band = f", {self.band}" if self.band else ""
@@ -38,45 +38,45 @@ class PhotoCamera(NamedTuple):
 
 
 class Position(NamedTuple):
-    """Where a photo was taken, as settled for the whole set."""
+    """Position of a photo, as settled for the whole set."""
 
     place: tuple[float, float] | None  # latitude, longitude, degrees
-    altitude: float | None  # metres
-    altitude_kind: str  # what it counts from
-    source: str = ""  # file; empty: tags
-    sigma: tuple[float, float, float] | None = None  # metres, east, north, up; None: as by the tags
+    altitude: float | None  # metres above the vertical datum
+    altitude_kind: str  # vertical datum, in words
+    source: str = ""  # name of the position file; empty: the tags
+    sigma: tuple[float, float, float] | None = None  # metres, east, north, up; None: by the tags
 
 
 @dataclass(frozen=True)
 class PhotoTags:
-    """The tags of one photo, as written: degrees, metres, no derived values."""
+    """Tags of one photo as written, in degrees and metres, without derived values."""
 
     path: Path
     size: tuple[int, int]  # width, height of the file's pixels
     exif: Mapping[int, Any]  # main and photo directory, by tag number
     gps: Mapping[int, Any]
     xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
-    bits: int = 8  # of the deepest value of the picture
-    is_radiometric: bool = False  # a JPEG with the temperatures of a FLIR camera in it
-    distrusted: frozenset[str] = frozenset()  # names of angles that the set shows to be no attitudes
-    settled: Position | None = None  # position of the photo; None: that of its own tags
+    bits: int = 8  # most bits of a value of the picture
+    is_radiometric: bool = False  # whether a JPEG contains the temperatures of a FLIR camera
+    distrusted: frozenset[str] = frozenset()  # names of angles that the whole set shows to be wrong
+    settled: Position | None = None  # None: the position in the tags is used
 
     def text(self, tag: int) -> str:
-        """An EXIF text, padding removed; empty when absent."""
+        """Return an EXIF text without padding; empty if absent."""
         value = self.exif.get(tag, "")
         return (value.decode(errors="replace") if isinstance(value, bytes) else str(value)).strip("\0 ")
 
     def number(self, tag: int) -> float | None:
-        """An EXIF number; None when absent or not finite."""
+        """Return an EXIF number; None if absent or not finite."""
         return finite(self.exif.get(tag))
 
     def xmp_number(self, key: str) -> float | None:
-        """An XMP number; None when absent or malformed."""
+        """Return an XMP number; None if absent, malformed or not finite."""
         return finite(self.xmp.get(key))
 
     @property
     def camera(self) -> PhotoCamera:
-        """The camera of the photo."""
+        """Identity of the photo's camera."""
         focal = self.number(Base.FocalLength)
         zoomed = None if focal is None else round(focal * self.digital_zoom, 2)
         film = self.number(Base.FocalLengthIn35mmFilm)
@@ -84,33 +84,33 @@ class PhotoTags:
 
     @property
     def band(self) -> str:
-        """The spectral band of the picture; empty: colour, or not given.
+        """Spectral band of the picture, named as by Pix4D; empty for a colour picture or if not given.
 
-        Pix4D's names. Cameras that write all bands of a colour picture (Red, Green, Blue) are no multispectral ones.
+        Cameras that write all bands of a colour picture (Red, Green, Blue) are not multispectral.
         """
         name = self.xmp.get("camera:BandName", "")
         return "" if "," in name or name.lower() in COLOUR else name
 
     @property
     def digital_zoom(self) -> float:
-        """Factor of the digital zoom; 1 where the tags do not give it, or give an impossible one."""
+        """Factor of the digital zoom; 1 if the tags give none or an impossible one."""
         zoom = self.number(Base.DigitalZoomRatio)
         return zoom if zoom is not None and 1 < zoom <= 100 else 1.0
 
     @property
     def altitude_kind(self) -> str:
-        """Vertical datum of the altitude, as far as the photo gives it.
+        """Vertical datum of the altitude in words, as far as the photo gives it.
 
-        EXIF 3.0 counts the values 0 and 1 of `GPSAltitudeRef` from the ellipsoid, 2 and 3 from the sea level; before,
-        0 and 1 were about the sea level, and in practice about either. DJI names a fused or an RTK altitude. Parrot
-        documents its own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D and Skydio write it into `VertCS`.
+        In EXIF 3.0, `GPSAltitudeRef` 0 and 1 refer to the ellipsoid, 2 and 3 to sea level. Before 3.0, 0 and 1 meant
+        sea level, but in practice either datum. DJI names a fused or an RTK altitude. Parrot documents EGM96 for the
+        Anafi and the ellipsoid for the Anafi Ai. Pix4D and Skydio write the datum into `VertCS`.
         """
         if self.settled is not None:
             return self.settled.altitude_kind
         return self.kind_of(self._written_altitude())
 
     def kind_of(self, altitude: float | None) -> str:
-        """As `altitude_kind`, for one of the altitudes of the photo."""
+        """Return the vertical datum of an altitude (m) among the photo's tags; see `altitude_kind`."""
         if altitude is None:
             return "not given"
         code = self._altitude_code if altitude == self.exif_altitude else None
@@ -137,7 +137,7 @@ class PhotoTags:
 
     @property
     def time_ns(self) -> int | None:
-        """Capture time in ns since 1970, a time without zone taken as UTC: it only serves to sort photos."""
+        """Capture time in ns since 1970, None if absent; treated as UTC, because it only serves to sort photos."""
         for tag, part in ((Base.DateTimeOriginal, Base.SubsecTimeOriginal), (Base.DateTime, Base.SubsecTime)):
             try:
                 whole = datetime.strptime(self.text(tag), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
@@ -150,7 +150,7 @@ class PhotoTags:
 
     @property
     def position(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude (degrees), altitude (metres above the maker's datum); None without a fix."""
+        """Latitude and longitude (degrees), altitude (metres above the maker's datum); None if one is missing."""
         altitude = self._written_altitude() if self.settled is None else self.settled.altitude
         return None if self.place is None or altitude is None else (*self.place, altitude)
 
@@ -161,7 +161,7 @@ class PhotoTags:
 
     @property
     def exif_place(self) -> tuple[float, float] | None:
-        """Latitude and longitude in degrees by EXIF; None without a fix."""
+        """Latitude and longitude in degrees from EXIF; None without a fix."""
         return _on_earth(
             _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S"),
             _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W"),
@@ -169,15 +169,15 @@ class PhotoTags:
 
     @property
     def xmp_place(self) -> tuple[float, float] | None:
-        """Latitude and longitude in degrees by XMP; None without a fix."""
+        """Latitude and longitude in degrees from XMP; None without a fix."""
         return _on_earth(
             self.xmp_number("dji:GpsLatitude"),
-            self._first_of("dji:GpsLongitude", "dji:GpsLongtitude"),  # both are DJI's spelling
+            self._first_of("dji:GpsLongitude", "dji:GpsLongtitude"),  # DJI writes both
         )
 
     @property
     def relative_altitude(self) -> float | None:
-        """Metres above the place of take-off; None where the photo does not give them."""
+        """Height above take-off in metres; None if the photo does not give it."""
         return self._first_of("dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude")
 
     def _first_of(self, *keys: str) -> float | None:
@@ -185,25 +185,25 @@ class PhotoTags:
 
     @property
     def hemisphere_missing(self) -> bool:
-        """True if EXIF has a place without its hemisphere: north and east are assumed then."""
+        """Whether EXIF gives a position without its hemispheres; north and east are then assumed."""
         references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
         return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
 
     @property
     def _altitude_code(self) -> Any:
-        """`GPSAltitudeRef`: 0 to 3, odd below the surface that the altitude is counted from; None without it."""
+        """`GPSAltitudeRef`, 0 to 3, odd for altitudes below the reference surface; None if absent."""
         reference = self.gps.get(Gps.GPSAltitudeRef)
         return reference[0] if isinstance(reference, bytes) and reference else reference
 
     @property
     def exif_altitude(self) -> float | None:
-        """Metres by EXIF, below the surface that they count from negative; None when absent."""
+        """EXIF altitude in metres, negative below its reference surface; None if absent."""
         exif = finite(self.gps.get(Gps.GPSAltitude))
         return -exif if exif is not None and self._altitude_code in (1, 3) else exif
 
     @property
     def absolute_altitude(self) -> float | None:
-        """Metres by DJI's XMP; None when absent."""
+        """Absolute altitude in metres from DJI's XMP; None if absent."""
         return self.xmp_number("dji:AbsoluteAltitude")
 
     def _written_altitude(self) -> float | None:
@@ -220,7 +220,7 @@ def _on_earth(latitude: float | None, longitude: float | None) -> tuple[float, f
 
 
 def finite(value: Any) -> float | None:
-    """A tag as a number, also one written as a fraction ("527/100"); None when absent, malformed or not finite."""
+    """Convert a tag to a number, also from a fraction ("527/100"); None if absent, malformed or not finite."""
     try:
         above, _, below = value.partition("/") if isinstance(value, str) else (value, "", "")
         number = float(above) / float(below or 1)
@@ -230,7 +230,7 @@ def finite(value: Any) -> float | None:
 
 
 def _angle(dms: Any, ref: Any, negative: str) -> float | None:
-    """Signed degrees from degrees, minutes, seconds; the latter two may be undefined (0/0) beside decimal degrees."""
+    """Return signed degrees from (degrees, minutes, seconds); undefined minutes or seconds (0/0) are zero."""
     if not isinstance(dms, tuple) or len(dms) != 3:
         return None
     d, m, s = (finite(v) for v in dms)
@@ -240,13 +240,13 @@ def _angle(dms: Any, ref: Any, negative: str) -> float | None:
 
 
 def read_tags(path: Path) -> tuple[PhotoTags, str]:
-    """Read one photo's tags, not its pixels.
+    """Read the tags of one photo without decoding its pixels.
 
     Returns:
-        The tags, and their fault in words (empty: none).
+        The tags, and what is wrong with their XMP in words (empty: nothing).
 
     Raises:
-        One of `images.UNREADABLE`.
+        One of `images.UNREADABLE`: the file is not a readable image.
     """
     header = read_header(path)
     xmp = parse_xmp(header.xmp) if header.xmp else Xmp({}, "")

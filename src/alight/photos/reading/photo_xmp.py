@@ -1,4 +1,4 @@
-"""The XMP packet of a photo as names and values: tags of DJI, Parrot, Autel, Skydio, Yuneec and Pix4D's `Camera`."""
+"""Read the XMP packet of a photo: tags of DJI, Parrot, Autel, Skydio, Yuneec and Pix4D's `Camera`."""
 
 from __future__ import annotations
 
@@ -6,31 +6,31 @@ import re
 import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
-SPACES = {  # parts of XMP namespaces: DJI, Pix4D (also Autel, senseFly, Sentera, MicaSense), Parrot, Autel, ...
+SPACES = {  # part of a namespace: prefix. `camera` is Pix4D's, also in use by Autel, senseFly, Sentera and MicaSense
     "dji": "dji:", "camera/1.0": "camera:", "drone-parrot": "parrot:", "drone-autel": "autel:",
     "drone-skydio/": "skydio:", "drone-yuneec": "yuneec:",
 }  # fmt: skip
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
-FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # tags that enclose values and name none
+FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # namespaces of enclosing tags
 _META = re.compile(r"<(\w{1,40}):xmpmeta\b")
 _PREFIX = re.compile(r"[<\s]([a-zA-Z][\w-]{0,39}):\w")
 
 
 class Xmp(NamedTuple):
-    """Values by name, such as `dji:GimbalYawDegree`, and the fault of the packet; empty: none."""
+    """Values of an XMP packet by name, such as `dji:GimbalYawDegree`."""
 
     values: dict[str, str]
-    fault: str
+    fault: str  # what is wrong with the packet; empty: nothing
 
 
 def parse_xmp(packet: bytes | str) -> Xmp:
-    """Take values from an XMP packet, written as attributes or as elements; of a damaged one, those before the damage.
+    """Parse values from an XMP packet, written as attributes or elements; a damaged packet is read up to the damage.
 
-    A part of a structure has the structure's name before its own (`skydio:CameraOrientationNEDYaw`), the items of a
-    list are joined by commas.
+    A field of a structure is prefixed with the structure's name (`skydio:CameraOrientationNEDYaw`). Items of a list are
+    joined by commas.
     """
     text = _text(packet)[:1_000_000]
-    if "<!" in text.replace("<!--", ""):  # a document type: no camera writes one, and it is a known attack
+    if "<!" in text.replace("<!--", ""):  # a document type, which no camera writes, is a known attack
         return Xmp({}, "its XMP has a document type")
     undeclared = set(_PREFIX.findall(text)) - {"xml", "xmlns", *re.findall(r"xmlns:([\w-]+)", text)}
     declared = "".join(f' xmlns:{p}="{p}/1.0"' for p in sorted(undeclared))
@@ -67,7 +67,7 @@ def _text(packet: bytes | str) -> str:
 
 
 def _within(owner: str, tag: str) -> str:
-    """The name of a tag or attribute, in a structure or (owner "") by itself."""
+    """Return the name of a tag or attribute, prefixed with its structure `owner` or, without one, its namespace."""
     space, _, name = tag.rpartition("}")
     prefix = owner[:200] or next((prefix for part, prefix in SPACES.items() if part in space.lower()), "")
     return prefix + name

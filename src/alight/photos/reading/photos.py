@@ -1,6 +1,6 @@
-"""A folder of drone photos as a source: one exposure and one GPS/INS measurement a photo.
+"""A folder of drone photos as a source: one exposure and one GPS/INS measurement per photo.
 
-Each zoom level, and each camera with a few photos, is a camera of the rig; an exposure has the picture of one of them.
+Each zoom level, and each further camera with enough photos, is a camera of the rig. Each exposure has one picture.
 """
 
 from __future__ import annotations
@@ -49,29 +49,29 @@ from alight.sources.images import UNREADABLE
 from alight.sources.source import Source
 
 SECOND = 1_000_000_000  # ns
-LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
+LEAST_OF_A_CAMERA = 3  # a further camera with fewer photos is left out
 
 
 class UsedPhoto(NamedTuple):
-    """One photo that is used."""
+    """A photo that is used, with its measurement and camera."""
 
     tags: PhotoTags
-    nav: NavSample  # by the tags
-    camera: int  # of the rig
+    nav: NavSample  # position and attitude by the tags
+    camera: int  # index of the rig's camera
 
 
 class Photos(Source):
-    """The photos in one folder.
+    """Source of the photos in one folder.
 
     Args:
         root: the folder.
-        files: its photos.
-        closed: sub-folders that may not be read.
-        read: the tags of a photo, and their fault, as `read_tags`.
-        places, geoid: files that settle positions, as for `settle_positions`.
+        files: paths of the photos.
+        closed: sub-folders without read permission, which a warning names.
+        read: returns the tags of a photo, and their fault in words; see `read_tags`.
+        places, geoid: files for `settle_positions`.
 
     Raises:
-        InputError: no readable photo, or none with GPS.
+        InputError: no photo can be read, or no photo has a GPS position.
     """
 
     kind = "photos"
@@ -91,8 +91,8 @@ class Photos(Source):
         self._root = root
         self._reader = PictureReader()
         self._memory = PictureMemory(0.5 * 1e6 * settings.parallax.store_mb, self._reader.read)
-        self._tags: dict[Path, PhotoTags] = {}  # of all photos that can be read
-        self._left_out: dict[Path, str] = {}  # reasons
+        self._tags: dict[Path, PhotoTags] = {}  # of all readable photos
+        self._left_out: dict[Path, str] = {}  # reason for each unused photo
         self.findings.expect("photos", len(files))
         if closed:
             names = ", ".join(self._name_of(p) for p in closed)
@@ -141,7 +141,7 @@ class Photos(Source):
 
     @property
     def photos(self) -> list[PhotoFacts]:
-        """Facts about each photo, unused ones included; complete after `events`."""
+        """Facts about each photo, including unused photos; complete after all `events` have been read."""
         facts = {path: facts_of(tags) for path, tags in self._tags.items()}
         source = str(self.notes["focal_from"])
         by_user = source if source.startswith(("Kalibr", "sources.")) else ""
@@ -158,22 +158,22 @@ class Photos(Source):
 
     @property
     def exposures(self) -> list[UsedPhoto]:
-        """The photos that are used, in order of time."""
+        """The used photos in order of time."""
         return [
             UsedPhoto(tags, nav_sample(tags, t_ns, self.local), self._cameras.index(tags.camera))
             for t_ns, tags in self._photos
         ]
 
     def read(self, tags: PhotoTags) -> U8:
-        """The pixels of a photo of the set, (H, W) grey or (H, W, 3) RGB.
+        """Decode a photo of the set, (H, W) grey or (H, W, 3) RGB.
 
         Raises:
-            ValueError: as `read_image`.
+            ValueError: the photo cannot be decoded; see `read_image`.
         """
         return self._reader.pixels_of(tags)
 
     def digest(self) -> str:
-        """Digest of the names, times, tags and bytes of all photos that are used."""
+        """Compute a digest of the names, times, XMP tags, settled positions and bytes of all used photos."""
         of = blake2b()
         for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             with tags.path.open("rb") as file:
@@ -184,16 +184,14 @@ class Photos(Source):
     # -- opening
 
     def _name_of(self, path: Path) -> str:
-        """Name of a file or folder within the set."""
         return path.relative_to(self._root).as_posix()
 
     def _lose(self, path: Path, why: str) -> None:
-        """Leave a photo out, with a warning."""
         self.findings.lose("photos", self._name_of(path), why)
         self._left_out[path] = why
 
     def _without(self, photos: list[PhotoTags], left_out: LeftOut) -> list[PhotoTags]:
-        """The photos that nothing speaks against; the others are counted by the name of their group."""
+        """Return the photos that `left_out` does not contain; record its reasons, count and warning."""
         self._left_out |= left_out.reasons
         self.findings.counts |= {left_out.group: len(left_out.reasons)} if left_out.reasons else {}
         if left_out.warning:
@@ -222,7 +220,7 @@ class Photos(Source):
         return list(self._tags.values())
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
-        """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
+        """Leave out cameras with few photos or no focal length; with a given calibration, all but the first camera."""
         out = dict[object, str]()
         for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
             first = next(p for p in photos if p.camera == camera)
@@ -243,7 +241,7 @@ class Photos(Source):
         )
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
-        """Photos sorted by time of capture, then name; photos of one second are spread over it, so that time rises."""
+        """Return (ns, photo) sorted by capture time, then path; equal times are spread out, so that time rises."""
         times = {p.path: t for p in photos if (t := p.time_ns) is not None}
         if n := len(photos) - len(times):
             self.findings.warn(f"{n} photo(s) have no capture time: the order of the file names is used")
@@ -252,7 +250,7 @@ class Photos(Source):
         return list(zip(spread_times([times[p.path] for p in ordered]), ordered, strict=True))
 
     def _calibrate(self, settings: Settings) -> Rig:
-        """The rig, of a lens a camera; the notes get the source of its numbers."""
+        """Build the rig with one lens per camera; record in the notes where the focal lengths come from."""
         focal_px = finite(settings.sources.calibration)
         if settings.sources.calibration and focal_px is None:
             path = Path(settings.sources.calibration).expanduser()
@@ -276,13 +274,13 @@ class Photos(Source):
         return Rig(tuple(cameras))
 
     def _settled(self, notes: Notes, camera: PhotoCamera) -> Notes:
-        """The notes on a focal length, of which a disagreement becomes a warning."""
+        """Return the notes on a focal length, and record a `focal_warning` among them as a contradiction."""
         if warning := notes.pop("focal_warning", ""):
             self.findings.contradict(f"focal length of {camera.title}: {warning}")
         return notes
 
     def _lens(self, camera: PhotoCamera, photos: list[PhotoTags], focal_px: float | None) -> tuple[Camera, Notes]:
-        """The lens of one camera, from the most frequent calibration that its photos carry."""
+        """Return the lens of one camera and notes on it, from the calibration that most of its photos carry."""
         dewarp = Counter(dewarp_text(p) for p in photos).most_common()
         chosen = next(p for p in photos if dewarp_text(p) == dewarp[0][0])
         if len(dewarp) > 1:
@@ -341,7 +339,7 @@ class Photos(Source):
 
 
 def facts_of(tags: PhotoTags) -> PhotoFacts:
-    """Facts about one photo from its own tags."""
+    """Return facts about one photo from its own tags."""
     make, model, size, *_ = tags.camera
     focal, focal_from = None, ""
     with suppress(InputError):
@@ -358,13 +356,13 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
 
 
 def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
-    """File names; with the folder where two folders have the same one."""
+    """Return the file names of photos; where folders share a file name, return paths relative to `root`."""
     taken = Counter(p.path.name for p in photos)
     return [p.path.name if taken[p.path.name] == 1 else p.path.relative_to(root).as_posix() for p in photos]
 
 
 def spread_times(times: Sequence[int]) -> list[int]:
-    """Times in order, those that are equal spread over the time to the next one, a second at most."""
+    """Spread equal times over the gap to the next later time, but over one second at most; `times` are sorted, ns."""
     out: list[int] = []
     for t, n in Counter(times).items():
         after = len(out) + n

@@ -1,4 +1,4 @@
-"""Places of photos from a file: `geo.txt` in the form of OpenDroneMap, or a table with a header (CSV)."""
+"""Positions of photos from a file: `geo.txt` in OpenDroneMap's format, or a table with a header (CSV)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from alight.documents import DocumentError, read_text
 from alight.records import InputError
 from alight.sources.raster_band import metres_of
 
-COLUMNS = {  # of a table, in letters alone
+COLUMNS = {  # names of the columns of a table, reduced to letters
     "name": "name file filename image imagename imagefile picture photo photoname label sourcefile",
     "latitude": "latitude lat gpslatitude y",
     "longitude": "longitude lon long lng gpslongitude x",
@@ -38,27 +38,27 @@ UNDECLARED = "sea level or ellipsoid: not declared"
 
 
 class GivenPlace(NamedTuple):
-    """Where a photo was taken."""
+    """Position of a photo, as given in a file."""
 
     latitude: float  # degrees
     longitude: float
-    height: float  # metres; NaN: not given
-    sigma: tuple[float, float, float] | None  # metres, east, north, up
+    height: float  # metres above the datum of the file; NaN: not given
+    sigma: tuple[float, float, float] | None  # 1-sigma in metres, east, north, up; None: not given
 
 
 class Places(NamedTuple):
-    """Places by the name of the photo, as a file gives them."""
+    """Positions by photo name, as given in a file."""
 
     file: Path
     rows: Mapping[str, GivenPlace]
-    datum: str  # surface that heights count from
+    datum: str  # vertical datum of the heights, in words
     settled: str  # coordinate system and columns, in words
 
     def of(self, names: Sequence[str]) -> dict[str, GivenPlace]:
-        """Places of photos, by their names within the set; with or without folder, suffix and capitals.
+        """Return the positions of photos by their names within the set; folder, suffix and case need not match.
 
         Raises:
-            InputError: a row fits several photos.
+            InputError: one row matches several photos.
         """
         fitting = defaultdict[str, dict[str, GivenPlace]](dict)
         for written, place in self.rows.items():
@@ -81,10 +81,10 @@ def _keys(name: str) -> list[str]:
 
 
 def places_beside(root: Path) -> Path | None:
-    """The file of places in a folder of photos, or for a folder `images` beside it; None: there is none.
+    """Find the position file in a folder of photos, or in the parent of a folder `images` or `photos`; None if none.
 
     Raises:
-        InputError: there are several.
+        InputError: there are several position files.
     """
     folders = [root, root.parent] if root.name.lower() in ("images", "photos") else [root]
     for folder in folders:
@@ -104,10 +104,10 @@ def _has_header(path: Path) -> bool:
 
 
 def read_places(path: Path) -> Places:
-    """Read a file of places.
+    """Read a position file.
 
     Raises:
-        InputError: it is no such file; the message names the line, and what it must hold.
+        InputError: the file is not a position file; the message names the line and what it must hold.
     """
     try:
         text = read_text(path, 100_000_000)
@@ -175,7 +175,7 @@ def _read_geo(path: Path, lines: Sequence[tuple[int, str]], crs: pyproj.CRS) -> 
 
 
 def _vertical(path: Path, crs: pyproj.CRS) -> tuple[float, str]:
-    """Metres of one unit of height, and the surface that heights count from."""
+    """Return the metres per unit of height, and the vertical datum in words, of a coordinate system."""
     axes = crs.axis_info
     if len(axes) == 3:
         parts = crs.sub_crs_list
@@ -197,7 +197,6 @@ def _split(line: str) -> list[str]:
 
 
 def _roles(header: Sequence[str]) -> dict[int, str]:
-    """Role of each column that is used, by its number."""
     bare = [re.sub(r"\[.*?\]|\(.*?\)", "", name).rpartition("/")[2] for name in header]
     named = [ROLES.get(re.sub("[^a-z]", "", name.lower())) for name in bare]
     return {k: role for k, role in enumerate(named) if role is not None and role not in named[:k]}
@@ -238,7 +237,7 @@ def _read_table(path: Path, text: str) -> Places:
 
 
 def _unit(path: Path, name: str) -> float:
-    """Metres of the unit that a column's name gives in brackets; 1 without one."""
+    """Return the metres per unit, from the unit in brackets in a column's name; 1 without a unit."""
     words = [w.strip() for w in re.findall(r"[\[(](.*?)[\])]", name)]
     unit = words[0] if words and words[0] and not words[0].lower().startswith(("deg", "°", "dd", "wgs")) else "m"
     metres = metres_of(unit)

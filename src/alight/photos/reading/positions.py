@@ -1,4 +1,4 @@
-"""Positions of a set of photos: which source of place and height is used, and what heights count from."""
+"""Settle the positions of a set of photos: which source of location and altitude is used, and the vertical datum."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from alight.photos.reading.places import Places, places_beside, read_places
 from alight.records import InputError
 
 METRES_A_DEGREE = 111_194.0
-SAME_ALTITUDE = 1.0  # m; two altitudes of a photo that differ by more are two numbers
-STEADY = 5.0  # m; altitudes above sea and above take-off may drift apart by as much in a flight
+SAME_ALTITUDE = 1.0  # m; two altitudes of a photo that differ by less are treated as equal
+STEADY = 5.0  # m; altitudes above sea level and above take-off may drift apart by this much, up or down, in a flight
 
 
 class Positions(NamedTuple):
-    """A set with the position of each photo settled."""
+    """The photos of a set with settled positions, and how they were settled."""
 
     photos: list[PhotoTags]
-    source: str  # of places and heights, in words
+    source: str  # where locations and altitudes come from, in words
     warnings: list[str]
     contradictions: list[str]
-    counted_from: str = ""  # surface that heights count from
+    counted_from: str = ""  # vertical datum of the altitudes, in words
 
 
 def settle_positions(
     photos: Sequence[PhotoTags], root: Path, places: Path | None = None, geoid: Path | None = None
 ) -> Positions:
-    """Settle the positions of a set: by the file of places that is named, or stands beside, else by the tags.
+    """Settle the positions of a set, by a position file if one is given or lies next to the photos, else by the tags.
 
     Args:
-        photos: of the set.
-        root: its folder.
-        places: file of places, or `tags`: none is used; None: one that stands beside the photos.
-        geoid: grid of geoid heights, for altitudes that are known to count from the sea level.
+        photos: all photos of the set.
+        root: folder of the set.
+        places: position file, or `tags` to use no file; None: search for a file next to the photos.
+        geoid: grid of geoid heights, to convert altitudes that are known to be above sea level; None: do not convert.
 
     Raises:
-        InputError: the file, or the geoid, cannot be used.
+        InputError: the position file, or the geoid, cannot be used.
     """
     path = places_beside(root) if places is None else places if str(places) != "tags" else None
     if path is not None:
@@ -59,7 +59,7 @@ def settle_positions(
 
 
 def flights_of(photos: Sequence[PhotoTags]) -> list[int]:
-    """Number of the flight of each photo, from 0: another one begins after five minutes without a photo."""
+    """Return the flight index of each photo, from 0; a new flight begins after five minutes without a photo."""
     out, flight, before = list[int](), 0, None
     for taken in (tags.time_ns for tags in photos):
         flight += before is not None and taken is not None and taken - before > 300_000_000_000
@@ -69,12 +69,12 @@ def flights_of(photos: Sequence[PhotoTags]) -> list[int]:
 
 
 def positions_by_file(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> Positions:
-    """The photos with the places of a file instead of those of their tags.
+    """Replace the positions in the tags by the positions in a file.
 
-    Photos without a row have no position: their tags may count from elsewhere.
+    Photos without a row get no position, because their tags may use another datum.
 
     Raises:
-        InputError: no row fits a photo, or x and y are exchanged.
+        InputError: no row matches a photo, or x and y are exchanged.
     """
     found, file = places.of(names), places.file.name
     if not found:
@@ -100,7 +100,7 @@ def positions_by_file(photos: Sequence[PhotoTags], names: Sequence[str], places:
 
 
 def _check_order(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> None:
-    """Refuse a file whose places are those of the tags with latitude and longitude exchanged."""
+    """Refuse a file that agrees with the tags only if latitude and longitude are exchanged."""
     found = places.of(names)
     pairs = [(p.place, found[n]) for p, n in zip(photos, names, strict=True) if n in found and p.place is not None]
     if not pairs:
@@ -115,11 +115,11 @@ def _check_order(photos: Sequence[PhotoTags], names: Sequence[str], places: Plac
 
 
 def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Positions:
-    """The photos with the finer of two places, and the altitude that the others confirm.
+    """Settle positions by the tags: the finer of the EXIF and XMP locations, and the altitude that other tags confirm.
 
     Args:
-        photos: in order of time.
-        flights: number of the flight of each: heights above take-off of two flights differ.
+        photos: photos in order of time.
+        flights: flight index of each photo, because heights above take-off of two flights differ.
     """
     warnings, contradictions = list[str](), list[str]()
     places = _finer_places(photos, warnings, contradictions)
@@ -147,7 +147,7 @@ def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
 def _finer_places(
     photos: Sequence[PhotoTags], warnings: list[str], contradictions: list[str]
 ) -> list[tuple[float, float] | None]:
-    """Places by EXIF, or by XMP where that has more digits and lies within what EXIF has lost."""
+    """Return the locations in EXIF, or in XMP if XMP has more digits and agrees within the rounding of EXIF."""
     own = [p.place for p in photos]
     both = [k for k, p in enumerate(photos) if p.exif_place is not None and p.xmp_place is not None]
     if not both:
@@ -164,13 +164,13 @@ def _finer_places(
 
 
 def _step_of_places(places: F64) -> float:
-    """Metres from one latitude or longitude (n, 2) that can be written to the next; 0: too few places to know."""
+    """Return the resolution in metres with which (n, 2) degrees were written; 0 if there are too few to know."""
     few = len(np.unique(places, axis=0)) < 3
-    return 0.0 if few else METRES_A_DEGREE * _step(3600 * places) / 3600  # they are written in seconds
+    return 0.0 if few else METRES_A_DEGREE * _step(3600 * places) / 3600  # EXIF writes seconds of arc
 
 
 def _by_coarse_places(photos: list[PhotoTags], warnings: list[str]) -> list[PhotoTags]:
-    """The photos, with the sigma of places that are written with few digits."""
+    """Return the photos with a larger sigma for locations that are written with few digits."""
     step = _step_of_places(np.array([p.place for p in photos if p.place is not None]).reshape(-1, 2))
     if not step > GPS_SIGMA[0]:
         return photos
@@ -185,7 +185,7 @@ def _by_coarse_places(photos: list[PhotoTags], warnings: list[str]) -> list[Phot
 
 
 def _step(values: F64) -> float:
-    """The largest power of ten, at most 1, that all values are multiples of; 1e-9 at least."""
+    """Return the largest power of ten, from 1e-9 to 1, of which all values are multiples."""
     for digits in range(9):
         scaled = values * 10.0**digits
         if np.abs(scaled - np.rint(scaled)).max() < 1e-3:
@@ -196,12 +196,12 @@ def _step(values: F64) -> float:
 def _altitudes(
     photos: Sequence[PhotoTags], flights: I64, warnings: list[str], contradictions: list[str]
 ) -> tuple[F64, str]:
-    """(n,) metres, the altitudes used, NaN where there is none, and the tag that most are of."""
+    """Return the (n,) altitudes to use in metres, NaN where none is given, and their main source in words."""
     exif, absolute, relative = (
         np.array([math.nan if (v := getattr(p, name)) is None else v for p in photos])
         for name in ("exif_altitude", "absolute_altitude", "relative_altitude")
     )
-    exif = np.where((exif == 0.0) & (np.abs(absolute) > SAME_ALTITUDE), math.nan, exif)  # left at zero by the maker
+    exif = np.where((exif == 0.0) & (np.abs(absolute) > SAME_ALTITUDE), math.nan, exif)  # the maker left it at zero
     both = np.isfinite(exif) & np.isfinite(absolute)
     use_exif = True
     if both.any():
@@ -232,7 +232,7 @@ def _altitudes(
 
 
 def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: list[str]) -> F64:
-    """Altitudes that follow the heights above take-off; where they stand still and these do not, these are used."""
+    """Check altitudes by the heights above take-off; use these heights if they change but the altitudes do not."""
     known = np.isfinite(used) & np.isfinite(relative)
     if known.sum() < 3:
         return used
@@ -247,15 +247,18 @@ def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: 
 
 
 def _drift(difference: F64, flights: I64) -> float:
-    """How far a difference (n,) changes within a flight, metres, nine of ten photos; NaN: nowhere known."""
+    """Return the largest change (m) of a difference (n,) within a flight, 5th to 95th percentile; NaN if all is NaN."""
     parts = [difference[(flights == f) & np.isfinite(difference)] for f in np.unique(flights)]
     return max((float(np.ptp(np.percentile(p, [5, 95]))) for p in parts if len(p)), default=math.nan)
 
 
 def above_ellipsoid(photos: Sequence[PhotoTags], geoid: Path | None) -> tuple[list[PhotoTags], str, list[str]]:
-    """The photos with heights above the ellipsoid where the evidence allows it; what heights count from; warnings.
+    """Convert altitudes that are known to be above sea level to heights above the ellipsoid.
 
-    Only altitudes that are known to count from the sea level are converted, by the geoid at the middle of the set.
+    The geoid at the median location is used for the whole set; without a geoid, nothing is converted.
+
+    Returns:
+        The photos, the vertical datum of their altitudes in words, and warnings.
 
     Raises:
         InputError: the geoid cannot be used.

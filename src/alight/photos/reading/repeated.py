@@ -1,4 +1,4 @@
-"""Photos that a set holds twice: copies, and pictures that were saved again with the tags of the same exposure."""
+"""Repeated photos of a set: copies of a file, and pictures saved again with the tags of the same exposure."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from alight.photos.reading.photo_selection import LeftOut
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.raster import grey_levels
 
-ALIKE = 0.98  # correlation of two small pictures; neighbours that overlap by 90 % have less
+ALIKE = 0.98  # least correlation of two pictures of one exposure, made small; neighbours with 90 % overlap have less
 
 
 def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> LeftOut:
-    """Photos of which the set holds a better copy: larger, or else with the shorter name.
+    """Return the photos to leave out because the set holds a better copy: larger, or equally large with a shorter name.
 
-    Copies have equal bytes; or camera, time and place are equal, and the pictures look alike.
+    Copies have equal bytes, or they have equal cameras, times and positions and their pictures look alike.
 
     Args:
-        photos: of the set.
-        read: pixels of a photo, (H, W) or (H, W, 3); may raise ValueError.
+        photos: all photos of the set.
+        read: decodes a photo, (H, W) or (H, W, 3); may raise ValueError.
     """
     best_first = sorted(photos, key=lambda p: (-p.size[0] * p.size[1], len(p.path.name), p.path))
     out = list[PhotoTags]()
@@ -40,7 +40,7 @@ def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]
 
 
 def _groups(photos: Iterable[PhotoTags], key: Callable[[PhotoTags], Hashable]) -> list[list[PhotoTags]]:
-    """Photos with equal keys, groups of two and more; those whose key is None are in none."""
+    """Return the groups of two or more photos with equal keys; a photo whose key is None is in no group."""
     found = defaultdict[Hashable, list[PhotoTags]](list)
     for photo in photos:
         found[key(photo)].append(photo)
@@ -53,7 +53,7 @@ def _bytes_of(photo: PhotoTags) -> str:
 
 
 def _exposure_of(photo: PhotoTags) -> Hashable:
-    """Identity of an exposure by its tags; None: they do not give one."""
+    """Return a key that identifies an exposure by its tags; None if time or position is missing."""
     if photo.time_ns is None or photo.place is None:
         return None
     camera = photo.camera._replace(size=(0, 0))

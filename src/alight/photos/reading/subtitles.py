@@ -1,7 +1,7 @@
 """Telemetry in subtitles (SubRip, WebVTT, Advanced SubStation), in the dialects of DJI and Autel.
 
-Either each number has its name, as in `[latitude: 45.1]`, or a place stands in brackets, as in `GPS(7.6,45.1,16)`. Its
-order is decided by evidence from the whole film (`_order`).
+A dialect names each number, as in `[latitude: 45.1]`, or writes a position in brackets, as in `GPS(7.6,45.1,16)`. The
+order of latitude and longitude in brackets is inferred from the whole film (`_order`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from alight.arrays import F64
 from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow, apart
 from alight.records import InputError
 
-NAMES = {  # of each value, the most specific one first
+NAMES = {  # spellings of each name, the most specific one first
     "latitude": ("latitude", "lat"),
     "longitude": ("longitude", "longtitude", "lon", "lng", "long"),
     "abs_alt": ("abs_alt", "altitude", "alt"),
-    "rel_alt": ("rel_alt", "barometer", "h", "hb", "reh"),  # above take-off
+    "rel_alt": ("rel_alt", "barometer", "h", "hb", "reh"),  # m, above take-off
     "home_distance": ("d",),
 }
 _TIME = re.compile(r"(?:(\d+):)?(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
@@ -37,12 +37,12 @@ _GIMBAL = re.compile(r"\bG\.PRY\s*\(\s*([-\d.]+)\W+?([-+]?[\d.]+)\W+?([-+]?[\d.]
 
 @dataclass(frozen=True)
 class _Number:
-    """One number as it is written."""
+    """A number with its unit and hemisphere; feet are converted to metres."""
 
-    value: float
-    letter: str  # hemisphere, or empty
-    decimals: int
-    unit: str  # ft, m or empty
+    value: float  # NaN if its sign contradicts the letter
+    letter: str  # hemisphere: N, S, E, W or empty
+    decimals: int  # digits after the point
+    unit: str  # as written: ft, m or empty
 
     @classmethod
     def of(cls, before: str, digits: str, after: str) -> _Number:
@@ -57,25 +57,25 @@ class _Number:
 
 @dataclass(frozen=True)
 class _Cue:
-    """One subtitle, with the numbers in brackets as they stand."""
+    """One subtitle; the numbers in brackets are in the order in which they are written."""
 
     row: TelemetryRow
     gps: tuple[_Number, ...] = ()
     home: tuple[_Number, ...] = ()
 
     def placed(self, latitude_first: bool) -> TelemetryRow:
-        """The row with the place of the brackets."""
+        """Return the row with the latitude and longitude in brackets, given their order."""
         return replace(self.row, values=self.row.values | _place(self.gps, latitude_first))
 
 
 def read_subtitles(text: str, source: str) -> FilmTelemetry:
-    """The telemetry of subtitles; without rows if there is no place in them.
+    """Read the telemetry from subtitles; it has no rows if no subtitle holds a position.
 
     Args:
         source: name of the file, for messages.
 
     Raises:
-        InputError: nothing shows whether latitude or longitude comes first in `GPS(...)`.
+        InputError: the film does not show whether latitude or longitude comes first in `GPS(...)`.
     """
     found = [_cue(at, body) for at, body in _subtitles(text)]
     cues = [c for c in found if math.isfinite(c.row.seconds)] or _timed_by_date(found)
@@ -97,7 +97,7 @@ def read_subtitles(text: str, source: str) -> FilmTelemetry:
 
 
 def _subtitles(text: str) -> Iterator[tuple[float, str]]:
-    """Seconds and text of each subtitle; NaN: it has no time."""
+    """Yield the time in seconds and the text of each subtitle; the time is NaN if it has none."""
     text = text.lstrip("\ufeff").replace("\r", "")
     if "[Script Info]" in text or text.startswith("Dialogue:"):
         for at, body in _ASS.findall(text):
@@ -113,7 +113,6 @@ def _subtitles(text: str) -> Iterator[tuple[float, str]]:
 
 
 def _timed_by_date(cues: Sequence[_Cue]) -> list[_Cue]:
-    """Subtitles without times, timed by their dates."""
     dated = [(c, taken) for c in cues if (taken := c.row.taken) is not None]
     return [replace(c, row=replace(c.row, seconds=(t - dated[0][1]).total_seconds())) for c, t in dated]
 
@@ -135,7 +134,7 @@ def _cue(seconds: float, body: str) -> _Cue:
     if all(named):
         brackets["gps"] = ()
     axes = [n.decimals for n in named if n] or [n.decimals for n in brackets["gps"][:2]]
-    coarse = bool(axes) and max(axes) <= 4  # of a degree: 11 m
+    coarse = bool(axes) and max(axes) <= 4  # decimals of a degree: 11 m
     return _Cue(TelemetryRow(seconds, values, _date(body), coarse), **brackets)
 
 
@@ -156,7 +155,7 @@ def _place(numbers: tuple[_Number, ...], latitude_first: bool) -> dict[str, floa
 
 
 def _order(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
-    """Whether latitude comes first in brackets, None where that is not clear, and the reason.
+    """Infer whether latitude comes first in brackets (None if unclear); also return the reason.
 
     Hemisphere letters and an angle beyond 90 degrees are proof. Otherwise the distance from HOME (`D`) and the third
     number decide: a height follows latitude and longitude (Matrice 300, Avata 2), a count of satellites follows
@@ -176,7 +175,7 @@ def _order(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
 
 
 def _by_home(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
-    """The order in which places lie as far from HOME as the subtitles give it."""
+    """Return the order that reproduces the written distances from HOME (None if unclear), and the reason."""
     why, misfits = "the distance from HOME", []
     for latitude_first in (True, False):
         off = [
@@ -186,7 +185,7 @@ def _by_home(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
         ]  # fmt: skip
         misfits.append(float(np.median(off)) if off else math.nan)
     best, other = sorted(misfits)
-    clear = other > 0.1 and best < other / 2  # of the distance
+    clear = other > 0.1 and best < other / 2  # shares of the distance
     return (misfits[0] == best if clear else None), why
 
 
@@ -196,24 +195,24 @@ def _by_third(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
         return None, ""
     if _is_written_height(cues):
         return True, "the third number is a height"
-    if (abs(third - up) <= 1).all():  # m: a rounded height, or by chance
+    if (abs(third - up) <= 1).all():  # m; equal after rounding, or by chance
         return (True if np.ptp(third) > 3 else None), "the third number is the height"
     return False, "the third number is a count of satellites"
 
 
 def _thirds(cues: Sequence[_Cue]) -> tuple[F64, F64]:
-    """(N,) third numbers in brackets, and the heights above take-off beside them, NaN where there is none."""
+    """Return (N,) third numbers in brackets, and (N,) metres above take-off, NaN where not given."""
     pairs = [(c.gps[2].value, c.row.values.get("rel_alt", math.nan)) for c in cues if len(c.gps) > 2]
     third, up = np.array(pairs).reshape(-1, 2).T
     return third, up
 
 
 def _is_written_height(cues: Sequence[_Cue]) -> bool:
-    """Whether the third number is no count of satellites, by its decimals, its unit or its size."""
+    """Whether decimals, unit or size of the third number show that it is not a count of satellites."""
     return any(n.decimals or n.unit or not 0 <= n.value <= 60 for c in cues for n in c.gps[2:3])
 
 
 def _is_altitude(cues: Sequence[_Cue]) -> bool:
-    """Whether the third number is a height, but neither always zero nor the height above take-off."""
+    """Whether the third number is a height that is neither always zero nor the height above take-off."""
     third, up = _thirds(cues)
     return _is_written_height(cues) and bool((third != 0).any()) and not bool((abs(third - up) <= 1).all())

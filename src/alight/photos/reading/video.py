@@ -1,4 +1,4 @@
-"""A film with telemetry as photos: frames by distance, with tags for `Photos`."""
+"""A film with telemetry as photos: frames selected by the distance flown, with tags for `Photos`."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from alight.settings import Settings
 
 Base = ExifTags.Base
 
-OVERLAP = 0.8  # of one frame with the next, along the flight
-IN_STEP = 0.3  # s between film and telemetry that are not corrected: the pictures show the offset no better
+OVERLAP = 0.8  # share of a frame that the next one repeats, along the flight
+IN_STEP = 0.3  # s; a smaller clock offset is not corrected, because the pictures do not show it more exactly
 
 
 @dataclass(frozen=True)
 class FilmClock:
-    """The time between a film and its telemetry."""
+    """Clock offset between a film and its telemetry."""
 
     offset: float  # s, to be added to the film's time
-    found: str
+    found: str  # how the offset was found, in words
     warning: str = ""
-    accuracy: float = 0.0  # m, of the places, where it may be wrong; 0: it is not
+    accuracy: float = 0.0  # m, error of positions by a possibly wrong offset; 0: the offset is reliable
 
 
 def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry | None] = lambda: None) -> Photos:
-    """Extract frames from a film and open them as photos, in a temporary folder that lives as long as the source.
+    """Open a film as photos; its frames are extracted to a temporary folder that lives as long as the source.
 
     Args:
-        path: of the film.
-        settings: all of them.
-        log: gives the telemetry of an autopilot's log, if there is one; used where none is beside the film.
+        path: the film.
+        settings: all settings of the run.
+        log: returns the telemetry of an autopilot's log, or None; called if no telemetry lies next to the film.
 
     Raises:
-        InputError: it cannot be decoded, there is no telemetry with a place, or its clock is not clear.
+        InputError: the film cannot be decoded, has no telemetry with positions, or its clock offset is unclear.
     """
     with FilmFrames(path) as frames:
         seconds = frames.seconds
@@ -81,16 +81,16 @@ def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry |
 
 
 def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: float | None) -> FilmClock:
-    """Settle the time between a film and its telemetry.
+    """Determine the clock offset between a film and its telemetry.
 
     Args:
-        path: of the film.
-        seconds: its length.
-        telemetry: its places.
-        given: `sources.time_offset`, the telemetry's zero on the film's clock; None: found from the pictures.
+        path: the film.
+        seconds: length of the film; 0: unknown.
+        telemetry: positions of the film.
+        given: `sources.time_offset`, s, the telemetry's zero on the film's clock; None: estimate it from the pictures.
 
     Raises:
-        InputError: it is not clear, for telemetry with a clock of its own.
+        InputError: the offset is unclear, and the telemetry has a clock of its own.
     """
     if given is not None:
         return FilmClock(-given, f"the {_earlier(-given)}, by sources.time_offset")
@@ -121,7 +121,7 @@ def _earlier(offset: float) -> str:
 
 
 def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
-    """Save the frames that are chosen; those without telemetry are left out."""
+    """Save the selected frames and yield their tags; frames without telemetry are left out."""
     last: TelemetryRow | None = None
     with FilmFrames(path) as frames:
         for t in frames:
@@ -137,21 +137,20 @@ def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: 
 
 
 def _distance(a: TelemetryRow, b: TelemetryRow) -> float:
-    """Distance in metres between the places of two rows."""
     up = (next((r.values[k] for k in ("abs_alt", "rel_alt") if k in r.values), 0.0) for r in (a, b))
     return math.hypot(abs(apart(a, b)), next(up) - next(up))
 
 
 def digital_zoom(row: TelemetryRow) -> float:
-    """Factor of the digital zoom; some models write it in ten thousandths."""
+    """Return the factor of the digital zoom; some models write it in ten-thousandths."""
     zoom = row.values.get("dzoom_ratio", 1.0)
     return max(zoom / 10_000 if zoom >= 1000 else zoom, 1.0)
 
 
 def focal_px(row: TelemetryRow, longer: float) -> float | None:
-    """Focal length in pixels, without a digital zoom, from the 35 mm equivalent.
+    """Compute the focal length in pixels without digital zoom, from the 35 mm equivalent; None if not given.
 
-    DJI's sensors are 4:3, and their whole longer side is filmed.
+    `longer` is the longer side of a frame in pixels. DJI's sensors are 4:3, and films use their whole longer side.
     """
     film = row.values.get("focal_len")
     if not film or film <= 0:
@@ -162,14 +161,14 @@ def focal_px(row: TelemetryRow, longer: float) -> float | None:
 
 
 def _step(row: TelemetryRow, size: tuple[int, int]) -> float:
-    """Distance in metres from one frame to the next, for the overlap `OVERLAP`; usual values where none is known."""
+    """Return the distance in metres between frames with overlap `OVERLAP`; usual values replace missing ones."""
     focal = focal_px(row, max(size))
-    field = 0.56 if focal is None else min(size) / (focal * digital_zoom(row))  # ground of a frame over the distance
+    field = 0.56 if focal is None else min(size) / (focal * digital_zoom(row))  # extent on the ground over height
     return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
 def _tags(path: Path, frames: FilmFrames, row: TelemetryRow, accuracy: float) -> PhotoTags:
-    """The tags that a photo of the same drone would have; no altitude where it is not known."""
+    """Build the tags that a photo of the same drone would have; an unknown altitude is left out."""
     assert row.place is not None
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=row.seconds)
     exif: dict[int, str] = {

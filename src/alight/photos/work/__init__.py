@@ -1,4 +1,4 @@
-"""Work of a set of photos, whose results from before an interruption are kept."""
+"""Saved work on a set of photos, from which an interrupted run continues."""
 
 from alight.photos.work.saved import SavedJobs, WorkFolder, work_key
 

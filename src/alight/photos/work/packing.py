@@ -1,4 +1,4 @@
-"""Results of tasks as bytes, and back to the same bits: arrays, numbers, text and listed records, but no code."""
+"""Pack results of tasks into bytes and restore them bit by bit: arrays, numbers, text and listed records, no code."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ KINDS: dict[str, type[Any]] = {
         RigCamera, Trajectory,
     )
 }  # fmt: skip
-_DIGEST = 16  # bytes before the archive
+_DIGEST = 16  # bytes of the digest before the archive
 
 
 def pack_result(value: Any, about: str) -> bytes:
-    """Pack the result of a task, as a compressed archive of NumPy.
+    """Pack the result of a task into a digest and a compressed NumPy archive.
 
     Args:
-        value: records that are listed here, arrays, numbers and text, in tuples, lists and mappings.
-        about: further inputs of the result, as text; part of the digest alone.
+        value: records of `KINDS`, arrays, numbers and text, in tuples, lists and mappings.
+        about: further inputs of the result, as text; they enter the digest only.
     """
     arrays, out = list[NDArray[Any]](), io.BytesIO()
     tree = json.dumps({"value": _plain(value, arrays)})
@@ -48,15 +48,15 @@ def pack_result(value: Any, about: str) -> bytes:
 
 
 def is_whole(data: bytes, about: str) -> bool:
-    """True if bytes are undamaged and were packed with the same `about`."""
+    """Whether packed bytes are undamaged and were packed with an equal `about`."""
     return data[:_DIGEST] == _digest(about, data[_DIGEST:])
 
 
 def unpack_result(data: bytes) -> Any:
-    """Return the value that was packed, equal to the bit.
+    """Restore a packed value, bit by bit.
 
     Raises:
-        ValueError: the bytes are no packed result.
+        ValueError: the bytes are not a packed result.
     """
     try:
         with np.load(io.BytesIO(lz4.frame.decompress(data[_DIGEST:])), allow_pickle=False) as archive:
@@ -70,7 +70,7 @@ def _digest(about: str, body: bytes) -> bytes:
 
 
 def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """Convert to JSON, arrays apart. Numbers and text stay; all else becomes a list that begins with its type."""
+    """Convert to JSON, and put arrays into `arrays`; all but numbers and text become lists that begin with the type."""
     if isinstance(value, np.ndarray):
         arrays.append(np.asarray(value, order="C"))
         return ["array", f"arr_{len(arrays) - 1}"]

@@ -1,4 +1,4 @@
-"""Work of a set of photos, saved piece by piece in its output folder: an interrupted run continues from there."""
+"""Work on a set of photos, saved piece by piece in the output folder, so that an interrupted run can continue."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class WorkFolder(MutableMapping[str, bytes]):
     Args:
         out: folder of the results.
         key: everything that the work depends on: input, settings, version.
-        resume: continue with the saved work; without it, saved work is removed.
+        resume: whether to continue with saved work; otherwise saved work is removed.
 
     Raises:
         InputError: the saved work has another key, or its key is damaged.
@@ -75,7 +75,6 @@ class WorkFolder(MutableMapping[str, bytes]):
 
 
 def _key_of(folder: Path) -> dict[str, Any] | None:
-    """Key of the saved work; None: there is none."""
     try:
         tree = parse_json(read_text(folder / KEY, LARGEST_JSON))
     except FileNotFoundError:
@@ -86,7 +85,7 @@ def _key_of(folder: Path) -> dict[str, Any] | None:
 
 
 def _differing(there: Any, wanted: Any, name: str = "") -> str:
-    """The first difference of two keys, in words; empty where they are the same."""
+    """Return the first difference between two keys in words; empty if they are equal."""
     if there == wanted:
         return ""
     if isinstance(there, dict) and isinstance(wanted, dict):
@@ -99,11 +98,11 @@ def _differing(there: Any, wanted: Any, name: str = "") -> str:
 
 
 class SavedJobs:
-    """Takes saved results, has the other tasks done, and saves their results.
+    """Jobs that reuse saved results, run the remaining tasks, and save their results.
 
     Args:
-        doing: workers for the other tasks.
-        saved: pieces of work by the names of their tasks.
+        doing: runs the remaining tasks.
+        saved: pieces of work by task name.
     """
 
     def __init__(self, doing: Jobs, saved: MutableMapping[str, bytes]) -> None:
@@ -111,8 +110,8 @@ class SavedJobs:
         self.done: list[str] = []  # names of the tasks that were not saved before
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """As `Jobs`, always in the order of the tasks."""
-        drawn = deque[tuple[Task, bool]]()  # and whether it is saved
+        """Run tasks as `Jobs.run` does, but always yield results in the order of the tasks."""
+        drawn = deque[tuple[Task, bool]]()  # each task, and whether its result is saved
 
         def open_tasks() -> Iterator[Task]:
             for task in tasks:
@@ -133,7 +132,7 @@ class SavedJobs:
         """Yield saved results, up to the next task without one.
 
         Raises:
-            InputError: a piece is whole, but no packed result.
+            InputError: a piece is undamaged, but is not a packed result.
         """
         while drawn and drawn[0][1]:
             name = drawn.popleft()[0].name
@@ -145,13 +144,13 @@ class SavedJobs:
 
 
 def work_key(source: Source, digest: str, settings: Settings, *files: Path) -> dict[str, Any]:
-    """Return the key of a run's work, with all its inputs: saved work of another key is not used.
+    """Return the key of a run's work, made from all its inputs; saved work with another key is not used.
 
     Args:
         source: the photos.
-        digest: of the photos.
+        digest: digest of the photos.
         settings: all settings.
-        files: further inputs, such as given poses.
+        files: further input files, such as given poses.
     """
     rest = blake2b(repr((source.rig, source.local)).encode())
     for file in files:
