@@ -1,4 +1,4 @@
-"""Constraints of features on poses, their points eliminated: sums, residuals and gates: kernels (M21).
+"""Kernels for constraints of features on poses, with the points eliminated: sums, residuals and gates (M21).
 
 N features, K poses. A of a feature is its block diagonal `own` (K, 6, 6) less V V', V (K, 6, 3); its right side is b
 (K, 6). A pose that did not observe a feature has zero blocks.
@@ -14,7 +14,7 @@ from alight.compiled import kernel
 
 @kernel
 def sum_information(own: F64, V: F64, b: F64, weight: F64, A: F64, total: F64) -> None:
-    """Write the weighted sum over the features of A (6K, 6K) and b (6K,)."""
+    """Write the weighted sums over the features of A (6K, 6K), and of b into `total` (6K,)."""
     n, k = b.shape[:2]
     rows, diagonal = np.zeros((6 * k, 3 * n)), np.zeros((k, 6, 6))
     total[:] = 0.0
@@ -43,7 +43,7 @@ def sum_information(own: F64, V: F64, b: F64, weight: F64, A: F64, total: F64) -
 
 @kernel
 def misfits_at(own: F64, V: F64, b: F64, misfit: F64, error: F64, out: F64) -> None:
-    """Write the (N,) squared residual of each feature when the poses move by (6K,) errors and its point follows."""
+    """Write the (N,) squared residual of each feature if the poses move by (6K,) errors and its point follows."""
     n, k = b.shape[:2]
     for f in range(n):
         out[f] = misfit[f]
@@ -65,7 +65,6 @@ def misfits_at(own: F64, V: F64, b: F64, misfit: F64, error: F64, out: F64) -> N
 
 @kernel
 def _observing(own: F64, poses: I64) -> int:
-    """Write the indices of the poses that observed a feature; return their number."""
     count = 0
     for i in range(len(own)):
         if own[i, 3, 3] != 0.0 or own[i, 4, 4] != 0.0:
@@ -105,13 +104,13 @@ def pose_distances(own: F64, V: F64, b: F64, misfit: F64, P: F64, out: F64) -> N
 
 @kernel
 def solve_pivoted(L: F64, pivots: I64, b: F64, residual: F64, rows: F64) -> None:
-    """Write residual and rows of unit noise out of the factor of a Cholesky decomposition with pivots.
+    """Write residual and rows of unit noise from the factor of a Cholesky decomposition with pivots.
 
     Args:
-        L: (n, n) lower factor of the matrix with its rows and columns in the order of the pivots.
+        L: (n, n) lower factor of the matrix, whose rows and columns are in the order of the pivots.
         pivots: (n,) from 1, as LAPACK counts.
         b: (n,) right side.
-        residual: (m,) out, L residual = b. rows: (m, n) zero, out: L' in the order of the unknowns.
+        residual: (m,) out, L residual = b. rows: (m, n) zero on input, out: L' in the order of the unknowns.
     """
     for r in range(len(residual)):
         value = b[pivots[r] - 1]
@@ -124,7 +123,7 @@ def solve_pivoted(L: F64, pivots: I64, b: F64, residual: F64, rows: F64) -> None
 
 @kernel
 def largest_eigenvalues(A: F64, out: F64) -> None:
-    """Write the largest eigenvalue of each of (N, 3, 3) symmetric matrices (trigonometric formula)."""
+    """Write the largest eigenvalue of each of the (N, 3, 3) symmetric matrices `A` (trigonometric formula)."""
     for n in range(len(A)):
         a, b, c = A[n, 0, 0], A[n, 1, 1], A[n, 2, 2]
         d, e, f = A[n, 1, 0], A[n, 2, 1], A[n, 2, 0]

@@ -13,8 +13,8 @@ from alight.motion.imu_kernels import inertial_transition_into
 from alight.motion.preintegration import GRAVITY, OPEN_RATE_SIGMA, Preintegral, right_jacobian
 from alight.settings import FilterSettings
 
-MAX_RATE_AGE = 1.0  # s; after a longer gap without IMU, as between photos, the angular velocity is not used
-_OPEN_ATTITUDE_SIGMA = 2.0  # rad, after such a gap
+MAX_RATE_AGE = 1.0  # s; after a longer step without IMU, as between photos, the angular velocity is not used
+_OPEN_ATTITUDE_SIGMA = 2.0  # rad, attitude noise of such a step
 _SHAPE = (AT.motion.stop, AT.motion.stop)
 
 
@@ -28,19 +28,21 @@ class Step:
 
     @classmethod
     def at(cls, state: FilterState) -> Step:
-        """Return pose and velocity of a state, copied."""
+        """Return a copy of the pose and velocity of a state."""
         return cls(state.R, state.core[AT.pos].copy(), state.core[AT.vel].copy())
 
 
 def propagate(
     here: Step, rate: F64, m: Preintegral | None, dt: float, noise: FilterSettings, first: Step | None = None
 ) -> tuple[Step, F64, F64]:
-    """Propagate by `dt`; return the step, its (15, 15) transition and noise, without the walk of the biases.
+    """Propagate by `dt` seconds; return the new pose and velocity, the (15, 15) transition, and its noise covariance.
+
+    The noise excludes the random walk of the biases; see `add_bias_walk`.
 
     Args:
-        rate: (3,) rad/s, angular velocity, where no IMU drives the motion.
+        rate: (3,) angular velocity, rad/s; used only without an IMU.
         m: inertial measurements over `dt`; None: without IMU.
-        first: the state as predicted, before it was corrected; None: as `here`. With these first-estimates Jacobians
+        first: the state as predicted, before it was corrected; None: `here`. With these first-estimates Jacobians
             (Huang et al. 2008) the transitions of successive steps multiply to that of one long step, and yaw and
             position stay unobservable to the cameras.
     """
@@ -79,7 +81,7 @@ def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[
 
 
 def _add_white_noise(Q: F64, value: slice, rate: slice, rotation: F64, density: float, dt: float) -> None:
-    """Set the noise of a value and its rate over `dt` for white noise of a density on the derivative of the rate."""
+    """Set the covariance of a value and its rate after `dt`, for white noise of `density` on the rate's derivative."""
     eye = np.eye(3)
     Q[value, value], Q[rate, rate] = eye * (density * dt**3 / 3.0), eye * (density * dt)
     Q[value, rate] = rotation * (density * dt**2 / 2.0)
@@ -87,14 +89,14 @@ def _add_white_noise(Q: F64, value: slice, rate: slice, rotation: F64, density: 
 
 
 def add_bias_walk(Q: F64, dt: float, noise: FilterSettings) -> None:
-    """Add the variance of the random walk of the biases over `dt` to the (15, 15) noise of the motion, in place."""
+    """Add the variance of the biases' random walk over `dt` seconds to the noise `Q` (15, 15), in place."""
     walk = np.zeros(len(Q))
     walk[AT.gyro], walk[AT.acc] = noise.gyro_walk**2 * dt, noise.accelerometer_walk**2 * dt
     Q[np.diag_indices(len(Q))] += walk
 
 
 def nav_decay(dt: float, sigma: F64, noise: FilterSettings) -> tuple[F64, F64]:
-    """Return the (9,) decay and (9,) added variance of the first-order Gauss-Markov errors of GPS/INS over `dt`."""
+    """Return the (9,) decay and (9,) added variance over `dt` seconds of GPS/INS errors (first-order Gauss-Markov)."""
     tau = np.repeat([noise.nav_position_tau, noise.nav_attitude_tau, noise.nav_velocity_tau], 3)
     a = np.exp(-dt / tau)
     return a, (1.0 - a**2) * sigma**2

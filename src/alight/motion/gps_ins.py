@@ -1,4 +1,4 @@
-"""Measurement model of GPS/INS: the state, a slowly varying error and a white one (docs/method/motion.md, M14-M16)."""
+"""Measurement model of GPS/INS: state, slowly varying error, and white error (docs/method/motion.md, M14-M16)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alight.records import NavSample
 from alight.settings import FilterSettings
 
 _GIMBAL_MOUNTING_SIGMA = 0.03  # rad, of the rotation between a gimbal's tag and the camera
-_OPEN_VELOCITY_SIGMA = 10.0  # m/s, at a start without a velocity
+_OPEN_VELOCITY_SIGMA = 10.0  # m/s, for an initial state without a velocity
 
 
 class Quantity(IntEnum):
@@ -27,21 +27,21 @@ class Quantity(IntEnum):
 
     @property
     def rows(self) -> slice:
-        """Its rows of (9,) sigmas and slowly varying errors."""
+        """Rows of the quantity in (9,) sigmas and slowly varying errors; not for RATE."""
         return slice(3 * self, 3 * self + 3)
 
     @property
     def state(self) -> slice:
-        """What it measures."""
+        """Rows of the state that the quantity measures."""
         return (AT.pos, AT.att, AT.vel, AT.gyro)[self]
 
     def of(self, sample: NavSample) -> F64 | None:
-        """Its value in a row; None: not measured."""
+        """Return the quantity's value in a row of GPS/INS; None: not measured."""
         values = (sample.position_world, sample.world_from_body, sample.velocity_world, sample.angular_velocity_body)
         return values[self]
 
 
-SLOW = (Quantity.POSITION, Quantity.ATTITUDE, Quantity.VELOCITY)  # those with slowly varying errors
+SLOW = (Quantity.POSITION, Quantity.ATTITUDE, Quantity.VELOCITY)  # quantities with slowly varying errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +50,12 @@ class NavMeasurement:
 
     quantity: Quantity
     residual: F64  # (3,)
-    H: F64  # (3, CORE)
+    H: F64  # (3, CORE) Jacobian by the errors of the core
     variance: F64  # (3,) of the white noise
 
 
 def sigmas(sample: NavSample, noise: FilterSettings) -> F64:
-    """Return the (9,) 1-sigma of position, attitude (in the world) and velocity; defaults where a row has none."""
+    """Return the (9,) 1-sigma of position, attitude (in world axes) and velocity; defaults without a valid sigma."""
     position = _valid_or(sample.sigma_position, noise.position_sigma)
     attitude = _valid_or(sample.sigma_attitude, noise.attitude_sigma)
     if sample.world_from_body is not None:  # roll, pitch, yaw are about the axes of the body
@@ -69,13 +69,13 @@ def _valid_or(sigma: F64 | None, default: float) -> F64:
 
 
 def whites(sigma: F64, noise: FilterSettings) -> F64:
-    """Return the (9,) sigma of the white part, never above the whole (RTK is better than the setting)."""
+    """Return the (9,) 1-sigma of the white errors, at most the whole `sigma` (RTK is better than the setting)."""
     white = np.repeat([noise.nav_position_white, noise.nav_attitude_white, noise.nav_velocity_white], 3)
     return np.asarray(np.minimum(white, sigma))
 
 
 def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> FilterState | None:
-    """Make the first state from a row with position and attitude; None: the row lacks one.
+    """Create the first state from a row with position and attitude; None if the row lacks one of them.
 
     The position is exact in a map frame of its own (M14b), whose offset from the world is a state. Cameras cannot
     observe the first error of GPS; as an error of the position it would only disturb the poses.
@@ -105,14 +105,14 @@ def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> Filte
 def measurements(
     state: FilterState, sample: NavSample, sigma: F64, noise: FilterSettings, inertial: bool
 ) -> list[NavMeasurement]:
-    """Return position (M14), attitude (M15) and velocity (M16), each where the row holds it.
+    """Return the linearised position (M14), attitude (M15) and velocity (M16), each if the row holds it.
 
-    Without an IMU that drives the motion (`inertial`) also the angular velocity.
+    Unless an IMU drives the motion (`inertial`), the angular velocity is included.
     """
     core, R, out = state.core, sample.world_from_body, list[NavMeasurement]()
 
     def add(quantity: Quantity, residual: F64, variance: F64, *parts: slice) -> None:
-        H = np.zeros((3, CORE))  # adds up these parts of the core's errors
+        H = np.zeros((3, CORE))  # sums up these parts of the core's errors
         for part in parts:
             H[:, part] = np.eye(3)
         out.append(NavMeasurement(quantity, residual, H, variance))

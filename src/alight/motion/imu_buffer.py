@@ -10,15 +10,15 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.records import ImuSample
 
-_LONGEST_NS = 60_000_000_000  # ns of samples that are kept, where old ones are forgotten
+_LONGEST_NS = 60_000_000_000  # ns of samples that are kept when old samples are dropped
 
 
 class ImuBuffer:
-    """The newest samples, in order of time; old ones are forgotten from the front."""
+    """The newest inertial samples, in order of time; old samples are dropped from the front."""
 
     def __init__(self, samples: Iterable[ImuSample] = ()) -> None:
         self._samples = list[ImuSample]()
-        self._arrays: tuple[I64, F64] | None = None  # made when they are read after a change
+        self._arrays: tuple[I64, F64] | None = None  # made at the first reading after a change
         for s in samples:
             self.append(s)
 
@@ -27,12 +27,12 @@ class ImuBuffer:
 
     @property
     def first_ns(self) -> int:
-        """Stamp of the oldest sample."""
+        """Stamp of the oldest sample, ns."""
         return self._samples[0].t_ns
 
     @property
     def last_ns(self) -> int:
-        """Stamp of the newest sample."""
+        """Stamp of the newest sample, ns."""
         return self._samples[-1].t_ns
 
     @property
@@ -42,7 +42,7 @@ class ImuBuffer:
 
     @property
     def rates(self) -> F64:
-        """(M, 6) angular velocity [rad/s] and specific force [m/s^2] in the body."""
+        """Angular velocity [rad/s] and specific force [m/s^2] of the samples in the body frame, (M, 6)."""
         return self._as_arrays()[1]
 
     def _as_arrays(self) -> tuple[I64, F64]:
@@ -53,14 +53,14 @@ class ImuBuffer:
         return self._arrays
 
     def mean_rate(self, t_ns: int, half_ns: int) -> F64:
-        """Return the (3,) rad/s mean angular velocity within `half_ns` of an instant, of one sample at least."""
+        """Return the (3,) mean angular velocity within `half_ns` of an instant, rad/s, from at least one sample."""
         first = min(int(np.searchsorted(self.times, t_ns - half_ns)), len(self) - 1)
         end = int(np.searchsorted(self.times, t_ns + half_ns, side="right"))
         some = self.rates[first : max(end, first + 1), :3]
         return np.asarray(some.sum(axis=0) / len(some))
 
     def append(self, sample: ImuSample) -> bool:
-        """Add a sample; False: it is left out, because it is not newer than all others or not finite."""
+        """Add a sample and return whether it was added: it must be finite and newer than all others."""
         if len(self) and sample.t_ns <= self.last_ns:
             return False
         if not (np.isfinite(sample.angular_velocity_body).all() and np.isfinite(sample.specific_force_body).all()):
@@ -70,7 +70,7 @@ class ImuBuffer:
         return True
 
     def forget_before(self, t_ns: int) -> None:
-        """Forget the samples before an instant, and those older than a minute: memory stays bounded."""
+        """Drop the samples before an instant, and samples older than a minute, so that memory stays bounded."""
         if len(self) and (old := bisect_left(self._samples, max(t_ns, self.last_ns - _LONGEST_NS), key=_stamp)):
             del self._samples[:old]
             self._arrays = None

@@ -1,4 +1,4 @@
-"""Preintegration of inertial measurements, and the transition of the state from it: kernels (M4-M8)."""
+"""Kernels for the preintegration of inertial measurements, and for the transition of the state by it (M4-M8)."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from alight.motion.rotation_kernels import exponential, multiply
 
 @kernel
 def _rates_at(times: I64, rates: F64, t_ns: int, out: F64) -> None:
-    """Interpolate (M, 6) rates linearly; beyond the ends they are constant."""
+    """Interpolate the rates (M, 6) linearly at `t_ns`; beyond the ends they are constant."""
     i = int(np.searchsorted(times, t_ns, side="right"))
     a, b = max(i - 1, 0), min(i, len(times) - 1)
     f = 0.0
@@ -42,7 +42,7 @@ def cut_segments(times: I64, rates: F64, start_ns: int, end_ns: int, dt: F64, me
 
 @kernel
 def _carry_rows(A_rr: F64, A_vr: F64, t: float, X: F64, out: F64) -> None:
-    """Write A X for the (9, n) X and the transition A of (rotation, velocity, position) over a segment of `t` s."""
+    """Write A X, with X (9, n) and the transition A of (rotation, velocity, position) over a segment of `t` s."""
     for i in range(3):
         for j in range(X.shape[1]):
             r = A_rr[i, 0] * X[0, j] + A_rr[i, 1] * X[1, j] + A_rr[i, 2] * X[2, j]
@@ -53,7 +53,7 @@ def _carry_rows(A_rr: F64, A_vr: F64, t: float, X: F64, out: F64) -> None:
 
 @kernel
 def _turned_force(middle: F64, a: F64, t: float, out: F64) -> None:
-    """Write -middle [a]x t: the change of velocity over a segment by its attitude at the middle."""
+    """Write -middle [a]x t: the derivative of a segment's change of velocity by the attitude at its middle."""
     for i in range(3):
         x, y, z = middle[i, 0], middle[i, 1], middle[i, 2]
         out[i, 0], out[i, 1] = -t * (y * a[2] - z * a[1]), -t * (z * a[0] - x * a[2])
@@ -81,12 +81,12 @@ def preintegrate_segments(
     """Integrate N segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6); return the time.
 
     Args:
-        dt: (N,) s.
-        mean: (N, 6) rad/s, m/s^2.
-        bias: (6,) of the gyro and of the accelerometer.
-        variance: (N, 2) of the mean angular rate and of the specific force of each segment.
+        dt: (N,) length of each segment, s.
+        mean: (N, 6) mean rates, rad/s and m/s^2.
+        bias: (6,) bias of the gyro and of the accelerometer.
+        variance: (N, 2) variance of the mean angular rate and of the mean specific force.
         R, v, p: (3, 3), (3,), (3,) out: rotation, velocity and position in the earlier frame.
-        J: (9, 6) out. C: (9, 9) out.
+        J: (9, 6) out, bias Jacobian. C: (9, 9) out, covariance.
     """
     half, middle, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     A_rr, A_vr, force = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -127,7 +127,6 @@ def preintegrate_segments(
 
 @kernel
 def _minus_skew(x: float, y: float, z: float, out: F64) -> None:
-    """Write -[v]x (3, 3) of the vector v = (x, y, z)."""
     out[0, 1], out[0, 2], out[1, 0], out[1, 2], out[2, 0], out[2, 1] = z, -y, -z, x, y, -x
 
 
@@ -138,9 +137,9 @@ def inertial_transition_into(
     """Write the transition and the noise of (attitude, position, velocity, gyro, accelerometer bias) over a step.
 
     Args:
-        R0, R1: (3, 3) attitude before and after.
-        moved, speed_up: (3,) change of the position and of the velocity without initial velocity and gravity.
-        dt: s.
+        R0, R1: (3, 3) attitude before and after the step.
+        moved, speed_up: (3,) change of position and velocity, without initial velocity and gravity.
+        dt: length of the step, s.
         J, C: (9, 6), (9, 9) bias Jacobian and covariance of the preintegral.
         F, Q: (15, 15) out.
     """

@@ -1,6 +1,6 @@
-"""Observations of features over a window of rig poses: one dense array, one row a feature, one column a pose.
+"""Observations of features over a window of rig poses: one dense array, one row per feature, one column per pose.
 
-The filter's window are its clones (MSCKF, Mourikis and Roumeliotis 2007). Each observation is used only once.
+The window of the filter is its clones (MSCKF, Mourikis and Roumeliotis 2007). Each observation is used only once.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from alight.settings import FilterSettings
 
 
 def positions(ascending: I64, ids: I64) -> I64:
-    """Return the (N,) indices of numbers among ascending ones, -1 where they are not among them."""
+    """Return the (N,) indices of `ids` in the array `ascending`, -1 for ids that it does not contain."""
     if not len(ascending):
         return np.full(len(ids), -1)
     at = np.minimum(np.searchsorted(ascending, ids), len(ascending) - 1)
@@ -26,9 +26,9 @@ def positions(ascending: I64, ids: I64) -> I64:
 
 
 def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> F64:
-    """Return the (N,) 1-sigma of normalised coordinates (M13): the stronger the texture, the sharper the SSD minimum.
+    """Return the (N,) 1-sigma of normalised coordinates (M13): stronger texture makes the SSD minimum sharper.
 
-    It is proportional to 1 / sqrt(texture), which follows measured tracking errors (docs/method/tracks.md, M13).
+    It is proportional to 1 / sqrt(texture), which follows measured tracking errors (docs/method/tracks.md).
     """
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
@@ -41,7 +41,7 @@ class WindowObservations:
 
     ids: I64  # (N,)
     normalised: F64  # (N, K, C, 2) normalised coordinates, NaN = not observed
-    sigma: F64  # (N, K) of a normalised coordinate
+    sigma: F64  # (N, K) 1-sigma of a normalised coordinate
 
     @classmethod
     def empty(cls, cameras: int) -> WindowObservations:
@@ -50,27 +50,27 @@ class WindowObservations:
 
     @property
     def observed(self) -> Mask:
-        """(N, K): True where at least one camera observed the feature at the pose."""
+        """Mask (N, K): whether at least one camera observed the feature at the pose."""
         return np.asarray(np.isfinite(self.normalised[..., 0]).any(axis=2))
 
     def select(self, which: Mask | I64) -> WindowObservations:
-        """Return the observations of some features."""
+        """Return the observations of the features at the indices or mask `which`."""
         return WindowObservations(self.ids[which], self.normalised[which], self.sigma[which])
 
     def without_poses(self, dropped: Sequence[int]) -> WindowObservations:
-        """Remove poses by index."""
+        """Return the observations without the poses at the indices `dropped`."""
         if not len(dropped):
             return self
         normalised, sigma = (np.delete(a, dropped, axis=1) for a in (self.normalised, self.sigma))
         return replace(self, normalised=normalised, sigma=sigma)
 
     def with_pose(self, ids: I64, normalised: F64, sigma: F64) -> WindowObservations:
-        """Append a pose with the observations made there: known features keep their row, new ones are appended.
+        """Append a pose and its observations: known features keep their row, new features are appended.
 
         Args:
-            ids: (M,) of the features observed at the pose, ascending.
-            normalised: (M, C, 2), NaN = not observed by that camera.
-            sigma: (M,) of a normalised coordinate.
+            ids: (M,) ids of the features observed at the pose, ascending.
+            normalised: (M, C, 2) normalised coordinates, NaN = not observed by that camera.
+            sigma: (M,) 1-sigma of a normalised coordinate.
         """
         theirs = positions(ids, self.ids)
         mine = np.flatnonzero(theirs >= 0)
@@ -104,18 +104,18 @@ class Clones:
         return len(self.stamps)
 
     def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
-        """Return these clones and one more."""
+        """Return these clones and, as the newest, the pose (3, 3), (3,) of the rig stamped `t_ns`."""
         pairs = ((self.R, R), (self.p, p), (self.first_R, R), (self.first_p, p))
         return Clones((*self.stamps, t_ns), *(np.concatenate([old, new[None]]) for old, new in pairs))
 
     def select(self, kept: Sequence[int]) -> Clones:
-        """Return the clones of the indices `kept`."""
+        """Return the clones at the indices `kept`."""
         at = list(kept)
         arrays = (a[at] for a in (self.R, self.p, self.first_R, self.first_p))
         return Clones(tuple(self.stamps[i] for i in at), *arrays)
 
     def moved(self, error: F64) -> Clones:
-        """Return the clones with (6K,) errors added, (rotation, position) each; first estimates stay."""
+        """Return the clones with (6K,) errors added, (rotation [rad], position [m]) each; first estimates stay."""
         R, p = np.empty_like(self.R), np.empty_like(self.p)
         move_poses(self.R, self.p, error, R, p)
         return replace(self, R=R, p=p)
@@ -126,7 +126,7 @@ def cameras_at(R: F64, p: F64, cams: Sequence[Pose]) -> tuple[F64, F64]:
 
     Args:
         R, p: (K, 3, 3), (K, 3) world_from_rig.
-        cams: rig_from_cam.
+        cams: rig_from_cam of the C cameras.
     """
     rotations, centres = np.empty((len(R), len(cams), 3, 3)), np.empty((len(R), len(cams), 3))
     for i, cam in enumerate(cams):

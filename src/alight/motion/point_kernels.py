@@ -1,7 +1,7 @@
-"""Triangulation of features, and their elimination from the normal equations of the poses (M12, M21): kernels.
+"""Kernels that triangulate features and eliminate them from the normal equations of the poses (M12, M21).
 
-N features, K poses of a rig, C cameras. Filter: dense arrays over a short window, linearised in the same pass. Batch
-adjustments: lists of observations sorted by point. NumPy would take forty small steps for a few thousand products.
+N features, K poses of a rig, C cameras. The filter uses dense arrays over a short window, linearised in the same pass.
+Batch adjustments use lists of observations sorted by point. NumPy would need forty small steps for the same products.
 """
 
 import numpy as np
@@ -9,14 +9,14 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.compiled import inline, kernel
 
-MIN_DEPTH = 1e-3  # m; smaller depths count as this in Jacobians, so that they stay finite
+MIN_DEPTH = 1e-3  # m; replaces smaller depths in Jacobians, so that they stay finite
 
 
 @inline
 def invert(A: F64, least: float, root: F64, inverse: F64) -> None:
-    """Write the inverse of a symmetric positive definite (3, 3) and an upper `root` with root root' = inverse.
+    """Write the inverse of a symmetric positive definite `A` (3, 3), and an upper `root` with root root' = inverse.
 
-    Pivots below `least` are rounding errors and set to it.
+    Pivots below `least` are rounding errors and are set to `least`.
     """
     a = np.sqrt(max(A[0, 0], least))
     b, c = A[1, 0] / a, A[2, 0] / a
@@ -34,7 +34,7 @@ def invert(A: F64, least: float, root: F64, inverse: F64) -> None:
 
 @inline
 def to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
-    """Write a world point in the frame of a camera, `R` and `origin` its world_from_cam."""
+    """Write the world point `x` into `q` in the frame of a camera, whose world_from_cam is `R` and `origin`."""
     for i in range(3):
         q[i] = (
             R[0, i] * (x[0] - origin[0]) + R[1, i] * (x[1] - origin[1]) + R[2, i] * (x[2] - origin[2])
@@ -54,7 +54,7 @@ def _add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
 
 @inline
 def _add_row(X: F64, e: float, V: F64, g: F64) -> None:
-    """Add a row of a point's Jacobian (3,) and its residual to the normal equations V, g of the point."""
+    """Add one row X (3,) of a point's Jacobian and its residual e to the point's normal equations V, g."""
     for i in range(3):
         g[i] += X[i] * e
         for j in range(3):
@@ -63,7 +63,6 @@ def _add_row(X: F64, e: float, V: F64, g: F64) -> None:
 
 @inline
 def _times_root(W: F64, root: F64) -> None:
-    """Multiply (6, 3) by the upper root of a point's covariance, in place."""
     for i in range(6):
         u, v, w = W[i, 0], W[i, 1], W[i, 2]
         W[i, 0] = u * root[0, 0]
@@ -77,7 +76,7 @@ def nearest_point(
 ) -> None:
     """Write the point (3,) nearest to the weighted rays `first` to `end` (midpoint method).
 
-    `least` stands on the diagonal; `room` (3, 3, 3) and `y` (3,) are scratch.
+    `least` is added to the diagonal of the equations; `room` (3, 3, 3) and `y` (3,) are scratch.
     """
     A, root, inverse = room[0], room[1], room[2]
     A[:], y[:] = 0.0, 0.0
@@ -92,7 +91,7 @@ def nearest_point(
 
 @kernel
 def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: float, out: F64) -> None:
-    """Write the (N, 3) points nearest to weighted rays, as `triangulate_rays` has them; `ray` (M, 3) of unit length."""
+    """Write the (N, 3) points nearest to weighted rays, see `triangulate_rays`; `ray` (M, 3) are unit vectors."""
     room, y = np.empty((3, 3, 3)), np.empty(3)
     for n in range(starts.shape[0] - 1):
         nearest_point(ray, origin, weight, starts[n], starts[n + 1], regular, room, y, out[n])
@@ -107,11 +106,11 @@ def eliminate_list(
 
     Args:
         starts: (N + 1,) first observation of each point, then M.
-        residual, by_pose, by_point: (M, 2), (M, 2, 6), (M, 2, 3) in sigmas.
+        residual, by_pose, by_point: (M, 2), (M, 2, 6), (M, 2, 3) residuals and Jacobians, in sigmas.
         regular: added to the diagonal of a point's block.
         coupling: (M, 6, 3) out: by_pose' by_point times the root of the point's covariance.
         gradient: (N, 3) out: right side of the points.
-        root, inverse: (N, 3, 3) out: covariance of the points for exact poses, and its root.
+        root, inverse: (N, 3, 3) out: root of the covariance of the points for exact poses, and that covariance.
     """
     V = np.empty((3, 3))
     for n in range(starts.shape[0] - 1):
@@ -131,7 +130,6 @@ def eliminate_list(
 
 @inline
 def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F64) -> None:
-    """Write the equations of the point nearest to all rays of one feature."""
     A[:], y[:] = 0.0, 0.0
     for i in range(3):
         A[i, i] = regular
@@ -148,7 +146,7 @@ def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F6
 def _linearise_point(
     normalised: F64, sigma: F64, R: F64, origin: F64, near: float, x: F64, q: F64, A: F64, y: F64
 ) -> None:
-    """Add the normal equations of one feature's point at `x` to A, y; only the lower half of A."""
+    """Add the normal equations of one feature's point at `x` to A and y; only the lower half of A."""
     for k in range(normalised.shape[0]):
         for c in range(normalised.shape[1]):
             if not np.isfinite(normalised[k, c, 0]):
@@ -179,13 +177,13 @@ def _linearise_point(
 def triangulate_tracks(
     normalised: F64, sigma: F64, R: F64, origin: F64, iterations: int, near: float, regular: float, out: F64
 ) -> None:
-    """Write the (N, 3) points of least squares: the point nearest to the rays, then Gauss-Newton (M12).
+    """Write the (N, 3) least-squares points: the point nearest to the rays, refined by Gauss-Newton (M12).
 
     Args:
         normalised, sigma: as in `WindowObservations`.
         R, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
-        near: m along the axis that a point must have.
-        regular: 1/m^2 on the diagonal.
+        near: m along the optical axis; observations of nearer points are left out.
+        regular: 1/m^2, added to the diagonal.
     """
     A, root, inverse, y, q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(normalised.shape[0]):
@@ -211,10 +209,11 @@ def marginalise_tracks(
     R: F64, origin: F64, first_R: F64, first_origin: F64, first_p: F64, near: float, regular: float,
     own: F64, coupling: F64, b: F64, misfit: F64, freedom: I64, root: F64, inverse: F64, step: F64,
 ) -> None:  # fmt: skip
-    """Linearise observations of N points, residuals now and Jacobians at first estimates; eliminate the points (M21).
+    """Linearise observations about N points, residuals at the estimates, Jacobians at the first estimates (M21).
 
-    Arguments as in `triangulate_tracks`; `x` (N, 3): points; `first_R`, `first_origin`, `first_p` (K, 3): the first
-    estimates of the cameras, and of the rig. Filled are the fields of `PoseConstraint`: A (`own`), V (`coupling`)...
+    The points are then eliminated, and the fields of `PoseConstraint` are filled: A (`own`), V (`coupling`) and so on.
+    The inputs are as in `triangulate_tracks`, with the points `x` (N, 3) and the first estimates of the cameras
+    (`first_R`, `first_origin`) and of the rig (`first_p` (K, 3)).
     """
     V, g, q, f = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     P, X = np.empty((2, 6)), np.empty((2, 3))

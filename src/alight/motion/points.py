@@ -1,7 +1,7 @@
 """Points of features: triangulated by least squares (M12), and eliminated from the equations of the poses (M21).
 
-The Schur complement of the point blocks; for one feature it is the information form of the null-space projection of the
-MSCKF (Mourikis and Roumeliotis 2007).
+This is the Schur complement of the point blocks. For one feature it is the information form of the null-space
+projection of the MSCKF (Mourikis and Roumeliotis 2007).
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from alight.motion.constraint_kernels import (
 from alight.motion.observations import Clones, WindowObservations, cameras_at
 from alight.motion.point_kernels import marginalise_tracks, nearest_to_rays, triangulate_tracks
 
-NEAR = 0.1  # m; a point closer to a camera along its axis, or behind it, is not observed by it
-WEAK_PRIOR = 1e-9  # 1/m^2 added to a point's information, so that a point at infinity has a covariance
+NEAR = 0.1  # m; a camera does not observe points closer along its axis, or behind it
+WEAK_PRIOR = 1e-9  # 1/m^2 added to a point's information, so that even a point at infinity has a covariance
 
 
 def triangulate_window(observations: WindowObservations, clones: Clones, cams: Sequence[Pose]) -> F64:
-    """Return (N, 3) points in the world: the point nearest to the rays, refined by three steps of Gauss-Newton (M12).
+    """Return the (N, 3) points in the world, m: nearest to their rays, refined by three Gauss-Newton steps (M12).
 
     Args:
-        observations: of N features from K poses by C cameras.
+        observations: N features from K poses by C cameras.
         clones: the K rig poses.
         cams: rig_from_cam of the C cameras.
     """
@@ -43,12 +43,12 @@ def triangulate_window(observations: WindowObservations, clones: Clones, cams: S
 
 
 def triangulate_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
-    """Return the (N, 3) points nearest to weighted rays (midpoint method): a start for a batch adjustment.
+    """Return the (N, 3) points nearest to weighted rays (midpoint method), to initialise a batch adjustment.
 
     Args:
-        starts: (N + 1,) first ray of each point, then their number M.
+        starts: (N + 1,) index of the first ray of each point, then the number M of rays.
         rays, origins: (M, 3) directions of any length and origins in the world, sorted by point.
-        weight: (M,)
+        weight: (M,) weight of each ray.
     """
     points = np.empty((len(starts) - 1, 3))
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -58,9 +58,9 @@ def triangulate_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class PoseConstraint:
-    """Constraint of N features on the errors d of K poses, their points eliminated.
+    """Constraint of N features on the errors d of K poses, with the points eliminated.
 
-    The cost of one feature is d'A d - 2 b'd + misfit. Poses are ordered (rotation, position).
+    The cost of one feature is d'A d - 2 b'd + misfit. The error of a pose is ordered (rotation, position).
     """
 
     x: F64  # (N, 3) m, points about which the observations were linearised
@@ -74,37 +74,37 @@ class PoseConstraint:
     step: F64  # (N, 3) m, from `x` to the best point for the poses as they are
 
     def select(self, which: Mask | I64) -> PoseConstraint:
-        """Return the constraints of some features."""
+        """Return the constraints of the features at the indices or mask `which`."""
         return PoseConstraint(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def well_known(self, centre: F64, share: float) -> Mask:
-        """(N,) points whose largest 1-sigma in any direction is less than a share of their distance from `centre`."""
+        """Return (N,) whether the largest 1-sigma of a point is below `share` of its distance from `centre`."""
         variance = np.empty(len(self.x))
         largest_eigenvalues(self.point_covariance, variance)
         return np.asarray(np.sqrt(variance) < share * np.linalg.norm(self.x - centre, axis=1))
 
     def point_by_poses(self) -> F64:
-        """(N, 3, 6K): the derivative of the best point by the errors of the poses, negated."""
+        """Return the negated derivative (N, 3, 6K) of the best points by the errors of the poses."""
         n = len(self.V)
         return np.asarray((self.V @ self.root[:, None].transpose(0, 1, 3, 2)).reshape(n, -1, 3).transpose(0, 2, 1))
 
     def information(self, weight: F64) -> tuple[F64, F64]:
-        """Return the weighted sum over the features of A (6K, 6K) and b (6K,)."""
+        """Return the weighted sums over the features of A (6K, 6K) and b (6K,), given weights (N,)."""
         size = 6 * self.b.shape[1]
         A, b = np.empty((size, size)), np.empty(size)
         sum_information(self.A, self.V, self.b, weight, A, b)
         return A, b
 
     def misfit_at(self, error: F64) -> F64:
-        """(N,) squared residual of each feature when the poses move by (6K,) errors and its point follows."""
+        """Return the (N,) squared residual of each feature if the poses move by (6K,) errors and its point follows."""
         out = np.empty(len(self.b))
         misfits_at(self.A, self.V, self.b, self.misfit, error, out)
         return out
 
     def mahalanobis(self, P: F64) -> F64:
-        """(N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses.
+        """Return the (N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses.
 
-        Infinite for all of them where `P` is so far out of range that it has no inverse: none passes a gate.
+        All distances are infinite if `P` is so far out of range that it has no inverse: then no feature passes a gate.
         """
         out = np.empty(len(self.b))
         try:
@@ -117,7 +117,7 @@ class PoseConstraint:
 def marginalise_points(
     observations: WindowObservations, clones: Clones, cams: Sequence[Pose], points: F64 | None = None
 ) -> PoseConstraint:
-    """Linearise observations about (N, 3) points, by default the triangulated ones, and eliminate these (M21).
+    """Linearise observations about `points` (N, 3), by default the triangulated points, and eliminate the points (M21).
 
     Residuals are taken at the estimates and Jacobians at the first estimates, so that yaw and position stay
     unobservable (first-estimates Jacobian, Huang et al. 2008).
@@ -136,9 +136,10 @@ def marginalise_points(
 
 
 def unit_noise_rows(A: F64, b: F64) -> tuple[F64, F64]:
-    """Return residual (m,) and rows (m, n) of unit noise with the information `A` (n, n) and `b` (n,).
+    """Return a residual (m,) and rows (m, n) of unit noise that hold the information `A` (n, n) and `b` (n,).
 
-    Cholesky with pivots: information below 1e-10 of the largest is rounding (a tenth of the time of eigenvectors).
+    Cholesky with pivots, which takes a tenth of the time of eigenvectors. Information below 1e-10 of the largest is
+    treated as a rounding error.
     """
     R, pivots, rank, _ = dpstrf(A, tol=1e-10 * max(float(A.diagonal().max()), 1e-300))
     residual, rows = np.empty(rank), np.zeros((rank, len(b)))

@@ -1,7 +1,7 @@
 """Preintegration of inertial measurements between two instants (docs/method/motion.md, M4-M6).
 
-The result does not depend on the pose or velocity, so filter and smoother share it (Lupton and Sukkarieh 2012;
-Forster et al. 2017, on-manifold preintegration).
+The result does not depend on the pose or velocity, so filter and smoother share it (Lupton and Sukkarieh 2012; Forster
+et al. 2017, on-manifold preintegration).
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from alight.motion.imu_kernels import cut_segments, preintegrate_segments
 from alight.settings import FilterSettings
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is absorbed by the accelerometer bias
-_MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
+_MAX_SAMPLE_INTERVAL = 0.05  # s; samples farther apart are a gap in the stream
 _HELD_NS = 200_000_000  # ns for which the last angular velocity is held; no turn of a vehicle lasts longer by itself
 OPEN_RATE_SIGMA, _OPEN_RATE_TAU = 0.5, 0.25  # rad/s, s: unmeasured angular velocity, and its correlation time
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """N pieces of time without a sample between, with the mean rates of each."""
+    """N pieces of time between samples, with the mean rates of each piece."""
 
     dt: F64  # (N,) s
     rates: F64  # (N, 6) rad/s, m/s^2
-    interval: F64  # (N,) s between the samples about it; where there is only one: from that one to its far end
-    since: F64  # (N,) s from the sample before it to its end; before the first sample: from its begin to that one
+    interval: F64  # (N,) s between the samples on both sides; with one sample only: from it to the far end
+    since: F64  # (N,) s from the sample before it to its end; before all samples: from its begin to the first
 
 
 @dataclass(frozen=True, eq=False)
 class Preintegral:
-    """Motion from one instant to a later one by the IMU.
+    """Motion of the body from one instant to a later one, by the IMU.
 
-    Its errors are (rotation, velocity, position), the rotation in the later body frame, the others in the earlier one.
+    Its errors are ordered (rotation, velocity, position): rotation in the later body frame, the others in the earlier.
     """
 
     dt: float  # s
@@ -45,19 +45,20 @@ class Preintegral:
     position: F64  # (3,) m in the earlier body frame, without gravity
     bias_jacobian: F64  # (9, 6) of the errors by (gyro, accelerometer) bias
     covariance: F64  # (9, 9)
-    bias: F64  # (6,) of gyro [rad/s] and accelerometer [m/s^2], at which it was integrated
+    bias: F64  # (6,) bias of gyro [rad/s] and accelerometer [m/s^2] at which it was integrated
 
 
 def right_jacobian(phi: F64) -> F64:
-    """Return the right Jacobian of SO(3) to second order, enough for the small angles between samples."""
+    """Return the right Jacobian (3, 3) of SO(3) to second order, enough for the small angles between samples."""
     W = skew(phi)
     return np.asarray(np.eye(3) - W / 2.0 + W @ W / 6.0)
 
 
 def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
-    """Cut [start, end] at the samples; each segment has the mean of its ends, outside all samples the nearest one.
+    """Cut [start, end] at the samples; each segment has the mean of its ends, outside all samples the nearest rates.
 
-    The angular velocity of that one holds for 0.2 s: held for 1.7 s, in gusts, it turned the state by 40 degrees.
+    Outside all samples, the nearest angular velocity holds for 0.2 s only: held for 1.7 s, in gusts, it turned the
+    state by 40 degrees.
     """
     n = len(imu) + 1
     dt, rates = np.empty(n), np.empty((n, 6))
@@ -77,12 +78,11 @@ def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
 
 
 def _held(away_ns: int, length_ns: int) -> float:
-    """Share of a time of `length_ns`, `away_ns` from the nearest sample, for which its angular velocity holds."""
+    """Return the share of a gap of `length_ns`, `away_ns` from a sample, in which the rate of that sample holds."""
     return min(max(_HELD_NS - away_ns, 0) / length_ns, 1.0)
 
 
 def _samples_about(imu: ImuBuffer, begin_ns: int, end_ns: int) -> tuple[float, float]:
-    """Return `interval` and `since` of the segment from `begin_ns` to `end_ns`."""
     times = imu.times
     after = int(np.searchsorted(times, begin_ns, side="right"))
     if after == 0:
@@ -94,7 +94,7 @@ def _samples_about(imu: ImuBuffer, begin_ns: int, end_ns: int) -> tuple[float, f
 def preintegrate(imu: ImuBuffer, start_ns: int, end_ns: int, bias: F64, noise: FilterSettings) -> Preintegral:
     """Integrate from `start_ns` to `end_ns` by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6).
 
-    `bias`: (6,) of gyro and accelerometer.
+    `bias` (6,): gyro [rad/s], then accelerometer [m/s^2].
     """
     parts, bias = segments(imu, start_ns, end_ns), bias.copy()
     R, v, p, J, C = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((9, 6)), np.empty((9, 9))
@@ -103,7 +103,7 @@ def preintegrate(imu: ImuBuffer, start_ns: int, end_ns: int, bias: F64, noise: F
 
 
 def corrected(m: Preintegral, bias: F64) -> Preintegral:
-    """Return the preintegral at another bias (6,), to first order (M5)."""
+    """Return the preintegral for another bias (6,), to first order (M5)."""
     d = m.bias_jacobian @ (bias - m.bias)
     return replace(
         m, rotation=m.rotation @ so3_exp(d[:3]), velocity=m.velocity + d[3:6], position=m.position + d[6:],
@@ -112,10 +112,10 @@ def corrected(m: Preintegral, bias: F64) -> Preintegral:
 
 
 def _variance(parts: Segments, noise: FilterSettings) -> F64:
-    """(N, 2) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2].
+    """Return the (N, 2) variance of the mean rates of each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2].
 
-    In a gap the angular velocity wanders as in the constant-velocity model from the last sample on, until it has its
-    largest variance: until then the rotation has that model's variance however the gap is cut (M6b).
+    In a gap, the angular velocity drifts from the last sample on as in the constant-velocity model, until it has its
+    largest variance. Until then, the rotation has that model's variance however the gap is cut (M6b).
     """
     dt, since = parts.dt, parts.since
     out = np.empty((len(dt), 2))

@@ -1,4 +1,4 @@
-"""Small rotations for the other kernels of the motion, and poses moved by errors."""
+"""Kernels for small rotations, and for poses moved by errors."""
 
 import math
 
@@ -10,7 +10,7 @@ from alight.compiled import kernel
 
 @kernel
 def exponential(x: float, y: float, z: float, out: F64) -> None:
-    """Write the (3, 3) rotation of a rotation vector in radians (Rodrigues)."""
+    """Write the (3, 3) rotation matrix of the rotation vector (x, y, z), rad (Rodrigues)."""
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-12:  # series to second order: error below 1e-18
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
@@ -25,7 +25,7 @@ def exponential(x: float, y: float, z: float, out: F64) -> None:
 
 @kernel
 def multiply(a: F64, b: F64, out: F64) -> None:
-    """Write the product of two (3, 3) matrices; `out` is neither of them."""
+    """Write the product of two (3, 3) matrices; `out` must be neither of them."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -33,7 +33,7 @@ def multiply(a: F64, b: F64, out: F64) -> None:
 
 @kernel
 def move_poses(R: F64, p: F64, error: F64, moved_R: F64, moved_p: F64) -> None:
-    """Write K poses (K, 3, 3), (K, 3) with errors (6K,), rotation in the world and position each, added."""
+    """Write K poses (K, 3, 3), (K, 3) after adding (6K,) errors, (rotation in the world, position) each."""
     turn = np.empty((3, 3))
     for k in range(R.shape[0]):
         e = error[6 * k : 6 * k + 6]
@@ -45,12 +45,9 @@ def move_poses(R: F64, p: F64, error: F64, moved_R: F64, moved_p: F64) -> None:
 
 @kernel
 def place_cameras(R: F64, p: F64, rotation: F64, translation: F64, out_R: F64, out_p: F64) -> None:
-    """Write the poses of one camera at K poses of its rig.
+    """Write world_from_cam of one camera (`out_R`, `out_p`) at the K poses world_from_rig (`R`, `p`) of its rig.
 
-    Args:
-        R, p: (K, 3, 3), (K, 3) world_from_rig.
-        rotation, translation: (3, 3), (3,) rig_from_cam.
-        out_R, out_p: out, world_from_cam.
+    `rotation` (3, 3) and `translation` (3,) are rig_from_cam.
     """
     for k in range(R.shape[0]):
         multiply(R[k], rotation, out_R[k])

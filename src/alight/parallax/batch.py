@@ -1,7 +1,7 @@
-"""Batch parallax: heights with sigma and flags of one grid, from all views that saw it, without initial heights.
+"""Batch parallax: heights with sigma and flags of one grid, from all views that see it, without initial heights.
 
-Plane sweeps along rays with semi-global aggregation, visibility by ray test, Gauss-Newton.
-For recorded flights, photos, and the restart after a gap.
+The stages are plane sweeps along rays with semi-global aggregation, visibility by ray test, and Gauss-Newton. Used for
+recorded flights, photos, and the restart after a gap.
 """
 
 from __future__ import annotations
@@ -26,13 +26,16 @@ from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning
 
-MOST_BYTES = 400_000_000  # of prepared views that are kept
-LEAST_KEPT = 16  # of them, however large
-LEAST_ACROSS = 64  # cells, least, that the shorter side of a halved picture covers: smaller ones show too little
+MOST_BYTES = 400_000_000  # bytes of prepared views that stay in memory
+LEAST_KEPT = 16  # prepared views that stay in memory, however large
+LEAST_ACROSS = 64  # cells that the shorter side of a halved picture must cover: smaller ones show too little
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
-    """Median height over the sweeps of several reference views (the lower of two), with that sweep's cost ratio."""
+    """Return the median height of the sweeps of several reference views, with the cost ratio of the sweep chosen.
+
+    Of an even number of heights, the lower middle one is taken.
+    """
     heights = np.stack([s.height for s in sweeps])
     order = np.argsort(heights, axis=0)  # NaN last
     middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
@@ -41,27 +44,24 @@ def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
 
 
 class Images:
-    """The views of one recording, prepared for matching at their first use; the most recently used ones are kept.
-
-    Several threads may use it.
-    """
+    """The views of one recording, prepared at their first use; the most recently used stay in memory. Thread-safe."""
 
     def __init__(self, views: Sequence[View], cell: float, height: float | F64, most_bytes: int = MOST_BYTES) -> None:
         self.views = views
         self.cell = cell
-        self.heights = np.broadcast_to(height, len(views))  # metres, of the ground in each: for its sampling distance
+        self.heights = np.broadcast_to(height, len(views))  # metres, ground height in each view, for its resolution
         self._ready: OrderedDict[Hashable, Kept] = OrderedDict()
         self._most_bytes = most_bytes
         self._lock = Lock()
 
     def of(self, views: Sequence[View], heights: F64) -> Images:
-        """Other views of the recording, (N,) ground heights, with the same store of prepared views."""
+        """Return images of other views, with (N,) ground heights in metres, that share this store of prepared views."""
         other = copy(self)
         other.views, other.heights = views, heights
         return other
 
     def get(self, index: int, halved: int = 0) -> Prepared:
-        """View `index` at the cell of the grid, with the picture halved `halved` times."""
+        """Return view `index`, prepared for the cell size, with its picture halved `halved` times."""
         key = self.views[index].key
         with self._lock:
             if key not in self._ready:
@@ -77,7 +77,7 @@ class Images:
 
 @dataclass(frozen=True, eq=False)
 class MatchedBlock:
-    """Heights, and the numbers of the views that they were matched with."""
+    """Heights, and the indices of the views that they were matched with."""
 
     heights: Heights
     chosen: I64
@@ -88,11 +88,11 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
     Args:
         images: posed views; those that do not see the grid are ignored.
-        grid: cells to estimate, of the images' cell.
-        low, high: heights searched, metres above the origin.
+        grid: cells to estimate, with the cell size of `images`.
+        low, high: range of heights to search, metres above the origin.
 
     Returns:
-        The heights with their views, or None where fewer than two views see the grid.
+        The heights with their views; None if fewer than two views see the grid, or if no height was found.
     """
     plan = settings.sweep
     chosen = choose_views(images.views, grid, 0.5 * (low + high), settings.views, plan.max_tangent)
@@ -126,7 +126,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: ConsistencyTuning) -> U16:
-    """MOVING flags (R, C) from pairs of synchronous views, with some of the chosen views among them."""
+    """Return MOVING flags (R, C) from pairs of synchronous views of which at least one was chosen."""
     pairs = witness.instants(images.views)
     some = pairs[np.isin(pairs, chosen).any(axis=1)]
     some = some[np.unique(np.linspace(0, len(some) - 1, min(tuning.pairs, len(some))).astype(int))]
@@ -137,7 +137,7 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: Consi
 
 
 def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8) -> U8:
-    """Colour of each cell with a height from the steepest view that sees it, (R, C, 3)."""
+    """Return the colour (R, C, 3) of each cell with a height, from the steepest view that sees it."""
     grid, height = fit.grid, fit.height
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()

@@ -1,8 +1,8 @@
-"""Choice of the blocks of the window that a step works on, so that steps cost alike (docs/method/recursive.md).
+"""Choice of the blocks that a step works on, so that all steps cost about the same (docs/method/recursive.md).
 
-A new block is refined with every keyframe. The gain of a further one falls with their number, so a block waits longer
-the more it has had. Blocks below the newest view do not wait: somebody may come there while the vehicle lands. First
-sweeps are put off until the step's share of sweeping suffices.
+A new block is refined with every keyframe. Each further refinement gains less, so a block waits longer the more often
+it was refined. Blocks below the newest view do not wait: somebody may come there while the vehicle lands. First sweeps
+are postponed until they fit into the step's share of sweeping.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from alight.arrays import F32, F64, I64, Mask
 from alight.geometry import Box, Grid
 from alight.settings.tuning.parallax import RecursiveTuning
 
-SIDE = 64  # cells of a block
-LEAST = 8  # samples of known cells from which a block is refined: one in 32
-ENOUGH = 16  # samples of new cells from which a block is swept: one in 16
-PART = 0.4  # of the cells of a block that are seen, the least to sweep at once: fewer are remains of a sweep
+SIDE = 64  # cells on a side of a block
+LEAST = 8  # least sampled known cells of a block that is refined: one in 32
+ENOUGH = 16  # least sampled new cells of a block that is swept: one in 16
+PART = 0.4  # least share of new cells in a block to sweep it at once; fewer are left over from a sweep
 NEVER = -(1 << 30)
-DEAR = 8192  # cells whose refinement costs as much as one rectangle more
+DEAR = 8192  # cells whose refinement costs as much as one more rectangle
 MOST_URGENT = 4.0
-WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
-TAKEN = -1e9  # urgency of a block that no further rectangle may hold
-ROUGH = 8  # times less work at half the resolution
-MOST_NEW = 0.5  # of the blocks that are seen, from which the map begins
-AT_START = 3  # factor by which a step may refine more then
-SWEPT_AT_START = 2  # factor by which it may sweep more
+WORTH = 0.6  # least mean urgency of a row or column of blocks that is added to a rectangle
+TAKEN = -1e9  # urgency of a block that is already in a rectangle
+ROUGH = 8  # factor by which a sweep at half the resolution costs less
+MOST_NEW = 0.5  # share of new blocks, of those seen, above which the map is beginning
+AT_START = 3  # factor by which a step may refine more while the map is beginning
+SWEPT_AT_START = 2  # factor by which a step may sweep more then
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Limit of the cost of a step: a row of `EFFORTS`."""
+    """Limits of the work of a step: a row of `EFFORTS`."""
 
-    share: float  # of the cells and of the sweeping that a full step may do
-    rigs: int  # of every n-th exposure, from the newest on, all cameras take part; of the others one of each rig
+    share: float  # share of the cells and of the sweeping of a full step
+    rigs: int  # n: all cameras of every n-th exposure, from the newest on; of others one per rig
 
 
 EFFORTS = (Effort(1.0, 1), Effort(0.6, 3), Effort(0.4, 3), Effort(0.25, 3))  # full, ..., least
 
 
 class Rectangle(NamedTuple):
-    """Rectangle of blocks; `bottom` and `right` are outside."""
+    """Rectangle of blocks; `bottom` and `right` are exclusive."""
 
     top: int
     left: int
@@ -58,46 +58,46 @@ class Rectangle(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Samples of each kind in every block, (BR, BC)."""
+    """Number of sampled cells of each kind in every block, (block rows, block columns)."""
 
-    fresh: F32  # to be swept, seen over a baseline that is enough
-    waiting: F32  # to be swept once seen over a longer baseline
-    known: F32  # with a height, that two views see
+    fresh: F32  # cells to sweep, seen over a sufficient baseline
+    waiting: F32  # cells to sweep once they are seen over a longer baseline
+    known: F32  # cells with a height that two views see
 
 
 class Plan(NamedTuple):
-    """The work of one step."""
+    """The rectangles that one step sweeps and refines."""
 
-    sweep: list[Box]  # boxes whose new cells are swept
-    rough: list[Box]  # boxes swept at half the resolution: they would cost more than a step may
-    refine: list[Box]  # boxes to refine, disjoint; they cover all swept ones
+    sweep: list[Box]  # rectangles whose new cells are swept
+    rough: list[Box]  # rectangles swept at half the resolution: a full sweep would exceed a step's limit
+    refine: list[Box]  # rectangles to refine: disjoint, and covering all swept ones
 
 
 class Blocks:
-    """The blocks under a window, numbered on the map's raster, and the work done on each."""
+    """The blocks of the map's raster under a window, and the history of the work on each block."""
 
     def __init__(self, tuning: RecursiveTuning) -> None:
         self._tuning, self._step = tuning, 0
-        self.begins = True  # most blocks of the last plan are new
-        self._rate = 0.0  # samples of first sweeps in a step, until none is due
-        self._first = np.zeros(2, np.int64)  # row and column in the raster of the first block
-        self._offset = np.zeros(2, np.int64)  # rows and columns from its corner to the window
-        self._shape = (0, 0)  # of the window
+        self.begins = True  # whether most blocks of the last plan are new
+        self._rate = 0.0  # samples per step for the first sweeps that are due; 0 when none is due
+        self._first = np.zeros(2, np.int64)  # row and column of the first block in the raster of blocks
+        self._offset = np.zeros(2, np.int64)  # rows and columns from the corner of the first block to the window
+        self._shape = (0, 0)  # rows and columns of the window
         self._cell = 1.0  # metres
         self.forget(sharper=False)
 
     def forget(self, sharper: bool) -> None:
-        """Make all blocks new; their colours are coarse where the cells became smaller (`sharper`)."""
+        """Mark all blocks as new; if the cells became smaller (`sharper`), unvisited blocks have coarse colours."""
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
         self.recolour = sharper  # blocks that were never visited have coarse colours
 
     def begin_anew(self) -> None:
-        """Make all blocks new, and the map one that begins."""
+        """Mark all blocks as new and the map as beginning."""
         self.forget(self.recolour)
         self.begins = True
 
     def move_to(self, grid: Grid) -> None:
-        """Begin a step over this window."""
+        """Begin a step on the window `grid`; blocks that stay in the window keep their history."""
         self._step += 1
         corner = np.array([round(-grid.north / grid.cell - 0.5), round(grid.east / grid.cell - 0.5)])
         first, self._offset = corner // SIDE, corner % SIDE
@@ -109,18 +109,20 @@ class Blocks:
         self._first, self._shape, self._cell = first, grid.shape, grid.cell
 
     def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
-        """Sums of masks (3, R / every, C / every), a sample of the cells, over each block."""
+        """Return the sums over each block of three masks (3, R / every, C / every) of sampled cells."""
         edges = zip(kinds.shape[1:], self._offset, self._count.shape, strict=True)
         rows, cols = (_members(n, every, int(at), blocks) for n, at, blocks in edges)
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
 
     def plan(self, counts: Counts, below: tuple[float, float], layers: float, reach: float, effort: Effort) -> Plan:
-        """Choose the work of a step.
+        """Choose the rectangles that the next step sweeps and refines.
 
         Args:
+            counts: sampled cells of each block.
             below: row and column of the window under the newest view.
-            layers: samples that the sweep of a cell takes: planes times views, at the sweep's cells.
-            reach: cells about a block that rays through it cross as well, a cell of distance from below the camera.
+            layers: samples per swept cell: planes times views.
+            reach: cells that rays cross beyond a block, per cell of its distance from `below`.
+            effort: limits of the work.
         """
         middle = [SIDE * (np.arange(n) + 0.5) - at for n, at in zip(self._count.shape, self._offset, strict=True)]
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
@@ -140,7 +142,7 @@ class Blocks:
         return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
 
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
-        """Blocks whose sweep is due, the longest waiting first; only a share of them where many are due."""
+        """Return the blocks to sweep now: the longest waiting of those due, within the step's budget of sweeping."""
         some = counts.fresh >= ENOUGH
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
         many = counts.fresh >= np.maximum(counts.waiting, PART * (counts.fresh + counts.waiting + counts.known))
@@ -152,9 +154,9 @@ class Blocks:
         return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
 
     def _to_refine(self, counts: Counts, away: F64, swept: Mask, watched: Mask, most: float) -> list[Rectangle]:
-        """Rectangles about the blocks just swept and the watched ones, then those that have waited long enough.
+        """Return rectangles about swept and watched blocks, then about blocks that have waited long enough.
 
-        They have `most` cells, and the watched blocks besides.
+        The rectangles hold up to `most` cells; watched blocks come on top of this limit.
         """
         wait, known = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait), counts.known >= LEAST
         urgency = np.where(known, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
@@ -162,20 +164,20 @@ class Blocks:
         return cover(urgency, away, most + SIDE**2 * int((watched & known & ~swept).sum()))
 
     def _box(self, of: Rectangle) -> Box:
-        """The cells of the window in a rectangle of blocks."""
         edges = zip(((of.top, of.bottom), (of.left, of.right)), self._offset, self._shape, strict=True)
         r, c = (slice(*(min(max(SIDE * end - int(at), 0), n) for end in ends)) for ends, at, n in edges)
         return r, c
 
     def never_visited(self, box: Box) -> bool:
-        """True if some block of a rectangle was never refined."""
+        """Whether a rectangle contains a block that was never refined."""
         return bool((self._last[self._inside(box)] == NEVER).any())
 
     def visited(self, box: Box, known: Mask, changed: Mask, every: int) -> None:
-        """Note that a rectangle was refined; blocks in which much `changed` are refined again soon.
+        """Record that a rectangle was refined; blocks with many changed cells are refined again soon.
 
         Args:
-            known, changed: masks of a sample of its cells, `every` cells apart: had a height before, has another now.
+            known: mask of sampled cells, `every` cells apart, that had a height before.
+            changed: mask of the same samples whose height or trust changed.
         """
         inside = self._inside(box)
         edges = zip(known.shape, box, self._offset, inside, strict=True)
@@ -185,14 +187,13 @@ class Blocks:
         self._last[inside] = self._step
 
     def _inside(self, box: Box) -> Box:
-        """The blocks that a rectangle of the window touches."""
         edges = zip(box, self._offset, strict=True)
         r, c = (slice((s.start + int(at)) // SIDE, (s.stop - 1 + int(at)) // SIDE + 1) for s, at in edges)
         return r, c
 
 
 def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
-    """Move the values of a raster of blocks to one that begins `by` blocks further and has another shape."""
+    """Copy a raster of blocks to one that begins `by` blocks further and has another shape; fill with `empty`."""
     out = np.full(shape, empty, np.int64)
     low = np.maximum(by, 0)
     size = np.maximum(np.minimum(by + shape, old.shape) - low, 0)
@@ -202,13 +203,13 @@ def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
 
 
 def _members(count: int, every: int, first: int, blocks: int) -> F32:
-    """(blocks, count) 1 where a sample lies in a block; they are `every` cells apart."""
+    """Return a matrix (blocks, count): 1 where a sample lies in a block. Samples are `every` cells apart."""
     at = (first + every // 2 + every * np.arange(count)) // SIDE
     return np.asarray(at[None, :] == np.arange(blocks)[:, None], np.float32)
 
 
 def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
-    """The first wanted blocks in an order whose summed costs are within a budget; one of them in any case."""
+    """Return the first `wanted` blocks in an order whose total cost is within the budget, but at least one block."""
     ranked = order[wanted.ravel()[order]]
     spent = np.cumsum(costs.ravel()[ranked])
     out = np.zeros(wanted.size, np.bool_)
@@ -217,9 +218,10 @@ def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
 
 
 def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
-    """Rectangles about the blocks of an urgency of 1 and more, the most urgent first, of at most so many cells.
+    """Cover the blocks with an urgency of 1 or more by rectangles of up to `most` cells in total, most urgent first.
 
-    Those above `MOST_URGENT` are covered in any case.
+    Blocks with an urgency above `MOST_URGENT` are covered in any case. `away` is the distance of each block from the
+    point below the newest view.
     """
     urgency, out = urgency.copy(), list[Rectangle]()
     while (top := urgency.max(initial=0.0)) > MOST_URGENT or (top >= 1.0 and most >= DEAR + SIDE**2):
@@ -231,9 +233,9 @@ def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
 
 
 def grown(urgency: F64, away: F64, most: float) -> Rectangle:
-    """The rectangle of at most so many blocks that grows from the most urgent, nearest one while its rim is urgent too.
+    """Grow a rectangle of up to `most` blocks from the most urgent, nearest block while its rim is urgent too.
 
-    Few large rectangles cost less than many small ones, and blocks refined together are urgent together again.
+    Few large rectangles cost less than many small ones, and blocks refined together become urgent together again.
     """
     total = np.zeros((urgency.shape[0] + 1, urgency.shape[1] + 1))
     total[1:, 1:] = urgency.cumsum(axis=0).cumsum(axis=1)
@@ -256,7 +258,7 @@ def grown(urgency: F64, away: F64, most: float) -> Rectangle:
 
 
 def _mean(sums: list[list[float]], of: Rectangle) -> float:
-    """Mean over a rectangle, from sums over all blocks above and to the left; -1 outside."""
+    """Return the mean over a rectangle, from sums over all blocks above and to the left; -1 outside the raster."""
     top, left, bottom, right = of
     if min(top, left) < 0 or bottom >= len(sums) or right >= len(sums[0]):
         return -1.0

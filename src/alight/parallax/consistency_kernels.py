@@ -1,4 +1,4 @@
-"""Loops over views of one instant: deviations that they share and the others do not (eqs. 15a and 16d, docs/method)."""
+"""Loops over views of one instant: deviations that they share and others do not (eqs. 15a and 16d, docs/method)."""
 
 import numpy as np
 
@@ -37,8 +37,9 @@ def _fold_row(sums: F32, block: int, out: F32) -> None:
 def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32) -> None:
     """Fill `out` (5, R / block, C / block), rounded up, with sums over blocks of cells.
 
-    Of the deviations e from the template `mean`, over `pairs` (K, 2) of the `samples` (N, R, C): e_i e_j, the mean of
-    their squares, and the number of cells where both are known and below `cut`; then the template's squares and number.
+    The deviations e of the `samples` (N, R, C) from the template `mean` are taken over the `pairs` (K, 2). Rows 0 to 2
+    of `out` are e_i e_j, (e_i^2 + e_j^2) / 2, and the number of cells where both are known and below `cut`. Rows 3 and
+    4 are the squared template and the number of cells where it is known.
     """
     rows, cols = mean.shape
     for k in prange(out.shape[1]):
@@ -55,16 +56,16 @@ def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32
 
 @parallel_kernel
 def before_and_after(samples: F32, pairs: I64, block: int, least: int, between: F32, whole: F32, count: F32) -> None:
-    """Split the views in time: difference of the samples before and after each moment, by blocks of cells.
+    """Compare the samples (N, R, C) before and after each moment, by sums over blocks of cells.
 
-    Of the means v of each of the `pairs` (K, 2), in the order of time, of the `samples` (N, R, C); cells that fewer
-    than 2 `least` pairs see are left out. Sums over R / `block` x C / `block` blocks, rounded up.
+    v is the mean of the two samples of a pair; `pairs` (K, 2) are in order of time. Cells that fewer than 2 `least`
+    pairs see are left out. There are R / `block` x C / `block` blocks, rounded up.
 
     Args:
-        between: (K - 1, ...) filled with n n' / (n + n') (mean of n before - mean of n' after)^2, 0 where either is
-            fewer than `least`.
-        whole: filled with the sum of squares about the mean of all.
-        count: filled with the number of v.
+        between: (K - 1, ...) out, n n' / (n + n') (mean of the n v before - mean of the n' v after)^2, 0 where n or n'
+            is less than `least`.
+        whole: out, sum of squares of v about its mean over all times.
+        count: out, number of v.
     """
     number, rows, cols = pairs.shape[0], samples.shape[1], samples.shape[2]
     for k in prange(count.shape[0]):

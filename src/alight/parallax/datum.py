@@ -1,9 +1,8 @@
-"""The common error of a batch map: offset and tilt by the poses' errors, and the rest that a plane leaves.
+"""The common error of a batch map: offset and tilt caused by the poses' errors, and the rest that a plane leaves.
 
-A wrong pose moves the ground that the view sees along with its body. Where the views of a point move it to different
-places, the match is the point nearest to all of them. So height and place are linear in the poses' errors: their joint
-covariance is propagated to the matched points, and a plane is fitted to their errors (docs/method/uncertainty.md,
-eqs. 26 and 27).
+A wrong pose moves the ground that its view sees. Where the views of a point move it to different positions, the match
+is the point nearest to all of them. So the matched point is linear in the poses' errors: their joint covariance is
+propagated to the matched points, and a plane is fitted to their errors (docs/method/uncertainty.md, eqs. 26 and 27).
 """
 
 from __future__ import annotations
@@ -21,35 +20,35 @@ from alight.parallax.views import inside_picture
 from alight.raster import gradient, nearest_known
 from alight.records import Datum, ElevationMap, KeyframePosterior, View
 
-SAMPLES = 900  # cells of the map that are sampled, about
-LEAST = 12  # of them, least for a plane
-SLOPE_CELLS = 1.5  # 1-sigma of the Gaussian over which the slope of the map is taken: heights are no finer
+SAMPLES = 900  # sampled cells of the map, about
+LEAST = 12  # sampled cells that a plane needs
+SLOPE_CELLS = 1.5  # sigma of the Gaussian over which the slope of the map is taken: heights are no finer
 
 
 class Matched(NamedTuple):
-    """The views that the heights of a tile were matched with, without their pictures."""
+    """A tile, and the views that its heights were matched with, without their pictures."""
 
     grid: Grid
     views: tuple[View, ...]
 
     @classmethod
     def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
-        """Keep the grid and the views without their pictures."""
+        """Return the record of a tile; the pictures of its views are removed."""
         return cls(grid, tuple(v.without_image for v in views))
 
     def holds(self, east: F64, north: F64) -> Mask:
-        """True for places (metres, east and north) that lie in the tile."""
+        """Return which positions (metres east and north) lie in the tile."""
         row, col = self.grid.index(east, north)
         inside = (row >= -0.5) & (row < self.grid.rows - 0.5) & (col >= -0.5) & (col < self.grid.cols - 0.5)
         return np.asarray(inside)
 
 
 def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> ElevationMap:
-    """The map with its datum: offset and tilt of the plane, and as `warp` the rest that a plane leaves.
+    """Return the map with its datum (offset and tilt of a plane) and its `warp` (the error that a plane leaves).
 
     Args:
-        found: the map; it stays as it is where too little of it is known.
-        matched: the tiles it was matched from; a later one covers an earlier.
+        found: the map; it is returned unchanged where too little of it is known.
+        matched: the tiles from which it was matched; a later tile covers an earlier one.
         joint: covariance of the poses of the recording, propagated to sampled cells of the map.
     """
     trusted, lattice = found.trusted, np.zeros(found.grid.shape, np.bool_)
@@ -77,7 +76,7 @@ def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframeP
 
 
 def steepness(found: ElevationMap) -> F32:
-    """(R, C) root mean square slope of the map about each cell, metres a metre: height error a metre of shift."""
+    """Return the (R, C) rms slope of the map about each cell: metres of height error per metre of horizontal shift."""
 
     def blurred(values: F32) -> F32:
         return np.asarray(cv2.GaussianBlur(values, (0, 0), SLOPE_CELLS), dtype=np.float32)
@@ -90,7 +89,7 @@ def steepness(found: ElevationMap) -> F32:
 
 
 def _through(points: F64, matched: Sequence[Matched], joint: KeyframePosterior) -> F64:
-    """(S, 3, M) sensitivities, each point with the views of the last tile that holds it; NaN where none does."""
+    """Return (S, 3, M) sensitivities of points, by the views of the last tile that holds each; NaN outside tiles."""
     out = np.full((len(points), 3, len(joint.covariance)), np.nan)
     left = np.ones(len(points), dtype=bool)
     for tile in reversed(matched):
@@ -102,25 +101,25 @@ def _through(points: F64, matched: Sequence[Matched], joint: KeyframePosterior) 
 
 
 def _sigma(J: F64, covariance: F64) -> F64:
-    """(S,) root of the summed variances of the rows (S, r, M)."""
     flat = J.reshape(-1, J.shape[-1])
     variance = np.maximum(((flat @ covariance) * flat).sum(axis=1), 0.0)
     return np.asarray(np.sqrt(variance.reshape(J.shape[:2]).sum(axis=1)))
 
 
 def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) -> F64:
-    """Derivatives of matched points by the errors of the poses and the lens.
+    """Return the derivatives of matched points by the errors of the poses and of the lens.
 
-    The displacement is the least-squares intersection of the displaced rays, each measured on the ground as in
-    the matching: of view i with ray `r`, `T_i = [I | -r_xy / r_z]`, and `dX = (sum T'T)^-1 sum T'T d_i`.
+    The displacement of a point is the least-squares intersection of the displaced rays. Each ray is measured on the
+    ground, as in the matching: for view i with ray `r`, `T_i = [I | -r_xy / r_z]` and `dX = (sum T'T)^-1 sum T'T d_i`.
 
     Args:
-        points: (S, 3) metres, the ground.
-        views: with which they were matched; the pictures are not used.
-        joint: the poses with errors; an exposure between two of them has their errors, interpolated in time.
+        points: (S, 3) ground points, metres.
+        views: views with which the points were matched; their pictures are not used.
+        joint: K poses and L lens parameters with errors. Errors of exposures between two poses are interpolated in
+            time.
 
     Returns:
-        (S, 3, 6K + L) metres a metre, a radian or a unit of the lens; NaN where fewer than two views see a point.
+        (S, 3, 6K + L), per metre, radian or unit of a lens parameter; NaN where fewer than two views see a point.
     """
     S, M = len(points), len(joint.covariance)
     normal, out, count = np.zeros((S, 3, 3)), np.zeros((S, 3, M)), np.zeros(S, np.int64)
@@ -142,7 +141,7 @@ def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) ->
 
 
 def _carried(points: F64, body: F64) -> F64:
-    """(S, 3, 6): derivatives of the ground by an error of the body's pose, which must be added to the pose."""
+    """Return the (S, 3, 6) derivatives of the ground by an error of a body pose, where pose + error is correct."""
     out = np.zeros((len(points), 3, 6))
     out[:, :, :3] = -np.eye(3)
     out[:, :, 3:] = np.array([skew(p - body) for p in points])
@@ -150,7 +149,7 @@ def _carried(points: F64, body: F64) -> F64:
 
 
 def _bent(view: View, lens: Camera, points: F64, seen: Mask) -> F64:
-    """(S, 3) metres: displacement of the ground by a lens that is one unit off; 0 where it is not seen."""
+    """Return the (S, 3) displacement of ground points, metres, by a lens that is one unit off; 0 where unseen."""
     out = np.zeros(points.shape)
     in_cam = view.world_from_cam.inverse.apply(points[seen])
     true = lens.rays(view.camera.project(in_cam))
@@ -159,7 +158,7 @@ def _bent(view: View, lens: Camera, points: F64, seen: Mask) -> F64:
 
 
 def _shares(t_ns: int, joint: KeyframePosterior) -> list[tuple[int, float]]:
-    """Exposures of the joint covariance whose errors an exposure at `t_ns` has, with the share of each."""
+    """Return the indices of the poses in `joint` whose errors an exposure at `t_ns` has, each with its share."""
     times = np.array([m.t_ns for m in joint.motions], np.int64)
     k = int(np.searchsorted(times, t_ns))
     if k == len(times):

@@ -1,4 +1,4 @@
-"""Gauss-Newton on the world grid: sub-pixel heights from the fused template's gradient.
+"""Gauss-Newton on the world grid: sub-pixel heights from the gradient of the mean of all views.
 
 docs/method/parallax.md, eqs. 8-12
 """
@@ -21,26 +21,26 @@ from alight.raster import upsample
 from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
-BLOCK = 8  # cells of half resolution
-LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
+BLOCK = 8  # half-resolution cells on a side of a block of `Skyline.tops`
+LOWEST = np.float32(-1e4)  # metres, replaces an unknown height
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Heights of a grid, and the statistics of the last step; all (R, C)."""
+    """Heights of a grid, and the statistics of the last Gauss-Newton step; all arrays are (R, C)."""
 
     grid: Grid
     height: F32
-    precision: F32  # Lambda of the window, normalised grey^2 / m^2
-    noise: F32  # s2 of the window, normalised grey^2
-    mean: F32  # template m
-    used: U8  # views that agreed
-    seen: U8  # views that saw the cell
-    metres_per_px: F32  # height that moves the outermost of them apart by one cell
+    precision: F32  # windowed Lambda (eq. 9), normalised grey^2 / m^2
+    noise: F32  # windowed residual variance s^2 (eq. 10), normalised grey^2
+    mean: F32  # template m (eq. 8), normalised grey
+    used: U8  # number of views that agree with the template
+    seen: U8  # number of views that see the cell
+    metres_per_px: F32  # parallax pixel, metres: moves the outermost of these views apart by one cell
 
 
 def median_height(height: F32, none: float = 0.0) -> float:
-    """Approximate median of the known heights, metres; `none` if none is known. The exact one costs a step's time."""
+    """Return the approximate median of the known heights, metres (an exact one is slow); `none` if all are NaN."""
     for every in (8, 1):
         some = height[::every, ::every]
         some = some[np.isfinite(some)]
@@ -51,19 +51,19 @@ def median_height(height: F32, none: float = 0.0) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ViewGeometry:
-    """Geometry of the views at each cell, (R, C): that of its block of `SEEN_BLOCK` cells."""
+    """Geometry of the views that see each cell, (R, C); constant over blocks of `SEEN_BLOCK` cells a side."""
 
-    baseline: F32  # metres between the outermost views that see it
-    count: U8  # of these views
-    metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
-    sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
-    views: Mask  # (N, R / SEEN_BLOCK, C / SEEN_BLOCK), rounded up: True for these views
+    baseline: F32  # metres between the outermost views that see the cell
+    count: U8  # number of views that see the cell
+    metres_per_px: F32  # parallax pixel, metres: moves the outermost views apart by one cell (eq. 3b)
+    sampling: F32  # metres of ground per sample: second smallest pixel of these views, at least the cell
+    views: Mask  # (N, R / SEEN_BLOCK, C / SEEN_BLOCK), rounded up: whether each view sees the block
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: float) -> ViewGeometry:
-    """Geometry of all views at the ground `height` (R, C), block by block.
+    """Compute the geometry of all views for the ground heights `height` (R, C), metres, block by block.
 
-    The median height where it is unknown, and `ground`, metres, where no height is known at all.
+    Unknown heights are replaced by the median height, or by `ground` (metres) if all heights are unknown.
     """
     wide = grid.coarser(SEEN_BLOCK)
     k = min(SEEN_BLOCK // 2, *(n - 1 for n in grid.shape))
@@ -87,15 +87,15 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: flo
 
 @dataclass(frozen=True, eq=False)
 class Skyline:
-    """A height map at half resolution, for tests of rays to the cameras."""
+    """A height map at half resolution, used to test whether the map blocks the rays to the cameras."""
 
-    grid: Grid  # of 2 x 2 cells
-    solid: F32  # (R / 2, C / 2) metres, without single spikes
-    tops: F32  # of each block of `BLOCK` x `BLOCK` of these, the highest within reach of its rays
+    grid: Grid  # its cells are 2 x 2 cells of the map
+    solid: F32  # (R / 2, C / 2) metres, without single spikes; NaN = unknown
+    tops: F32  # metres, highest within reach of the rays from each block of `BLOCK` x `BLOCK` cells
 
     @classmethod
     def of(cls, height: F32, grid: Grid, centres: F64) -> Skyline:
-        """Skyline of a map (R, C) for cameras at `centres` (N, 3), all metres."""
+        """Build the skyline of a height map (R, C) for cameras at `centres` (N, 3); all in metres."""
         wide = grid.coarser(2)
         height = np.ascontiguousarray(height[::2, ::2])
         solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
@@ -104,11 +104,14 @@ class Skyline:
         return cls(wide, solid, tops)
 
     def visible(self, centres: F64, where: Box, metres_per_px: F32, rise_px: float) -> U8:
-        """Visibility (N, R / 2, C / 2) of a part of the map: 0 where it rises `rise_px` over a camera's ray (eq. 13).
+        """Return which cameras see a part of the map (eq. 13), (N, R / 2, C / 2): 1 visible, 0 hidden.
+
+        A cell is hidden where the map rises more than `rise_px` parallax pixels above the ray to the camera.
 
         Args:
-            centres: (N, 3) metres.
-            where: rows and columns of the map, from even ones on; `metres_per_px` (R, C) there.
+            centres: (N, 3) camera centres, metres.
+            where: rows and columns of the part of the map, starting at even ones.
+            metres_per_px: (R, C) parallax pixel of that part, metres.
         """
         margin = np.ascontiguousarray(np.float32(rise_px) * metres_per_px[::2, ::2])
         out = np.empty((len(centres), *margin.shape), np.uint8)
@@ -120,7 +123,7 @@ class Skyline:
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
-    """For each block of cells the highest height within reach of its rays to the cameras."""
+    """Return, for each block of cells, the highest height within reach of its rays to the cameras, metres."""
     tops = np.empty(tuple(-(-n // BLOCK) for n in grid.shape), np.float32)
     visibility_kernels.block_tops(solid, BLOCK, LOWEST, tops)
     high = float(tops.max())
@@ -144,11 +147,12 @@ def gauss_newton(
     tuning: RefinementTuning,
     buffers: Buffers | None = None,
 ) -> Fit:
-    """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
+    """Refine `height` (R, C) so that the views agree in every window; unknown heights (NaN) stay NaN.
 
-    `visible` (N, R / 2, C / 2) leaves views out where the map stands in their way, unless it leaves one only: then the
-    map is wrong. The plane prior writes last in each iteration. The statistics of the fit are those at the start
-    of the last iteration. With `buffers`, the fit is valid until they are used again.
+    `visible` (N, R / 2, C / 2) is 0 where the map hides the ground from a view. Such views are left out of a cell
+    unless fewer than two others see it: then the map is wrong. The plane prior writes last in each iteration. The
+    statistics of the fit are those at the start of the last iteration. With `buffers`, the fit is valid until they are
+    used again.
     """
     held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()

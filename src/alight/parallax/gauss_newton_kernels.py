@@ -1,7 +1,7 @@
 """Loops of Gauss-Newton on the world grid: template, normal equations, windowed step (docs/method/parallax.md, 8-11).
 
-Sample stacks are (N, R, C) float32 with NaN outside an image. Everything runs row by row in short loops without
-branches, which the compiler turns into vector code: five to twelve times faster than cell by cell.
+Sample stacks are (N, R, C) float32 with NaN outside an image. The loops run over single rows and have no branches, so
+the compiler vectorises them: they are five to twelve times faster than loops over cells.
 """
 
 import numpy as np
@@ -11,10 +11,10 @@ from alight.compiled import inline, kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.single_kernels import ONE, TWO, ZERO
 from alight.parallax.sorting_kernels import fill_row, median_row, sort_rows
 
-UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that its weight is zero
-BAND = 24  # rows a thread takes at once
-CHUNK = 640  # columns of them
-STRIDE = CHUNK + 4  # with two neighbours on either side
+UNKNOWN = np.float32(1e6)  # metres, replaces an unknown height: so far from all others that its weight is zero
+BAND = 24  # rows that a thread processes at a time
+CHUNK = 640  # columns processed at a time
+STRIDE = CHUNK + 4  # columns with two neighbours on either side
 F = np.float32
 Three = tuple[np.float32, np.float32, np.float32]
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -23,12 +23,12 @@ Four = tuple[np.float32, np.float32, np.float32, np.float32]
 @kernel
 def _no_lone_row(seen: F32, median: F32) -> None:
     for c in range(seen.size):
-        median[c] = median[c] if seen[c] >= TWO else UNKNOWN  # no sample agrees with that
+        median[c] = median[c] if seen[c] >= TWO else UNKNOWN  # a median that no sample agrees with
 
 
 @pixelwise
 def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
-    """Weight, weighted sample and 1 for a sample that agrees; zeros for one that does not."""
+    """Return weight, weighted sample and count (1) of a sample that agrees with the median, else zeros."""
     e = s - median
     share = ONE - narrow * e * e
     good = share > ZERO  # False for NaN
@@ -40,7 +40,7 @@ def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
 def _weigh_two_rows(
     s1: F32, s2: F32, median: F32, narrow: np.float32, w1: F32, w2: F32, sw: F32, sm: F32, used: F32
 ) -> None:
-    """Two views at once: loading and storing the sums costs as much as a view. The last may be a row of NaN."""
+    """Add two views at once: loading and storing the sums costs as much as adding one; `s2` may be all NaN."""
     for c in range(s1.size):
         a, am, one = _weigh(s1[c], median[c], narrow)
         b, bm, other = _weigh(s2[c], median[c], narrow)
@@ -61,7 +61,7 @@ def _template_row(
     samples: F32, nothing: F32, r: int, pairs: I64, narrow: np.float32, views: F32, sm: F32, median: F32,
     weights: F32, sw: F32, mean: F32, used: F32, seen: F32,
 ) -> None:  # fmt: skip
-    """One row of the template; `views` (N, C), `sm` and `median` are scratch, `nothing` is a row of NaN."""
+    """Compute one row of the template; `views` (N, C), `sm` and `median` are scratch, `nothing` is a row of NaN."""
     n = samples.shape[0]
     sw[:], sm[:], used[:], seen[:] = ZERO, ZERO, ZERO, ZERO
     for i in range(n):
@@ -77,9 +77,9 @@ def _template_row(
 
 @parallel_kernel
 def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32) -> None:
-    """Fill the weights (N, R, C) of the samples and their robust mean m (eq. 8): biweights, nothing beyond 4 tau.
+    """Fill the weights (N, R, C) of the samples and their robust mean m (R, C) (eq. 8).
 
-    `pairs`: the sorting network of N.
+    The weights are biweights about the median, zero beyond 4 `tau`. `pairs` is the sorting network of N values.
     """
     n, rows, cols = samples.shape
     narrow = np.float32(1.0 / (16.0 * tau * tau))
@@ -102,7 +102,7 @@ def _gradient_row(m: F32, up: F32, down: F32, scale: np.float32, gx: F32, gy: F3
 
 @pixelwise
 def _share(s: np.float32, w: np.float32, m: np.float32, g: np.float32, drop: np.float32) -> Four:
-    """One sample's w q, w q^2, w q e, w e^2; `g`: gradient times the vector from the camera, `drop` metres above it."""
+    """Return w q, w q^2, w q e, w e^2 of a sample; `g`: gradient times vector from the camera, `drop` m above it."""
     used = w > ZERO
     q, e = (g / drop if used else ZERO), (s - m if used else ZERO)
     wq = w * q
@@ -114,7 +114,7 @@ def _sum_two_rows(
     s1: F32, s2: F32, w1: F32, w2: F32, m: F32, h: F32, gx: F32, gy: F32, place1: Three, place2: Three,
     cell: np.float32, sq: F32, sqq: F32, sqe: F32, see: F32,
 ) -> None:  # fmt: skip
-    """Add two views' rows to the sums of w q, w q^2, w q e, w e^2; those of w e are zero, m being the mean."""
+    """Add two views to the sums of w q, w q^2, w q e and w e^2; the sum of w e is zero, because m is the mean."""
     for c in range(s1.size):
         k = np.float32(c) * cell
         a = _share(s1[c], w1[c], m[c], gx[c] * (place1[0] + k) + gy[c] * place1[1], place1[2] - h[c])
@@ -127,7 +127,7 @@ def _sum_two_rows(
 
 @inline
 def _place(centres: F64, i: int, x: float, y: float) -> Three:
-    """Vector from camera `i` to (x, y), and the camera's height, metres."""
+    """Return the vector (east, north) from camera `i` to (x, y), and the camera's height, metres."""
     return np.float32(x - centres[i, 0]), np.float32(y - centres[i, 1]), np.float32(centres[i, 2])
 
 
@@ -157,11 +157,12 @@ def normal_equations(
     samples: F32, pairs: I64, tau: float, centres: F64, xs: F64, ys: F64, h: F32, cell: float,
     mean: F32, used: U8, number: U8, lam: F32, eta: F32, s2: F32,
 ) -> None:  # fmt: skip
-    """Fill the template m (eq. 8), Lambda, eta (eqs. 9, 10) and the residual variance of every cell.
+    """Fill the template m (eq. 8), Lambda, eta (eqs. 9, 10) and the residual variance s^2 of every cell.
 
-    q_i = grad m . (v_i - vbar), v_i = ((X, Y) - C_i,xy) / (C_i,z - h): slide of view i's sample over the ground for a
-    metre of height. The template's gradient has none of the single views' noise. `pairs`: the sorting network of N.
-    `used` gets the number of views that agree, within 4 tau of the median, `number` that of views that see.
+    q_i = grad m . v_i, with v_i = ((X, Y) - C_i,xy) / (C_i,z - h): the slide of view i's sample over the ground per
+    metre of height. The gradient is the template's, which lacks the noise of single views. `pairs` is the sorting
+    network of N values. `used` gets the number of views within 4 `tau` of the median, `number` that of views that see
+    the cell.
     """
     n, rows, cols = samples.shape
     scale, narrow = np.float32(0.5 / cell), np.float32(1.0 / (16.0 * tau * tau))
@@ -210,14 +211,14 @@ def _fill_known(h: F32, out: F32) -> None:
 
 @kernel
 def invert_row(x: F32, out: F32) -> None:
-    """Fill with 1 / x."""
+    """Fill `out` with 1 / x."""
     for c in range(x.size):
         out[c] = ONE / x[c]
 
 
 @pixelwise
 def _tap(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse: np.float32, sums: Four) -> Four:
-    """Add one neighbour: weight 1 at the same height, 0 from two parallax pixels on."""
+    """Add one neighbour: weight 1 at the same height, 0 from a difference of one parallax pixel (1 / `inverse`) on."""
     d = (h[i] - here) * inverse
     share = ONE - d * d
     share = share if share > ZERO else ZERO
@@ -228,7 +229,6 @@ def _tap(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse:
 
 @pixelwise
 def _five(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse: np.float32, sums: Four) -> Four:
-    """Add five neighbours side by side."""
     sums = _tap(h, lam, eta, s2, i, here, inverse, sums)
     sums = _tap(h, lam, eta, s2, i + np.uintp(1), here, inverse, sums)
     sums = _tap(h, lam, eta, s2, i + np.uintp(2), here, inverse, sums)
@@ -239,9 +239,9 @@ def _five(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse
 
 @kernel
 def _window_row(h: F32, lam: F32, eta: F32, s2: F32, inverse: F32, sl: F32, se: F32, sn: F32, sw: F32) -> None:
-    """Sum 5 x 5 neighbours of a row of cells; arrays of rows `STRIDE` long from the upper left neighbour on.
+    """Sum over the 5 x 5 neighbours of each cell of a row, given rows of `STRIDE` from the upper left neighbour on.
 
-    Unrolled, unsigned and with a constant stride: three times as fast as a loop over neighbours.
+    Unrolled, unsigned and with a constant stride, it is three times as fast as a loop over the neighbours.
     """
     for c in range(inverse.size):
         i, around = np.uintp(c), (ZERO, ZERO, ZERO, ZERO)
@@ -272,10 +272,11 @@ def _step_row(sums: F32, h: F32, spread: F32, limit: float, step: F32, precision
 def solve_window(
     lam: F32, eta: F32, s2: F32, h: F32, spread: F32, limit: float, step: F32, precision: F32, noise: F32
 ) -> None:
-    """Window the normal equations over 5 x 5 cells of like height, fill the step (eq. 11).
+    """Sum the normal equations over 5 x 5 cells of similar height and fill the step, metres (eq. 11).
 
-    Neighbours count by (1 - (dh / 2 spread)^2)^2, not at all beyond: a window across a step takes its own side.
-    `precision` is the windowed Lambda, `noise` the windowed residual variance.
+    A neighbour has the weight (1 - (dh / spread)^2)^2, and 0 beyond `spread`: a window across a step uses only its own
+    side. `spread` is the parallax pixel, metres; `limit` is the largest step, parallax pixels. `precision` gets the
+    windowed Lambda, `noise` the windowed residual variance.
     """
     rows, cols = h.shape
     for band in prange((rows + BAND - 1) // BAND):

@@ -1,7 +1,7 @@
-"""Orthophoto on finer pixels than those of the heights: the mean of the nearest views of each place.
+"""Orthophoto on pixels finer than the cells of the heights: the mean of the nearest views at each pixel.
 
-Matching takes cells of nearly two pixels; stones and tufts that its windows flatten are three pixels wide. One view
-shows them in noise; the mean of five has less of it (docs/method/p-safe.md, G9b).
+Matching uses cells of nearly two pixels; its windows smooth away stones and tufts three pixels wide. One view shows
+them with noise; the mean of five views has less noise (docs/method/p-safe.md, G9b).
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from alight.parallax.views import (
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
-BLOCK = 192  # cells a side of a block that is done at a time
-MOST = 4  # fine pixels a cell, each way
-LARGE = 80_000_000  # pixels, 240 MB: a picture of more is coarser; few photos of a card are taken from so near
-SAME = 0.3  # share of a block that two views must share for their exposures to be compared
-AROUND = 0.05  # of the side of the ground that a picture shows: rows that were exposed at other times, and the lens
-FLAT = 0.05  # sine of the angle to the ground below which a ray's end on it is not computed
-COARSER = 1.5  # a view whose pixel is larger than that of the finest by this factor does not count beside it
+BLOCK = 192  # cells on a side of a block that is processed at a time
+MOST = 4  # fine pixels on a side of a cell, at most
+LARGE = 80_000_000  # pixels, 240 MB: a larger picture is made coarser; few photos are taken from so near
+SAME = 0.3  # share of a block that two views must both show to compare their exposures
+AROUND = 0.05  # margin for rolling shutter and lens: share of the side of the ground that a picture shows
+FLAT = 0.05  # sine of a ray's angle to the ground below which their intersection is not computed
+COARSER = 1.5  # a view is not used if its pixel is larger than the finest view's by this factor
 
 
 def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
-    """Rows and columns of a grid that a picture may show where the ground lies between two heights, metres."""
+    """Return rows and columns of a grid that a picture may show, if the ground lies between two heights, metres."""
     everything = slice(0, grid.rows), slice(0, grid.cols)
     if centre[2] <= high or (rays[:, 2] > -FLAT * np.linalg.norm(rays, axis=1)).any():
         return everything
@@ -54,10 +54,10 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
 def _block(
     views: Sequence[View], rays: Sequence[F64], grid: Grid, height: F32, wants: Mask, count: int
 ) -> tuple[F32, F32, F32]:
-    """Mean of the `count` nearest views of every pixel that wants one, each brought to the exposure of the first.
+    """Return the mean colour of the `count` nearest views of every wanted pixel, with the views' exposures matched.
 
-    Beside it their number, and the pixel on the ground of the first, metres. A view with much coarser pixels than the
-    first does not count. Only the pixels that the view may show and that want another one are computed.
+    Also return the number of views and the smallest pixel on the ground, metres. A view with much coarser pixels than
+    the finest view is not used. Only pixels that a view may show and that want another view are computed.
     """
     xs, ys = grid.xy()
     level, low, high = float(np.median(height)), float(height.min()), float(height.max())
@@ -88,25 +88,25 @@ def _block(
 
 
 def _without_black(mean: F32) -> U8:
-    """Colours (R, C, 3) as levels; the darkest is 1, because 0 stands for no picture (`block_light` looks at green)."""
+    """Return colours (R, C, 3) as levels; green is at least 1, because 0 means no picture (see `block_light`)."""
     out = np.rint(mean).clip(0, 255).astype(np.uint8)
     np.maximum(out, 1, out=out, where=out[..., 1:2] == 0)
     return out
 
 
 def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, most: int = LARGE) -> tuple[U8, F32]:
-    """Picture of the ground of a map on its views' own pixels.
+    """Return a picture of the mapped ground at the resolution of its views, and its ground sampling.
 
     Args:
-        views: with the poses that the map was made of.
+        views: views with the poses from which the map was made.
         elevation: the map, for the heights of the ground.
-        count: views whose mean is taken.
-        most: pixels of the picture.
+        count: number of views that are averaged.
+        most: largest number of pixels.
 
     Returns:
-        The picture, (f R, f C, 3): the map's own colours where none of the views looks, black only where nothing was
-        seen: black in a view is made one level brighter.
-        Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
+        The picture (f R, f C, 3), with f x f pixels per cell. Where no view is used, it has the map's own colours. It
+        is black only where nothing was seen, because black in a view is made one level brighter. The metres of ground
+        per pixel of the views used, (R, C); where no view is used, the sampling of the heights.
     """
     grid, level = elevation.grid, float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
     finest = min((ground_sampling(v, level) for v in views), default=grid.cell)

@@ -6,19 +6,18 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.compiled import inline, kernel, parallel_kernel, prange
 from alight.parallax.projection_kernels import project_row
 
-EXPOSURES = 7  # numbers of a row: shared pixels, their colours in earlier views, their colours in this view
+EXPOSURES = 7  # values per row: number of shared pixels, their colours in earlier views and in this view
 
 
 @inline
 def _between(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8, fx: np.float32, fy: np.float32) -> int:
-    """Bilinear grey level of four pixels, rounded."""
     above, below = a + fx * (np.float32(b) - a), c + fx * (np.float32(d) - c)
     return int(above + fy * (below - above) + np.float32(0.5))
 
 
 @kernel
 def _sample(image: U8, tone: U8, u: np.float32, v: np.float32, out: U8) -> None:
-    """Fill the colours (3,) of a picture (H, W, 1 or 3) at a place in it, by the table `tone` (256, 3)."""
+    """Write the colours (3,) of a picture (H, W, 1 or 3) at column `u` and row `v`, by the table `tone` (256, 3)."""
     x, y = int(u), int(v)
     right, down = min(x + 1, image.shape[1] - 1), min(y + 1, image.shape[0] - 1)
     fx, fy, last = u - np.float32(x), v - np.float32(y), image.shape[2] - 1
@@ -29,7 +28,7 @@ def _sample(image: U8, tone: U8, u: np.float32, v: np.float32, out: U8) -> None:
 
 @kernel
 def _wanted(wants: Mask) -> tuple[int, int]:
-    """The first place of a row that wants a view, and the one behind the last."""
+    """Return the start and the end (exclusive) of the part of a row that wants a view."""
     first, end = 0, wants.size
     while first < end and not wants[first]:
         first += 1
@@ -64,25 +63,25 @@ def sample_view(
     pixel: F32,
     exposures: F64,
 ) -> None:
-    """Sample a view on a window: its colours, where they count, and its exposure against earlier views.
+    """Sample a view on a window: its colours, where they are used, and its exposure against earlier views.
 
-    Views come in order, the finest first. `wants` becomes false, in place, where one is too coarse, as all later ones
-    are. Only the stretches of rows that want a view are computed.
+    Views come in order, the finest first. `wants` becomes False, in place, where the view is too coarse, because all
+    later views are too. Only the stretches of rows that want a view are computed.
 
     Args:
         image: (H, W, 1 or 3).
-        tone: (256, 3), table from its levels to colours.
-        H, b, intrinsics, distortion, model, r2_max, rolling: as `project_grid` takes them.
-        centre: (3,) metres, of the camera; a pixel covers the distance over the focal length.
+        tone: (256, 3) table from levels of the image to colours.
+        H, b, intrinsics, distortion, model, r2_max, rolling: as for `project_grid`.
+        centre: (3,) camera centre, metres; a pixel covers distance over focal length.
         xs, ys: metres, east of the columns and north of the rows.
         height: (R, C) metres.
-        level: metres, of the ground.
-        coarser: a view with pixels larger than the finest by this factor does not count.
-        wants: (R, C), True where another view is wanted.
-        finest: (R, C), metres, the finest pixel of earlier views.
-        total, number: (R, C, 3), (R, C), sum and number of earlier views.
-        seen, use, pixel: (R, C, 3), (R, C), (R, C), out: colours, True where they count, metres that a pixel covers.
-        exposures: (R, `EXPOSURES`), out.
+        level: mean height of the ground, metres.
+        coarser: a view is not used where its pixel is larger than the finest by this factor.
+        wants: (R, C) True where another view is wanted.
+        finest: (R, C) finest pixel of earlier views, metres.
+        total, number: (R, C, 3), (R, C) sum and number of earlier views.
+        seen, use, pixel: (R, C, 3), (R, C), (R, C) out: colours, True where they are used, metres of ground per pixel.
+        exposures: (R, `EXPOSURES`) out, sums of each row over the pixels shared with earlier views.
     """
     b32, k32, limit, roll = (
         b.astype(np.float32),
@@ -148,15 +147,15 @@ def sample_view(
 def add_view(
     seen: U8, use: Mask, pixel: F32, gain: F64, count: int, total: F32, number: F32, finest: F32, wants: Mask
 ) -> None:
-    """Add a view to the sums, in place; `wants` becomes false where `count` views are reached.
+    """Add a view to the sums, in place; `wants` becomes False where `count` views are reached.
 
     Args:
-        seen: (R, C, 3), the view's picture on the grid.
-        use: (R, C), True where the view counts.
-        pixel: (R, C), metres of ground that a pixel of the view covers.
-        gain: (3,), factor of its colours.
-        count: views that are wanted.
-        total, number, finest: sums, (R, C, 3) and (R, C), and the finest pixel, metres.
+        seen: (R, C, 3) colours of the view on the grid.
+        use: (R, C) True where the view is used.
+        pixel: (R, C) metres of ground per pixel of the view.
+        gain: (3,) factor of the view's colours.
+        count: number of views wanted.
+        total, number, finest: (R, C, 3), (R, C), (R, C) sum, number and finest pixel (metres) of the views.
     """
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):

@@ -1,8 +1,9 @@
-"""Heights from nothing: a plane sweep along the rays of one view with semi-global aggregation (cold start, recordings).
+"""Heights without initial heights: plane sweep along the rays of one view, then semi-global aggregation.
 
-At the height of the ground, the cells of the sweep are those of the world grid. A hypothesis of another height moves
-along the ray to the reference view, not up: each ray then meets one surface. With vertical hypotheses, an object before
-a cell can match at the height of the ground, and objects seen from the side were lost.
+Used at a cold start and for recordings. At the height of the ground, the cells of the sweep are those of the world
+grid. A hypothesis of another height moves along the ray to the reference view, not up: each ray then meets one surface.
+With vertical hypotheses, an object in front of a cell could match at the height of the ground, and objects seen from
+the side were lost.
 """
 
 from __future__ import annotations
@@ -23,62 +24,65 @@ from alight.parallax.views import Prepared, centres_of, maps, sample, when_expos
 from alight.raster import upsample
 from alight.settings.tuning.parallax import SweepTuning
 
-SEEN_BLOCK = 8  # cells: resolution at which the border of the reference is known
-LEAST_SIDE = 16  # coarse cells across which aggregation finds a surface
-OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
-CLOSE = 0.2  # of the height of the lowest view above the heights searched: the part nearer to it is not swept
-MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # margin about the other heights: share of their span, and coarse planes
-ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; heights there, at least; metres
+SEEN_BLOCK = 8  # cells: resolution of the border of the reference picture
+LEAST_SIDE = 16  # cells across a coarse level, at least: aggregation finds no surface on fewer
+OUTSIDE = 0.5  # percent of the heights found, at either end, that do not widen the search
+CLOSE = 0.2  # share of the height of the lowest view above the lowest height searched, not swept
+MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # margin about the heights found: share of their span, and coarse planes
+ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; least heights there; margin, metres
 
 
 class Reach(NamedTuple):
-    """Range of heights that a ray tries about those found with coarser cells."""
+    """Limits of the heights that a ray tries, relative to the heights found on coarser cells."""
 
-    beside: int  # coarse cells about its own whose heights it tries
-    border: int  # coarse cells about its own where none of these has a height
-    slack: int  # planes beyond these
+    beside: int  # coarse cells on either side whose heights the ray tries
+    border: int  # coarse cells on either side, used where `beside` holds no height
+    slack: int  # planes added at either end
 
 
-NARROW, BROAD = Reach(1, 6, 2), Reach(8, 16, 8)  # at the finest cells, and at those between
+NARROW, BROAD = Reach(1, 6, 2), Reach(8, 16, 8)  # at the finest level; at the levels between coarsest and finest
 
 Span = tuple[float, float]  # lowest and highest height, metres
 
 
 class Swept(NamedTuple):
-    """Result of a sweep, (R, C); NaN where unseen."""
+    """Result of a sweep, (R, C); NaN where nothing was found."""
 
     height: F32  # metres
-    ratio: F32  # best over second-best cost, near 1 where a second height fits
+    ratio: F32  # best over second-best cost, near 1 where a second height fits as well
 
     @classmethod
     def nothing(cls, grid: Grid) -> Swept:
-        """The result where nothing is seen."""
+        """Return the result of a sweep that found nothing: all NaN."""
         return cls(*np.full((2, *grid.shape), np.nan, np.float32))
 
 
 def parallax_per_metre(centres: F64, height: float) -> float:
-    """Slide over the ground between the two outermost of the `centres` (N, 3), metres a metre of height."""
+    """Return the parallax of the two outermost `centres` (N, 3) at `height` (metres): metres per metre of height."""
     v = centres[:, :2] / np.maximum(centres[:, 2:] - height, 1e-3)
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
 def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
-    """Number of planes for a `slide` of the outermost views, metres a metre of height: 0.7 cells of parallax apart."""
+    """Return the number of planes (5 to `most`) 0.7 cells of parallax apart; `slide`: parallax per metre of height."""
     return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """Views registered on the plane at `ground`: there a hypothesis of another height is a shift and a scale."""
+    """Views registered on the plane at height `ground`: a hypothesis of another height is a shift and a scale."""
 
     grid: Grid
     ground: float  # metres
-    pictures: F32  # (N, R, C) normalised grey, NaN outside; only views that see some of it
+    pictures: F32  # (N, R, C) normalised grey, NaN outside; only views that see part of the grid
     centres: F64  # (N, 3) metres
-    guide: F32  # (R, C) the picture of the reference
+    guide: F32  # picture of the reference on the swept cells, without the margin
 
     def at(self, cells: Grid, heights: F32, about: F64) -> tuple[F64, F64]:
-        """Scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to `heights` (D,) along rays to `about`."""
+        """Return scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to those of the N pictures.
+
+        For each of the D heights (metres), a cell is moved along its ray to the camera centre `about` (3,).
+        """
         z = heights.astype(np.float64)[:, None]
         s = (about[2] - z) / (about[2] - self.ground)
         t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - z)
@@ -91,7 +95,7 @@ class Registered:
 
 
 def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
-    """Register views on the plane at `ground` about `grid`, so far beyond it as the heights `searched` need."""
+    """Register views on the plane at `ground`, over `grid` and as far beyond it as the heights `searched` require."""
     centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
     share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in searched)
@@ -107,7 +111,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span
 
 
 def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) -> Grid:
-    """Cells at `ground` whose rays to the reference cross `grid` at the heights `searched`, where it has a picture."""
+    """Return the cells at `ground` whose rays to the reference view cross `grid` at the heights `searched`."""
     about = reference.centre
     x, y = (v[[0, -1]] for v in grid.xy())
     share = np.array([(about[2] - ground) / (about[2] - z) for z in searched])
@@ -131,13 +135,15 @@ def sweep_unseen(
     tuning: SweepTuning,
     known: F32 | None = None,
 ) -> Swept:
-    """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
+    """Sweep the heights of the `wanted` (R, C) cells along the rays of the view that sees most of them from above.
 
-    Cells that this view does not see, behind a step or beyond its border, are swept along the rays of others.
+    Cells that this view does not see, behind a step or beyond its border, are swept along the rays of other views.
 
     Args:
+        pyramid: the views at each cell size, as for `sweep`.
         searched: lowest and highest height, metres.
-        known: heights (R, C), NaN where there are none; those about a region narrow the search there.
+        ground: approximate height of the ground, metres.
+        known: heights (R, C), metres, NaN = unknown; the known heights about a region narrow its search.
     """
     out = Swept.nothing(grid)
     left, tried = wanted.copy(), list[tuple[Box, int]]()
@@ -165,7 +171,7 @@ def sweep_unseen(
 
 
 def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
-    """The part of the heights `searched` about those `found`, with a margin (metres), if there are at least so many."""
+    """Narrow the range `searched` to the heights `found` plus a `margin`, metres, if `least` or more are known."""
     known = found[np.isfinite(found)]
     if len(known) < least:
         return searched
@@ -175,7 +181,7 @@ def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
 
 
 def regions(wanted: Mask, least_share: float) -> list[Box]:
-    """The rectangles about blocks with wanted cells; blocks with only a few of them are left out."""
+    """Return rectangles (rows, columns) about the blocks of which more than `least_share` is wanted."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
     whole[: wanted.shape[0], : wanted.shape[1]] = wanted
@@ -192,9 +198,9 @@ def regions(wanted: Mask, least_share: float) -> list[Box]:
 def best_reference(
     prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask, but: Collection[int]
 ) -> int | None:
-    """The view that sees most of the `wanted` cells if they lie at `ground`, steep views preferred; None: none sees.
+    """Return the index of the view that sees most of the `wanted` cells, if they lie at `ground`; None if no view does.
 
-    The views `but` are left out.
+    Steep views are preferred. The views whose indices are in `but` are left out.
     """
     wide = grid.coarser(SEEN_BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -210,24 +216,25 @@ def best_reference(
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """First and last plane that each ray tries; its costs lie side by side in the volume."""
+    """First and last plane that each ray tries; the costs of one ray are adjacent in the cost volume."""
 
     low: I32  # (R, C)
     high: I32  # (R, C)
 
     @classmethod
     def whole(cls, shape: tuple[int, int], count: int) -> Spans:
-        """All of `count` planes for every ray."""
+        """Return spans in which every ray tries all `count` planes."""
         return cls(np.zeros(shape, np.int32), np.full(shape, count - 1, np.int32))
 
     @classmethod
     def about(cls, found: F32, shape: tuple[int, int], levels: F32, reach: Reach) -> Spans:
-        """Planes about the heights found at twice the cells (R / 2, C / 2), of a cell and those beside it.
+        """Return spans about the heights `found` (R / 2, C / 2) on cells twice as large; `shape` is that of the rays.
 
-        Beside a step a ray tries the heights on both sides of it and between (Rothermel et al. 2012, tSGM).
+        Beside a step, a ray tries the heights on both sides of it and all between (Rothermel et al. 2012, tSGM).
+        `levels` (D,) are the heights of the planes. All heights are in metres.
         """
         low, high = extremes(found, reach.beside)
-        beyond = extremes(found, reach.border)  # smaller pixels reach further towards the border of a picture
+        beyond = extremes(found, reach.border)  # smaller cells reach nearer to the border of a picture
         for end, further in zip((low, high), beyond, strict=True):
             np.copyto(end, further, where=~np.isfinite(end))
         none = low > high  # no two views see anything there, at any resolution
@@ -239,14 +246,14 @@ class Spans:
 
     @property
     def neighbours(self) -> Spans:
-        """Spans widened by those of the rays beside, whose costs are averaged."""
+        """Spans widened by the spans of the neighbouring rays, because the costs of neighbours are averaged."""
         near = np.ones((3, 3), np.uint8)
         low, high = -cv2.dilate(-self.low.astype(np.float32), near), cv2.dilate(self.high.astype(np.float32), near)
         return Spans(low.astype(np.int32), high.astype(np.int32))
 
     @property
     def first(self) -> I64:
-        """(R, C) index of each ray's first cost."""
+        """Index of each ray's first cost in the cost volume, (R, C)."""
         count = (self.high - self.low + 1).astype(np.int64)
         return np.cumsum(count).reshape(count.shape) - count
 
@@ -256,14 +263,15 @@ def sweep(
 ) -> Swept:
     """Find the height of every cell that view `reference` sees (docs/method/parallax.md, eqs. 6 and 7).
 
-    NaN where the reference or all others see nothing.
+    Heights are NaN where the reference or all other views see nothing.
 
     Args:
-        pyramid: the views at the cells of `grid`, then at cells twice as large and so on. The coarsest tries all
-            planes that its views can separate, each finer one those about the heights of the coarser.
-        searched: lowest and highest height, metres; heights nearer to the lowest view than `CLOSE` are left out.
-        ground: metres, approximate height of most of it.
-        reference: the view along whose rays heights are tried.
+        pyramid: the views prepared for the cells of `grid`, for cells twice as large, and so on. The coarsest level
+            tries all planes that its views can separate. Each finer level tries planes about the heights of the coarser
+            level.
+        searched: lowest and highest height, metres; heights very near the lowest view (`CLOSE`) are left out.
+        ground: approximate height of most of the ground, metres.
+        reference: index of the view along whose rays heights are tried.
     """
     pyramid = [[when_exposed(p, grid, ground) for p in views] for views in pyramid]
     about = pyramid[0][reference].centre
@@ -287,13 +295,13 @@ def sweep(
         spans = Spans.whole(of[k].shape, len(levels)) if first else Spans.about(found, of[k].shape, levels, reach)
         found, doubt = along_rays(views, of[k], levels, spans, about, tuning)
         ratio = np.fmax(doubt, upsample(ratio, 2, rays.shape)) if narrow else doubt
-        # smaller cells try the heights found, and a margin for objects too thin for these
+        # smaller cells try the heights found, and a margin for objects too thin for the coarse cells
         searched = narrowed(found, searched, MARGIN_PLANES * float(levels[1] - levels[0]))
     return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
 
 
 def extremes(found: F32, reach: int) -> tuple[F32, F32]:
-    """Lowest and highest known height within `reach` cells; infinite, the lowest above the highest, where none is."""
+    """Return the lowest and the highest known height within `reach` cells; inf and -inf where all are unknown."""
     near, known = np.ones((2 * reach + 1,) * 2, np.uint8), np.isfinite(found)
     border = cv2.BORDER_REPLICATE  # OpenCV's own is the largest number, not infinity
     low = cv2.erode(np.where(known, found, np.float32(np.inf)), near, borderType=border)
@@ -302,7 +310,7 @@ def extremes(found: F32, reach: int) -> tuple[F32, F32]:
 
 
 def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: F64, tuning: SweepTuning) -> Swept:
-    """Heights and best/second cost (R, C) of `rays` to `about`, of the planes `levels` those in their `spans`."""
+    """Return height and ambiguity (R, C) of `rays` to the centre `about`, from the planes `levels` in their `spans`."""
     first, near, everywhere = spans.first, spans.neighbours, Spans.whole(rays.shape, len(levels))
     cost = np.empty((spans.high - spans.low + 1).sum(dtype=np.int64), np.float32)  # of all rays
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
@@ -315,7 +323,7 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
             views.pictures, scale, shift, pairs, tuning.keep_share, truncation, wanted.low, wanted.high, k, plane, count
         )
         kernels.store(plane, k, spans.low, spans.high, first, cost)
-        if k == usual:  # beyond the border only a wrong height adds a second view
+        if k == usual:  # beyond a border, only a wrong height brings a second view into play
             seen = count.copy()
     seen[np.isnan(views.guide)] = 0
     halves = np.empty((2, len(cost)), np.float32)
@@ -329,10 +337,10 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
 
 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
-    """Move heights found along the rays to `about` to the world grid: of several in one cell, the highest.
+    """Move heights found along the rays to `about` to the world grid; where several meet in a cell, the highest stays.
 
-    Gaps of a few cells are filled with the lowest height beside them: ground hidden by a step lies at its foot. No cost
-    belongs to their heights, so their ratio is 1: another height may be as good.
+    Gaps of a few cells are filled with the lowest height beside them, because ground hidden by a step lies at its foot.
+    Filled heights have no cost, so their ratio is 1: another height may be as good.
     """
     height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     to = np.array(

@@ -6,14 +6,13 @@ from alight.arrays import F32, F64
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.single_kernels import HALF, ONE, TWO, ZERO
 
-NEAR = np.float32(1e-3)  # metres before the camera
-ROLLS = 3  # iterations for the pixel row: each leaves a tenth of the error or less
-OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
+NEAR = np.float32(1e-3)  # metres, least depth in front of the camera
+ROLLS = 3  # iterations for the pixel row: each reduces the error to a tenth or less
+OUTSIDE = np.float32(-1e4)  # pixel of a cell that a camera cannot see; `remap` fills the border value there
 
 
 @kernel
 def _ideal_row(p: F32, step: F32, b: F32, h: F32, x: F32, y: F32, z: F32) -> None:
-    """Fill the ideal coordinates and the depth of a row of cells at heights `h`."""
     for c in range(h.size):
         k = np.float32(c)
         z[c] = p[2] + k * step[2] + h[c] * b[2]
@@ -23,7 +22,7 @@ def _ideal_row(p: F32, step: F32, b: F32, h: F32, x: F32, y: F32, z: F32) -> Non
 
 @kernel
 def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32) -> None:
-    """Bring ideal coordinates to the exposure of their pixel row: the camera has moved and turned since (eq. 4b)."""
+    """Correct ideal coordinates for the motion of the camera until the exposure of their pixel row (eq. 4b)."""
     for c in range(x.size):
         u, v, inverse = ideal[0, c], ideal[1, c], ONE / ideal[2, c]
         t = (mapy[c] + HALF) / height - HALF
@@ -36,7 +35,7 @@ def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32)
 
 @pixelwise
 def _pixel(lens: F32, x: np.float32, y: np.float32, seen: bool) -> tuple[np.float32, np.float32]:
-    """`lens`: fu, fv, cu, cv, last column and row."""
+    """Return the pixel of distorted coordinates, or `OUTSIDE`; `lens`: fu, fv, cu, cv, last column and row."""
     u, v = lens[0] * x + lens[2], lens[1] * y + lens[3]
     ok = seen & (u >= ZERO) & (u <= lens[4]) & (v >= ZERO) & (v <= lens[5])
     return u if ok else OUTSIDE, v if ok else OUTSIDE
@@ -86,16 +85,16 @@ def project_row(
     p: F32, step: F32, b: F32, lens: F32, k: F32, model: int, r2_max: np.float32, height: np.float32, roll: F32,
     h: F32, ideal: F32, mapx: F32, mapy: F32,
 ) -> None:  # fmt: skip
-    """Fill the pixels of a row of cells at heights `h` (eqs. 1 to 3 and 4b).
+    """Fill the pixels of a row of cells at heights `h` (C,), metres (eqs. 1 to 3 and 4b).
 
     Args:
         p, step: (3,) homogeneous coordinates of the first cell, and their increment from cell to cell.
-        b: (3,) their increment a metre of height.
+        b: (3,) increment of the homogeneous coordinates per metre of height.
         lens: fu, fv, cu, cv, last column and row.
         k: (5,) distortion of the `model`.
         r2_max: limit of the squared ideal radius.
-        height: rows of the picture.
-        roll: translation (metres) and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
+        height: number of rows of the picture.
+        roll: (9,) motion of the camera during the exposure as in `rolling_of`, or (0,) without rolling shutter.
         ideal: (5, C) scratch.
     """
     x, y, z = ideal[0], ideal[1], ideal[2]
@@ -123,11 +122,11 @@ def project_grid(
     mapx: F32,
     mapy: F32,
 ) -> None:
-    """Fill `mapx`, `mapy` with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3 and 4b).
+    """Fill `mapx`, `mapy` (R, C) with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3 and 4b).
 
-    Row by row in short loops without branches, which the compiler turns into vector code: 8 times faster than one loop.
-    The start of a row is computed in double precision, its cells in single: 0.0001 px of 1000. `rolling`: translation
-    (metres) and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
+    It works row by row in short loops without branches, which the compiler vectorises: 8 times faster than one loop.
+    The start of a row is computed in double precision, its cells in single precision: an error of 0.0001 px in 1000 px.
+    `rolling` is the (9,) motion of the camera as in `rolling_of`, or (0,) without rolling shutter.
     """
     rows, cols = h.shape
     b32, k32, limit = b.astype(np.float32), k.astype(np.float32), np.float32(r2_max)

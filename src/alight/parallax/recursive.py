@@ -1,9 +1,9 @@
-"""Recursive estimator: a keyframe window, one step for each new keyframe, heights carried from step to step.
+"""Recursive estimator: a keyframe window, one step per new keyframe, heights carried from step to step.
 
-The open problem of the 2004 paper. The height itself is carried with its sigma, never a sum of old gradients. A
-sample slides by (X - C) / (Z - h) a metre in every view; so a changed height makes stored sums invalid. A cell
-enters the map by a sweep, as soon as the views that see it span `first_baseline` of the height. From then on it
-starts from the map.
+This was the open problem of the 2004 paper. The height itself is carried with its sigma, not a sum of old gradients: a
+sample slides by (X - C) / (Z - h) per metre in every view, so a changed height makes stored sums invalid. A cell enters
+the map by a sweep, as soon as the views that see it span `first_baseline` of the height. From then on, each step starts
+from the height in the map.
 """
 
 from __future__ import annotations
@@ -27,47 +27,48 @@ from alight.settings import ParallaxSettings
 
 
 class RecursiveParallax:
-    """Recursive estimator of heights: keyframes at distances that grow with age, and the step on them."""
+    """Recursive estimator of heights: a window of keyframes at distances that grow with age, and the step on them."""
 
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
         self._settings, self._tuning = settings, settings.recursive
-        # cells that one view does not see may wait for the next keyframe
+        # one reference: cells that it does not see may wait for the next keyframe
         self._sweep_tuning = settings.sweep.model_copy(update={"references": 1})
         self._unswept = self._unknown = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
-        self.kept = dict[int, list[Kept]]()  # the views of each exposure, by its time, oldest first
-        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: sweep anew
+        self.kept = dict[int, list[Kept]]()  # views of each exposure, by its time in ns, oldest first
+        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: to be swept again
         self._blocks, self._buffers = Blocks(settings.recursive), Buffers()
         self.alignment = Alignment(settings)
-        self.came = list[tuple[Grid, Mask]]()  # rectangles of the last step, and where somebody came to stand (eq. 16e)
+        self.came = list[tuple[Grid, Mask]]()  # rectangles of the last step; True: somebody came (eq. 16e)
 
     @property
     def beginning(self) -> bool:
-        """True while most of the window is little refined: heights of a part need not be typical of the rest."""
+        """Whether most of the window is little refined, so that heights of a part need not be typical of the rest."""
         return self._blocks.begins
 
     def work_at(self, cell: float, ground: float) -> None:
-        """Set the cell size and the ground's height, metres; for a new `cell` the kept pictures are prepared anew.
+        """Set the cell size and the ground height, metres; for a new `cell` the kept pictures are prepared again.
 
-        Pictures prepared for another ground stay as they are: its height only sets the smoothing.
+        Pictures prepared for another ground height stay as they are, because that height only affects their smoothing.
         """
         self._ground = ground
         if cell != self._cell:
             self._blocks.forget(sharper=cell < self._cell)
             self._cell = cell
-            if self._ratio is not None:  # the other cells confirm or refute the sweep
+            if self._ratio is not None:  # cells of the new size confirm or refute the sweep
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
             self.kept = {t: [Kept.of(k.view, cell, ground) for k in e] for t, e in self.kept.items()}
 
     def reset_sweep(self) -> None:
-        """Sweep every cell again before its height is used, as at the beginning."""
+        """Discard all sweeps: every cell is swept again before its height is used, as at the beginning."""
         self._ratio, self._unknown = None, np.float32(np.nan)
         self._blocks.begin_anew()
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
-        """Add the images of one exposure, out of sequence or not; the keyframe that leaves the smallest gap is dropped.
+        """Add the images of one exposure, in or out of sequence; an exposure that is held already is ignored.
 
-        `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
+        A full window drops the keyframe whose loss leaves the smallest gap. `poses`: posterior of the keyframes,
+        including this exposure; None: the poses of the views are used as given.
         """
         if views[0].t_ns in self.kept:
             return  # a repeated time: a picture would agree with itself
@@ -81,15 +82,16 @@ class RecursiveParallax:
             self.alignment.update_posterior(poses, set(self.kept), drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
-        """Improve the heights of a part of a window with the present keyframe window (docs/method/recursive.md).
+        """Improve the heights of a part of a window with the present keyframes (docs/method/recursive.md).
 
         Args:
             grid: the window, cells on the map's raster.
-            low, high: heights searched where nothing is known, metres.
+            known: the map on the window.
+            low, high: range of heights to search where none is known, metres.
             effort: level of the effort, from 0 (full) to 3 (least).
 
         Returns:
-            The refined rectangles, with their new heights; none while no cell has seen enough parallax.
+            The refined rectangles with their new heights; an empty list while no cell has seen enough parallax.
         """
         ratio, chosen = np.full(grid.shape, self._unknown), EFFORTS[min(effort, len(EFFORTS) - 1)]
         if self._ratio is not None:
@@ -119,10 +121,7 @@ class RecursiveParallax:
     def _window(
         self, grid: Grid, known: ElevationMap, ratio: F32, searched: tuple[float, float], effort: Effort
     ) -> Window:
-        """The window with all views, or with less effort one camera of each rig and the whole rig in some exposures.
-
-        Whole rigs show moving things (eq. 15a).
-        """
+        """Return the window and its views; with less effort, most exposures take part with one camera per rig only."""
         times, views = list(self.kept), [k for exposure in self.kept.values() for k in exposure]
         drop, rigs = float(self.kept[times[-1]][0].view.centre[2]) - self._ground, times[:: -effort.rigs]
         first = first_of_twins(views, APART * drop)
@@ -133,9 +132,9 @@ class RecursiveParallax:
         return Window(self._settings, self._buffers, grid, known, kept, seen, ratio, searched, drop, *twins)
 
     def _views_of(self, window: Window, box: Box, fresh: Mask) -> list[Kept]:
-        """The views that sweep a rectangle: of a few exposures over about twice the least baseline.
+        """Return the views that sweep a rectangle: a few exposures over about twice the least baseline.
 
-        More exposures blur the edges of objects. A longer baseline takes more planes, and later steps have it.
+        More exposures would blur the edges of objects. A longer baseline takes more planes, and later steps have it.
         """
         seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
         wanted = max(1.0, float(np.median(self._wanted(window.ratio[box])[fresh])))
@@ -148,16 +147,15 @@ class RecursiveParallax:
 
     @staticmethod
     def _wanted(ratio: F32) -> F32:
-        """Least baseline of a cell's sweep, in those of a first sweep: after a sweep in vain, twice the one before."""
+        """Return the least baseline for sweeping each cell, as a multiple of the first sweep's; failures double it."""
         return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
     def _has_baseline(self, baseline: F32, count: U8, ratio: F32, drop: float) -> Mask:
-        """True where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
+        """Return where the baseline (metres) of `count` views suffices to sweep a cell of this ambiguity `ratio`."""
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
         return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
 
     def _plan(self, window: Window, effort: Effort) -> Plan:
-        """Plan the step from counts in a sample of the cells."""
         every, drop = refine.SEEN_BLOCK, window.drop
         k = min(every // 2, *(n - 1 for n in window.grid.shape))
         at, seen = (slice(k, None, every), slice(k, None, every)), window.seen
@@ -175,7 +173,7 @@ class RecursiveParallax:
         return self._blocks.plan(counts, (row, col), self._tuning.first_exposures * planes, reach, effort)
 
     def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
-        """Note which heights of a rectangle were replaced, or lost or gained trust."""
+        """Record which heights of a rectangle were replaced, or gained or lost trust."""
         every = refine.SEEN_BLOCK
         h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
         before = np.isfinite(h0)
@@ -188,13 +186,12 @@ class RecursiveParallax:
     def _swept(self, window: Window, plan: Plan) -> tuple[F32, Mask]:
         """Sweep the cells that have enough baseline for the first time since the restart.
 
-        The window's `ratio` gets their ambiguity.
-
-        The map is shifted to the sweep as a whole and keeps its shape, except where they differ by more than
-        `same_px`. Cells not swept yet are left out of the step.
+        Their ambiguity is written to the window's `ratio`. The map is shifted to the sweep as a whole and keeps its
+        shape, except where the two differ by more than `same_px` parallax pixels. Cells without a sweep are left out of
+        the step.
 
         Returns:
-            Initial heights (R, C) metres, and the mask of cells whose height in the map is wrong.
+            Initial heights (R, C), metres, NaN without a sweep; the mask of cells whose height in the map is wrong.
         """
         anew = np.isnan(window.ratio)
         start, wrong = np.where(anew, np.float32(np.nan), window.known.height), np.zeros(anew.shape, np.bool_)
@@ -214,7 +211,7 @@ class RecursiveParallax:
         return start, wrong
 
     def _sweep(self, window: Window, box: Box, fresh: Mask, halvings: int) -> Swept:
-        """Sweep the `fresh` cells of a rectangle, with cells doubled so many times."""
+        """Sweep the `fresh` cells of a rectangle, with the cell size doubled `halvings` times."""
         grid, ground, coarser = window.grid.part(box), float(np.clip(self._ground, *window.searched)), 1 << halvings
         ready = [v.halved(halvings) for v in self._views_of(window, box, fresh)]
         wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
@@ -223,21 +220,22 @@ class RecursiveParallax:
 
 
 def shift_of(apart: F32) -> np.float32:
-    """Median difference of a sweep and the map, metres; 0 where they share no cell."""
+    """Return the median of the differences between a sweep and the map, metres; 0 if all are NaN."""
     known = apart[np.isfinite(apart)]
     return np.float32(np.median(known) if known.size else 0)
 
 
 def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list[int]:
-    """Choose `count` keyframes, oldest first, whose distances from the newest grow evenly in proportion.
+    """Choose `count` keyframes, oldest first, whose distances from the newest grow in proportion; return their indices.
 
-    `away` (N,): baseline to the newest, the last, over the height. The nearest find new ground, the farthest measure
-    it best; those farther than `span` see too little of the newest view's ground.
+    `away` (N,) is the distance of each keyframe from the newest (the last element), divided by the height. Near
+    keyframes find new ground, far ones measure it best. Keyframes at `span` or farther see too little of the newest
+    view's ground.
     """
     kept = [i for i in range(len(away)) if away[i] < span]
     while len(kept) > count:
         gaps = [
             (away[kept[k - 1]] - away[kept[k + 1]]) / (away[kept[k]] + 0.02) for k in range(1, len(kept) - 1)
-        ]  # the gap that would be left, in proportion
+        ]  # the gap that its loss would leave, in proportion
         kept.pop(1 + int(np.argmin(gaps)))
     return kept

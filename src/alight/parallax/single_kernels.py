@@ -1,4 +1,4 @@
-"""Numbers in single precision: beside one in double precision, a loop over float32 would compute in doubles."""
+"""Constants in single precision: with a double-precision constant, a loop over float32 would compute in doubles."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""Sorting the views of every cell at once: a network of compare-and-swap over rows of cells, which becomes vector code.
+"""Sorting the views of every cell at once: a network of compare-and-swap over rows of cells, which is vectorised.
 
-Sorting cell by cell costs ten times as much: its branches cannot be predicted.
+Sorting cell by cell takes ten times as long, because its branches cannot be predicted.
 """
 
 from functools import cache
@@ -10,12 +10,12 @@ import numpy as np
 from alight.arrays import F32, I64
 from alight.compiled import kernel
 
-NOTHING = np.float32(1e9)  # in place of a missing sample: sorts behind all others
+NOTHING = np.float32(1e9)  # replaces a missing sample: sorts behind all others
 
 
 @cache
 def network(n: int) -> I64:
-    """Return the comparators (first, second) that sort `n` values: Batcher's odd-even merge sort (1968)."""
+    """Return the index pairs (K, 2) that sort `n` values by compare and swap: Batcher's odd-even merge sort (1968)."""
     pairs = []
     p = 1
     while p < n:
@@ -32,7 +32,7 @@ def network(n: int) -> I64:
 
 @kernel
 def fill_row(samples: F32, out: F32, count: F32) -> None:
-    """Copy one view's row, `NOTHING` for NaN; count the samples."""
+    """Copy one view's row, with `NOTHING` for NaN, and add 1 to `count` where there is a sample."""
     for c in range(samples.size):
         s = samples[c]
         seen = s == s
@@ -50,14 +50,14 @@ def _order(first: F32, second: F32) -> None:
 
 @kernel
 def sort_rows(rows: F32, pairs: I64) -> None:
-    """Sort each column of `rows` (N, C), smallest first."""
+    """Sort each column of `rows` (N, C) in ascending order by the network `pairs`."""
     for k in range(pairs.shape[0]):
         _order(rows[pairs[k, 0]], rows[pairs[k, 1]])
 
 
 @kernel
 def _pick(row: F32, index: np.float32, count: F32, offset: np.float32, out: F32) -> None:
-    """Add half of `row` where it is the middle one: floor((count + offset) / 2) == index."""
+    """Add half of `row` to `out` where its `index` is a middle one of `count`: floor((count + offset) / 2) == index."""
     half = np.float32(0.5)
     for c in range(row.size):
         middle = np.floor(half * (count[c] + offset))
@@ -66,7 +66,7 @@ def _pick(row: F32, index: np.float32, count: F32, offset: np.float32, out: F32)
 
 @kernel
 def median_row(rows: F32, count: F32, out: F32) -> None:
-    """Fill the median of the first `count` of each column of sorted `rows` (N, C); undefined where there is none."""
+    """Fill the median of the first `count` values of each column of sorted `rows` (N, C); undefined if count is 0."""
     out[:] = 0
     for j in range(rows.shape[0]):
         _pick(rows[j], np.float32(j), count, np.float32(-1), out)

@@ -1,7 +1,7 @@
 """Height of the ground before there is a map: points triangulated from pairs of posed views.
 
-They give the height range that the sweep searches and the ground sampling distance. Descriptors are used, not tracks:
-it works alike for video and for photos far apart, with poses from any source.
+They give the height range that the sweep searches, and the ground sampling distance. Features are matched by
+descriptors, not tracked, so video and photos far apart work alike, with poses from any source.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ NO_POINTS = np.empty((0, 3))
 class ViewFeatures(NamedTuple):
     """SIFT features of one view."""
 
-    centre: F64  # (3,) of the camera
+    centre: F64  # (3,) camera centre, metres
     rays: F64  # (N, 3) unit directions in the world
     descriptors: F32  # (N, 128)
 
     @classmethod
     def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
-        """Detect the features of a view; on plain ground, as gravel from far, weak ones too."""
+        """Detect the features of a view; on plain ground, such as gravel from far away, weak ones are included."""
         grey = grey_levels(view.image)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
         contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
-        while True:  # faint features beside strong ones spoil their matches: few heights of small pictures are left
+        while True:  # faint features spoil the matches of strong ones: small pictures would lose heights
             sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
             found, descriptors = sift.detectAndCompute(small, None)
             if len(found) >= tuning.enough_features or contrast <= least:
@@ -48,11 +48,11 @@ class ViewFeatures(NamedTuple):
 
 
 def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F64]:
-    """Triangulate rays (N, 3) from two centres: the middle between their nearest points.
+    """Triangulate pairs of rays (N, 3) from two camera centres by the midpoint between their nearest points.
 
     Returns:
-        points (N, 3), the sine of the angle between the rays (N,), and the miss as an angle seen from the cameras
-        (N,) rad, infinite where the point lies behind a camera.
+        The points (N, 3); the sine of the angle between the rays (N,); the distance between the rays as an angle seen
+        from the cameras (N,), rad, infinite where the point lies behind a camera.
     """
     base = cb - ca
     dot = (rays_a * rays_b).sum(1)
@@ -66,9 +66,10 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
 
 
 def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple[F64, float]:
-    """Points of a pair of views, below both cameras, and the median angle between its matched rays.
+    """Return the points (M, 3) of a pair of views, below both cameras, and the median angle of matched rays, rad.
 
-    No points (`NO_POINTS`) where most rays meet at too small an angle: the others are wrong matches, all too near.
+    There are no points (`NO_POINTS`) if most rays meet at too small an angle, because the others are then wrong matches
+    that lie too near. The angle is infinite if there are too few matches.
     """
     if len(a.rays) < 2 or len(b.rays) < 2:
         return NO_POINTS, np.inf
@@ -83,9 +84,9 @@ def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple
 
 
 def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
-    """Triangulate points of the scene from pairs of `views` (in order of time), (N, 3) metres in the world.
+    """Triangulate points of the scene from pairs of `views`, in order of time; return (N, 3) metres in the world.
 
-    The stride between the views of a pair doubles until their rays meet at 0.06 rad, or the overlap ends.
+    The stride between the views of a pair doubles until their rays meet at three times `least_angle` or overlap ends.
     """
     views = [v for v in views if v.cam == views[0].cam]
 
@@ -111,7 +112,7 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
 
 
 def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:
-    """Drop points (N, 3) with hardly any neighbour that agrees: one wrong match in a tile widens all its search."""
+    """Return the points (M, 3) whose heights agree with enough neighbours: one wrong match would widen the search."""
     if len(points) <= tuning.neighbours:
         return points
     like = tuning.like_height * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
@@ -123,14 +124,15 @@ def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64
 def height_range(
     points: F64, height_of_camera: float, near: tuple[float, float, float] | None = None
 ) -> tuple[float, float]:
-    """The heights to search: the span of the points, with a margin for places without points (tree tops, holes).
+    """Return the lowest and highest height to search, metres: the span of the points and a margin.
 
-    The margin ends a fifth of the height below the camera; points above that are in the span all the same.
+    The margin covers ground without points (tree tops, holes). It ends below the camera by a fifth of the height above
+    ground, but the range always contains points that lie higher.
 
     Args:
         points: (N, 3) metres.
         height_of_camera: metres, to scale the margins.
-        near: (east, north, radius): only points within, when there are enough of them.
+        near: (east, north, radius), metres: only points within the radius are used, if there are enough of them.
     """
     z = points[:, 2]
     if near is not None:

@@ -9,8 +9,8 @@ from alight.parallax.sorting_kernels import fill_row, sort_rows
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 FAR = np.float32(1e9)  # cost beyond the first and last plane
-BAND = 16  # rows a thread takes at once
-NEAR = 8  # cells between runs that are computed as one
+BAND = 16  # rows that a thread processes at a time
+NEAR = 8  # cells: runs closer than this are computed as one
 
 
 @kernel
@@ -51,9 +51,9 @@ def _times(row: F32, factor: np.float32, out: F32) -> None:
 def _cost_row(
     views: F32, a: int, z: int, seen: int, keep: float, truncation: np.float32, scratch: F32, cost: F32
 ) -> None:  # fmt: skip
-    """Eq. 6 of cells a to z, which `seen` views see; their samples `views` (N, C) are sorted and overwritten.
+    """Compute the cost (eq. 6) of cells `a` to `z`, each seen by `seen` views; `views` (N, C), sorted, is overwritten.
 
-    Those nearest to the median lie side by side among the sorted ones: the best of a few windows.
+    The samples nearest to the median are adjacent when sorted, so theirs is the smallest of a few window sums.
     """
     if seen < 2:
         cost[:] = truncation
@@ -75,9 +75,9 @@ def _cost_row(
 
 @inline
 def _taps(t: float) -> Four:
-    """Weights of four neighbours at a share `t` of the way from the second to the third (Catmull-Rom).
+    """Return the Catmull-Rom weights of four neighbours, at a share `t` of the distance from the second to the third.
 
-    Linear ones blur half-way samples, so that planes of such shifts win.
+    Linear weights would blur samples between pixels, so that planes with such shifts would win.
     """
     return (
         np.float32(t * (-0.5 + t * (1.0 - 0.5 * t))),
@@ -89,7 +89,6 @@ def _taps(t: float) -> Four:
 
 @kernel
 def _between(rows: F32, taps: Four, out: F32) -> None:
-    """The weighted sum of four rows (4, C)."""
     a, b, c, d = rows[0], rows[1], rows[2], rows[3]
     for k in range(out.size):
         out[k] = taps[0] * a[k] + taps[1] * b[k] + taps[2] * c[k] + taps[3] * d[k]
@@ -97,7 +96,6 @@ def _between(rows: F32, taps: Four, out: F32) -> None:
 
 @kernel
 def _weigh_row(row: F32, first: F32, second: F32, third: F32, fourth: F32, out: F32) -> None:
-    """The weighted sum of four neighbours; `row` is three longer than `out`."""
     for c in range(out.size):
         a, b = first[c] * row[c], second[c] * row[c + 1]
         out[c] = a + b + third[c] * row[c + 2] + fourth[c] * row[c + 3]
@@ -105,7 +103,7 @@ def _weigh_row(row: F32, first: F32, second: F32, third: F32, fourth: F32, out: 
 
 @kernel
 def _along(row: F32, first: I32, until: I32, taps: F32, start: int, out: F32) -> None:
-    """Sample a row at columns from `start` on, in runs whose pixels lie side by side: a gather costs ten times that."""
+    """Sample a row at the columns from `start` on, in runs of adjacent pixels: a gather takes ten times as long."""
     c, stop = start, start + out.size
     while c < stop:
         end, k = min(int(until[c]), stop), int(first[c])
@@ -116,9 +114,9 @@ def _along(row: F32, first: I32, until: I32, taps: F32, start: int, out: F32) ->
 
 @kernel
 def _columns(scale: float, shift: float, size: int, first: I32, until: I32, taps: F32) -> None:
-    """The first of the four pixels about each column in a row of `size`, and their weights; NaN outside.
+    """Find the first of the four pixels about each column in a row of `size`, and their weights; NaN outside the row.
 
-    `until`: the end of the run of columns whose first pixels lie side by side.
+    `until` gets the end of the run of columns whose first pixels are adjacent.
     """
     cols = first.size
     for c in range(cols):
@@ -134,7 +132,7 @@ def _columns(scale: float, shift: float, size: int, first: I32, until: I32, taps
 
 @kernel
 def _next_run(low: I32, high: I32, plane: int, start: int) -> tuple[int, int]:
-    """The next cells of a row whose span (`low` to `high`) holds the plane; runs less than `NEAR` apart are one."""
+    """Return start and stop of the next run of cells whose span holds `plane`; runs less than `NEAR` apart join."""
     cols = low.size
     while start < cols and not low[start] <= plane <= high[start]:
         start += 1
@@ -151,12 +149,17 @@ def sweep_cost(
     pictures: F32, scale: F64, shift: F64, pairs: I64, keep: float, truncation: float,
     low: I32, high: I32, plane: int, cost: F32, count: I32,
 ) -> None:  # fmt: skip
-    """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
+    """Fill `cost` (R, C) with the matching cost of a plane (eq. 6), and `count` (R, C) with the number of views.
 
-    `pictures` (N, P, Q) are registered on a plane; cell (r, c) lies at row `scale[i] r + shift[i, 0]` and column
-    `scale[i] c + shift[i, 1]` of picture i. Occluded and moving views are the largest deviations; leaving them out
-    keeps walls upright. `pairs`: the sorting network of N. Cells whose first and last plane, `low` and `high`
-    (R, C), leave out this `plane` may keep their old value.
+    The cost is the mean of the smallest `keep` share of |s_i - median|. Occluded and moving views deviate most; leaving
+    them out keeps walls upright. Cells whose span leaves out the plane may keep their old cost.
+
+    Args:
+        pictures: (N, P, Q) views registered on a plane.
+        scale, shift: (N,), (N, 2). Cell (r, c) lies in picture i at row `scale[i] r + shift[i, 0]` and at column
+            `scale[i] c + shift[i, 1]`.
+        pairs: sorting network of N values.
+        low, high: (R, C) first and last plane of each cell.
     """
     n, height, width = pictures.shape
     rows, cols = cost.shape
@@ -199,9 +202,9 @@ def sweep_cost(
 
 @parallel_kernel
 def store(values: F32, plane: int, low: I32, high: I32, first: I64, cost: F32) -> None:
-    """Put the 3 x 3 means of a plane's `values` (R, C) in the volume `cost`, of the cells whose span holds the plane.
+    """Store the 3 x 3 means of a plane's `values` (R, C) in the volume `cost`, for cells whose span holds the plane.
 
-    The costs of cell (r, c) begin at `first[r, c]` of `cost`, one for each plane from `low[r, c]` to `high[r, c]`.
+    The costs of cell (r, c) begin at `cost[first[r, c]]`, one for each plane from `low[r, c]` to `high[r, c]`.
     """
     rows, cols = values.shape
     ninth = np.float32(1.0 / 9.0)
@@ -226,7 +229,7 @@ def _lowest(values: F32) -> float:
 
 @kernel
 def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.float32, out: F32, total: F32) -> None:
-    """Add some planes of one cell of one path; `before`: those of the previous cell, and one more at both ends."""
+    """Add planes of one cell of a path; `before`: costs at the previous cell, with one more plane at both ends."""
     depth = cost.size
     same, down, up = before[1 : depth + 1], before[:depth], before[2 : depth + 2]
     for d in range(depth):
@@ -241,7 +244,7 @@ def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.f
 
 @kernel
 def _begin(cost: F32, more: np.float32, out: F32, total: F32) -> None:
-    """Add planes that the previous cell of the path does not have."""
+    """Add planes that the previous cell of the path does not have; `more` is the price of the jump."""
     for d in range(cost.size):
         v = cost[d] + more
         out[d] = v
@@ -253,7 +256,7 @@ def _path(
     cost: F32, low: I32, high: I32, first: I64, image: F32, p1: float, p2: float, edge: float, dr: int, dc: int,
     total: F32,
 ) -> None:  # fmt: skip
-    """Add one direction of semi-global matching (Hirschmueller 2008, eq. 13) to `total`."""
+    """Add one direction (`dr`, `dc`) of semi-global matching (Hirschmueller 2008, eq. 13) to `total`."""
     rows, cols = image.shape
     depth = 1
     for r in range(rows):
@@ -291,10 +294,10 @@ def _path(
 def aggregate(
     cost: F32, low: I32, high: I32, first: I64, image: F32, p1: float, p2: float, edge: float, halves: F32
 ) -> None:
-    """Fill `halves` (2, V), whose sum is that of eight scanline optimisations of the volume `cost` (V,) (eq. 7).
+    """Fill `halves` (2, V), whose sum over axis 0 is the aggregated volume of eight scanline directions (eq. 7).
 
-    Each cell has its own span of planes, see `store`. One half holds the directions that go down the rows, the other
-    those that go up: two threads, always the same sums.
+    `cost` (V,) is the volume; `store` describes the span of planes of each cell. One half holds the directions down the
+    rows and to the right, the other half the opposite ones. Two threads thus always compute the same sums.
     """
     for k in prange(2):
         halves[k] = 0.0
@@ -306,7 +309,10 @@ def aggregate(
 
 @parallel_kernel
 def winner(total: F32, cost: F32, low: I32, high: I32, first: I64, count: I32, height: F32, ratio: F32) -> None:
-    """Per cell: the best plane with sub-plane parabola (as a fractional index) and best/second cost; NaN if unseen."""
+    """Fill `height` (R, C) with the best plane of each cell and `ratio` (R, C) with its best over second-best cost.
+
+    The plane is a fractional index, refined by a parabola. Both are NaN where fewer than two views see the cell.
+    """
     rows, cols = count.shape
     for r in prange(rows):
         for c in range(cols):
@@ -327,7 +333,7 @@ def winner(total: F32, cost: F32, low: I32, high: I32, first: I64, count: I32, h
                 if bend > 1e-9:
                     offset = min(0.5, max(-0.5, 0.5 * (a - z) / bend))
             height[r, c] = low[r, c] + k + offset
-            second = np.float32(0.0)  # the best other local minimum; without one, the worst cost
+            second = np.float32(0.0)  # cost of the best other local minimum; the worst cost if there is none
             for d in range(depth):
                 second = max(second, own[d])
             for d in range(depth):
@@ -343,10 +349,12 @@ def winner(total: F32, cost: F32, low: I32, high: I32, first: I64, count: I32, h
 
 @kernel
 def splat(found: F32, ratio: F32, ground: float, cell: float, place: F64, height: F32, which: F32) -> None:
-    """Move heights along their rays to the cells above which they lie; the highest stays, its `ratio` in `which`.
+    """Move heights along their rays to the cells below them; the highest stays, and its `ratio` goes to `which`.
 
-    `place`: of the first ray's cell at `ground`, east and north of the first of `height`, then of the rays' origin, and
-    its height, metres.
+    Args:
+        found: heights on the rays, metres, NaN = none; ray (0, 0) crosses the plane at height `ground` at `place[:2]`.
+        place: (5,) metres: first ray at `ground`, east and north of the first cell of `height`; origin of the rays,
+            east and north of that cell; height of the origin.
     """
     rows, cols = found.shape
     reach = np.float32(0.3)  # cells about a point that it covers

@@ -1,9 +1,9 @@
 """Motion detection by temporal consistency: synchronous cameras of a rig agree with each other, not with the template.
 
-Light on waves, the edge of a drifting shadow, a car or a swaying blade looks alike to two cameras at one time.
-A moment later it looks different. Still ground looks alike at all times; noise agrees with nothing. So deviations that
-synchronous views share separate time from baseline; the residual alone cannot. A rig of one camera has no such
-pairs.
+Light on waves, the edge of a drifting shadow, a car or a swaying blade of grass looks alike to two cameras at one time,
+and different a moment later. Still ground looks alike at all times; noise is alike in no two views. So deviations that
+synchronous views share separate the effect of time from that of the baseline, which the residual alone cannot do. A rig
+of one camera has no such pairs.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from alight.records import ElevationMap, Flag, View, is_trusted
 from alight.settings.tuning.parallax import ConsistencyTuning
 
 BLOCK = 8  # cells
-SIDE = 2  # instants that show the ground before a change, and after it, at least
-AROUND = 3  # blocks, the window of the sums of a change or a contradiction
+SIDE = 2  # instants that must show the ground before a change, and after it
+AROUND = 3  # blocks across the window of the sums for a change or a contradiction
 
 
 def instants(views: Sequence[View]) -> I64:
-    """Pairs (K, 2) of views of the same exposure by different cameras, as indices."""
+    """Return the index pairs (K, 2) of views of the same exposure by different cameras."""
     at: dict[int, list[int]] = {}
     for i, v in enumerate(views):
         at.setdefault(v.t_ns, []).append(i)
@@ -37,17 +37,17 @@ def instants(views: Sequence[View]) -> I64:
 
 
 def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: ConsistencyTuning) -> F32:
-    """Share of the variance that views of one instant have in common beyond the template (eq. 15a), by blocks.
+    """Return the share of the variance that views of one instant have in common beyond the template (eq. 15a).
 
     Args:
         samples: (N, R, C) normalised grey, NaN outside a picture.
-        pairs: (K, 2) indices of them.
-        mean: (R, C) the template of all views.
-        seen: (R, C) number of these views.
-        least: views that a cell needs.
+        pairs: (K, 2) indices of synchronous views.
+        mean: (R, C) template of all views.
+        seen: (R, C) number of views that see the cell.
+        least: number of views that a cell needs.
 
     Returns:
-        (R / BLOCK, C / BLOCK), rounded up; 0 where views are too few, negative where pairs differ more than others.
+        (R / BLOCK, C / BLOCK), rounded up; 0 where too few views see it, negative where pairs deviate oppositely.
     """
     sums = np.empty((5, *(-(-n // BLOCK) for n in mean.shape)), np.float32)
     kernels.common(samples, pairs, mean, BLOCK, tuning.cut, sums)
@@ -55,12 +55,12 @@ def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: Co
     views = cv2.resize(seen, count.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
     enough = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= least)
     number, cells = np.where(enough, count, np.float32(1)), np.maximum(known, 1)
-    both /= (1 - 2 / np.maximum(views, least)) * number  # a pair attracts the template
+    both /= (1 - 2 / np.maximum(views, least)) * number  # because a pair attracts the template
     return np.where(enough, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
 def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTuning) -> U16:
-    """MOVING flags (R, C), set where synchronous views share a deviation from the template."""
+    """Return MOVING flags (R, C), set where synchronous views share a deviation from the template."""
     if not len(pairs):
         return np.zeros(fit.grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
@@ -69,18 +69,11 @@ def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTu
 
 
 def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTuning) -> Mask:
-    """Find ground that looks different since some moment (eq. 16d): somebody stopped there, or went.
+    """Return where the ground looks different since some moment (eq. 16d), because somebody stopped there or left.
 
-    The views from before it agree with each other, and so do those from after it. The majority of them would
-    pass for the ground, at the height of the map.
-
-    Args:
-        samples: (N, R, C) normalised grey, NaN outside a picture.
-        pairs: (K, 2) indices of them, of one instant each.
-        times: (N,) ns, of the views.
-
-    Returns:
-        (R, C), by blocks.
+    The views from before the moment agree with each other, and so do the views from after it. The larger group would
+    pass for the ground, at the height of the map. `times` (N,) are those of the views, ns; the other arguments are as
+    in `shared`. The mask (R, C) is constant over blocks.
     """
     at, first = np.unique(times[pairs[:, 0]], return_index=True)
     if len(at) < 2 * SIDE:
@@ -98,23 +91,19 @@ def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTunin
 
 
 class Contradicted(NamedTuple):
-    """Ground on which the views do not agree (eq. 16e), (R, C) each, by blocks."""
+    """Masks (R, C) of ground on which the views do not agree (eq. 16e), constant over blocks."""
 
-    wrong: Mask  # the height of the map is wrong there
-    came: Mask  # the views agreed before: somebody has come since
+    wrong: Mask  # whether the height of the map is wrong
+    came: Mask  # whether the views agreed before, so that somebody has come since
 
 
 def contradicted(samples: F32, known: ElevationMap, least: int, tuning: ConsistencyTuning) -> Contradicted:
-    """Find ground on which the views do not agree (eq. 16e): somebody stands there, higher than the map.
+    """Find ground on which the views do not agree, because somebody stands there, higher than the map (eq. 16e).
 
-    Still ground at the height of the map looks alike to all views. The mean is that of all views: the template
-    leaves out those that deviate. Swaying plants differ at all times. So the limit for somebody who came is lower. It
-    holds only where the views were alike in the step that gave the map its height.
-
-    Args:
-        samples: (N, R, C) normalised grey, NaN outside a picture.
-        known: the map before the step.
-        least: views that a cell needs.
+    Still ground at the height of the map looks alike to all views. Deviations are taken from the mean of all views,
+    because the template leaves out views that deviate. Swaying plants differ at all times. So the limit for somebody
+    who came is lower, but it only holds where the views were alike in the step that gave the map its height. `known` is
+    the map before the step; the other arguments are as in `shared`.
     """
     seen = np.isfinite(samples)
     count, values = seen.sum(axis=0, dtype=np.float32), np.where(seen, samples, np.float32(0))
@@ -131,7 +120,7 @@ def contradicted(samples: F32, known: ElevationMap, least: int, tuning: Consiste
 
 
 def _by_blocks(values: F32) -> F32:
-    """Mean of cells (R, C) by blocks, (R / BLOCK, C / BLOCK) rounded up, over a window of AROUND of them."""
+    """Return block means of cells (R, C), smoothed over AROUND blocks: (R / BLOCK, C / BLOCK), rounded up."""
     rows, cols = (-n % BLOCK for n in values.shape)
     means = block_mean(np.pad(values, ((0, rows), (0, cols))), BLOCK)
     return np.asarray(cv2.blur(means, (AROUND, AROUND)), np.float32)

@@ -1,6 +1,6 @@
 """Uncertainty of heights: sigma, and the flags that override it (docs/method/uncertainty.md).
 
-Sigma measures the fit of a surface. Other evidence shows whether it is the right surface: texture, the second-best
+Sigma measures how well a surface fits. Other evidence shows whether it is the right surface: texture, the second-best
 cost, the residual, neighbours, steps.
 """
 
@@ -25,16 +25,16 @@ from alight.settings.tuning.parallax import UncertaintyTuning
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """A fit at half resolution; all (R / 2, C / 2)."""
+    """Statistics of a fit at half resolution; all arrays are (R / 2, C / 2)."""
 
-    low: F32  # metres, of 2 x 2 cells; the nearest known height where unknown
+    low: F32  # metres, lowest of 2 x 2 cells; the nearest known height where unknown
     high: F32
-    lowest: F32  # metres, of the cells within `step_cells`
+    lowest: F32  # metres, lowest of the cells within `step_cells`
     highest: F32
-    texture: F32  # variance of the template nearby: the texture that all views share
-    residual: F32  # share of the samples' variance that the views do not share: 0 perfect, 1 nothing shared
+    texture: F32  # variance of the template nearby: texture common to all views
+    residual: F32  # share of the samples' variance that the views do not have in common, 0 to 1
     noise: F32  # mean residual variance
-    hidden2: F32  # metres^2, variance of the relief that the windows flatten
+    hidden2: F32  # metres^2, variance of the relief that the windows smooth away
     sigma2_px: F32  # variance of the heights, parallax pixels^2 (eq. 14)
     metres_per_px: F32
 
@@ -51,7 +51,7 @@ def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
     per_px = np.ascontiguousarray(per_px[::2, ::2])
     sigma = read_sigma()
     hidden2 = _hidden(mid, uneven, s2, per_px, sigma) + np.float32((sigma.floor_cells * fit.grid.cell) ** 2)
-    # (14) of 2 x 2 cells, for the evidence only: heights get it from `kernels.height_sigma`
+    # eq. 14 for 2 x 2 cells, for the evidence only; `kernels.height_sigma` has it for each height
     sigma2 = np.float32(sigma.fit) * fitted + hidden2 / (per_px * per_px)
     near = np.ones((2 * tuning.step_cells + 1,) * 2, np.uint8)
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
@@ -60,9 +60,9 @@ def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
 
 
 def _filled(height: F32) -> F32:
-    """Heights (R, C), of an even number of rows and columns, with the nearest known ones where they are unknown.
+    """Replace unknown heights (R, C) by the nearest known ones; R and C are even.
 
-    Anything else beside them, such as the middle of the map, would stand out as a step where the ground slopes.
+    Any other value, such as the mean height of the map, would stand out as a step where the ground slopes.
     """
     known = np.isfinite(height)
     if known.all():
@@ -73,7 +73,7 @@ def _filled(height: F32) -> F32:
 
 
 def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, by: SigmaCoefficients) -> F32:
-    """Variance of the relief that the windows flatten, metres^2, from the visible relief and the noise (eq. 14)."""
+    """Return the variance of the relief that the windows smooth away, metres^2, by visible relief and noise."""
     fine, trend = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
     rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(trend * trend, (0, 0), 1.5)
     square = per_px * per_px
@@ -89,18 +89,18 @@ def _box(values: F32, cells: int) -> F32:
 
 
 def half_resolution(values: F32) -> F32:
-    """Means of 2 x 2 cells."""
+    """Return the means of 2 x 2 cells, (R / 2, C / 2) rounded up."""
     size = (-(-values.shape[1] // 2), -(-values.shape[0] // 2))
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str, F32]:
-    """Evidence for a wrong match, dimensionless, at half resolution: the terms of eq. 15 before the logarithm.
+    """Return the evidence for a wrong match, at half resolution: dimensionless inputs of eq. 15, before the logarithm.
 
-    ambiguity: best over second-best cost `ratio` nearby; residual: share of the variance that the views do not share,
-    nearby; sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax
-    pixels (the high side of a step is where windows smear); slide: baseline over height. `near`: cells of half
-    resolution, the window of "nearby".
+    The keys are: `ambiguity`, the mean best over second-best cost `ratio`; `residual`, the mean share of the variance
+    that the views do not share; `sigma`, the rms 1-sigma in parallax pixels; `drop` and `rise`, the height differences
+    to the lowest and highest neighbour in parallax pixels (the high side of a step is where windows smear); `slide`,
+    baseline over height. Means are taken over windows of `near` half-resolution cells.
     """
     return {
         "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), near), 1e-2, 1e3),
@@ -113,9 +113,9 @@ def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str,
 
 
 def outlier_probability(terms: dict[str, F32]) -> F32:
-    """Probability that a height is off by more than a hundredth of the height above ground (eq. 15).
+    """Return the probability that a height is wrong by more than a hundredth of the height above ground (eq. 15).
 
-    The log odds are linear in the logarithms of terms without unit, so they are valid for any camera and height.
+    The log odds are linear in the logarithms of dimensionless `terms`, so they are valid for any camera and height.
     """
     odds = {k: np.float32(v) for k, v in read_wrong_match().items()}
     score = sum((odds[k] * np.log(terms[k]) for k in terms), start=odds["constant"])
@@ -123,7 +123,7 @@ def outlier_probability(terms: dict[str, F32]) -> F32:
 
 
 def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
-    """Mean grey level of the views at half resolution for heights (R / 2, C / 2), NaN where no view sees."""
+    """Return the views' mean grey level at half resolution, for heights (R / 2, C / 2); NaN where no view sees."""
     total, count = np.zeros(height.shape, np.float32), np.zeros(height.shape, np.float32)
     for p in prepared:
         grey = sample(p.grey, *maps(p, *grid.coarser(2).xy(), height))
@@ -138,13 +138,13 @@ def judged(
     fit: Fit, ratio: F32, lit: list[Prepared], searched: tuple[float, float], sampling: F32, rgb: U8,
     tuning: UncertaintyTuning,
 ) -> Heights:  # fmt: skip
-    """Heights of a fit with sigma and flags.
+    """Return the heights of a fit with sigma and flags.
 
     Args:
-        ratio: best over second-best cost of the sweep, (R / 2, C / 2).
-        lit: views whose grey level shows saturation.
-        searched: lowest and highest height, metres.
-        sampling, rgb: of the heights.
+        ratio: (R / 2, C / 2) best over second-best cost of the sweep.
+        lit: views whose grey levels show saturation.
+        searched: lowest and highest height of the search, metres.
+        sampling: (R, C) metres of ground per sample, returned with the heights, like the colours `rgb` (R, C, 3).
     """
     grid = fit.grid
     seen = pooled(fit, tuning)
@@ -158,7 +158,7 @@ def judged(
     near |= _bit(outlier_probability(terms) > tuning.max_outlier, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
-    # (14) of each cell; `pooled` has it of 2 x 2 cells
+    # eq. 14 for each cell; `pooled` has it for 2 x 2 cells
     kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, read_sigma().fit, sigma)
     kernels.flag(
         near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,

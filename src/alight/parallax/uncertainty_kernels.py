@@ -9,15 +9,15 @@ from alight.arrays import F32, U8, U16
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.single_kernels import ONE, ZERO
 
-LEAST = np.float32(1e-4)  # metres: sigmas are at least this
+LEAST = np.float32(1e-4)  # metres, smallest sigma
 QUARTER = np.float32(0.25)
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
-MOST = np.float32(25)  # parallax pixels^2
+MOST = np.float32(25)  # parallax pixels^2, largest variance
 
 
 @pixelwise
 def _fitted(noise: np.float32, precision: np.float32, per_px: np.float32) -> np.float32:
-    """Noise over information in parallax pixels^2, at most `MOST`."""
+    """Return noise over information in parallax pixels^2, at most `MOST`."""
     v = noise / (precision * per_px * per_px + np.float32(1e-12))
     return v if v < MOST else MOST
 
@@ -29,7 +29,6 @@ def _or(x: np.float32, other: np.float32) -> np.float32:
 
 @pixelwise
 def _heights(a: np.float32, b: np.float32, c: np.float32, d: np.float32) -> Four:
-    """Least, greatest, mean and variance of four."""
     ab, cd = (a if a < b else b), (c if c < d else d)
     low = ab if ab < cd else cd
     ab, cd = (a if a > b else b), (c if c > d else d)
@@ -76,8 +75,8 @@ def _pool_fit_row(n0: F32, n1: F32, p0: F32, p1: F32, per_px: F32, noise: F32, f
 def pool(h: F32, mean: F32, noise: F32, precision: F32, per_px: F32, fill: float, out: F32) -> None:
     """Fill `out` (8, R / 2, C / 2) with statistics of 2 x 2 cells; R and C are even.
 
-    In order: lowest, highest and mean height (`fill` where unknown); variance of the heights; mean and mean square of
-    the template (0 where unknown); noise; noise over information in parallax pixels^2.
+    In this order: lowest, highest and mean height (`fill` replaces unknown heights); variance of the heights; mean and
+    mean square of the template (0 replaces unknown values); noise; noise over information in parallax pixels^2.
     """
     for r in prange(out.shape[1]):
         i, j = 2 * r, 2 * r + 1
@@ -116,9 +115,9 @@ def _judge_row(
 
 @parallel_kernel
 def height_sigma(h: F32, noise: F32, precision: F32, hidden2: F32, fit: float, out: F32) -> None:
-    """Fill the 1-sigma of each height (eq. 14); NaN where there is no height or no information.
+    """Fill the 1-sigma of each height, metres (eq. 14); NaN where the height or its information is missing.
 
-    sigma^2: `fit` times noise over information, and flattened relief, `hidden2` (R / 2, C / 2) metres^2.
+    Variance: `fit` times noise over information, plus `hidden2` (R / 2, C / 2), metres^2, for relief smoothed away.
     """
     for r in prange(h.shape[0]):
         _sigma_row(h[r], noise[r], precision[r], hidden2[r // 2], np.float32(fit), out[r])
@@ -129,10 +128,10 @@ def flag(
     near: U16, share: F32, h: F32, seen: U8, used: U8, sigma: F32, low: float, high: float,
     bits: tuple[int, int, int, int], residual: F32, flags: U16,
 ) -> None:  # fmt: skip
-    """Fill the flags of every cell: those of its 2 x 2 cells (`near`) and its own.
+    """Fill the flags of every cell: the flags `near` of its 2 x 2 cells, and its own flags.
 
-    `bits`: of unseen, inconsistent, seen by few, below `low` or above `high`. `residual` gets the `share` of its 2 x 2
-    cells.
+    `bits`: the flags for unseen, inconsistent, seen by few views, and below `low` or above `high`. `residual` gets the
+    `share` of the 2 x 2 cells.
     """
     for r in prange(h.shape[0]):
         _judge_row(
@@ -157,9 +156,9 @@ def _add_row(visible: U8, count: U8) -> None:
 
 @parallel_kernel
 def veil(visible: U8, samples: F32) -> None:
-    """Set samples (N, R, C) of views to NaN where the map stops their ray, unless it stops all but one.
+    """Set samples (N, R, C) to NaN where the map blocks the ray of a view, unless fewer than two views have a free ray.
 
-    `visible` (N, R / 2, C / 2), rounded up: of 2 x 2 cells.
+    `visible` (N, R / 2, C / 2), rounded up, is 1 where the ray from the 2 x 2 cells is free.
     """
     n = samples.shape[0]
     for r in prange(samples.shape[1]):
@@ -195,7 +194,7 @@ def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, worse: np.float32, keep: F32) ->
 
 @kernel
 def _keep_row(keep: F32, new: F32, old: F32) -> None:
-    """Keep old values, of any type; apart from the heights: loops over many types do not become vector code."""
+    """Set `new` to `old` where `keep` is 1; apart from the heights, as loops over several types are not vectorised."""
     for c in range(new.size):
         new[c] = old[c] if keep[c] > ZERO else new[c]
 
@@ -205,10 +204,10 @@ def fuse(
     height: F32, sigma: F32, flags: U16, views: U8, residual: F32, sampling: F32,
     height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, sampling0: F32, worse: float,
 ) -> None:  # fmt: skip
-    """Weigh a step (changed in place) against the map before it (`...0`) (eq. 16).
+    """Fuse a step (changed in place) with the map before it (arguments ending in 0) (eq. 16).
 
-    Heights that disagree by more than three sigma are not averaged: the new one replaces the old. Steps see nearly the
-    same pictures, so sigma hardly falls. A step whose sigma is `worse` times the map's changes nothing.
+    Heights that differ by more than three sigma are not averaged: the new one replaces the old. Steps see nearly the
+    same pictures, so sigma hardly falls. A step whose sigma is at least `worse` times the map's changes nothing.
     """
     for r in prange(height.shape[0]):
         keep = np.empty(height.shape[1], np.float32)

@@ -1,4 +1,4 @@
-"""Loops over pictures before anything is matched: local contrast, and which cameras see a cell (eqs. 3b and 5)."""
+"""Loops over pictures before matching: local contrast, and which cameras see a cell (eqs. 3b and 5)."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from alight.arrays import F32, F64, U8
 from alight.compiled import kernel, parallel_kernel, prange
 from alight.parallax.single_kernels import ONE, ZERO
 
-FAR = np.float32(1e6)  # metres: beyond every camera
+FAR = np.float32(1e6)  # metres, farther than any camera
 
 
 @kernel
@@ -34,9 +34,9 @@ def _normalise_row(grey: F32, total: F32, total2: F32, share: np.float32, floor:
 
 @parallel_kernel
 def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
-    """Fill `norm` (H, W) with the grey level less its local mean over its local sd, at least `floor` (eq. 5).
+    """Fill `norm` (H, W) with (grey level - local mean) / local standard deviation (eq. 5).
 
-    The window has 2 `reach` + 1 pixels; beyond the picture its border is repeated.
+    The deviation is at least `floor`. The window has 2 `reach` + 1 pixels; beyond the picture its border is repeated.
     """
     rows, cols = grey.shape
     share = np.float32(1.0 / (2 * reach + 1) ** 2)
@@ -55,7 +55,7 @@ def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
 
 @kernel
 def _reach_row(u: F32, place: F32, focal: np.float32, x: F32, north: np.float32, level: F32, box: F32) -> None:
-    """Add a view to the box (east, west, north, south, number, two finest pixels) of the views that see each cell."""
+    """Add a view to `box` (7, C): bounds east, west, north, south, number and two smallest pixels of the views."""
     for c in range(u.size):
         seen = u[c] >= ZERO
         box[0, c] = place[0] if seen & (place[0] > box[0, c]) else box[0, c]
@@ -76,12 +76,16 @@ def seen_from(
     columns: F32, centres: F64, focal: F64, xs: F64, ys: F64, level: F32, cell: float,
     baseline: F32, count: U8, per_px: F32, sampling: F32,
 ) -> None:  # fmt: skip
-    """Fill (R, C) rasters with the geometry of the views of each cell, at `level` (R, C) metres.
+    """Fill (R, C) rasters with the geometry of the views of each cell at the heights `level` (R, C), metres.
 
-    The view i sees a cell where its column `columns` (N, R, C), pixels, is not negative; `focal` (N,) pixels.
-    `baseline`: the diagonal of the box about their `centres`, level with the ground; `count`: number of these views;
-    `per_px`: the height that moves the outermost apart by one `cell` (eq. 3b); `sampling`: the second finest of their
-    pixels on the ground (a height needs two), the cell at least, NaN where there are not two. All metres.
+    Args:
+        columns: (N, R, C) pixel column of each cell in each view; negative where the view does not see the cell.
+        centres, focal: (N, 3) camera centres, metres, and (N,) focal lengths, pixels.
+        baseline: out, metres, horizontal diagonal of the box about the centres of the views that see the cell.
+        count: out, number of these views.
+        per_px: out, metres of height that move the outermost of these views apart by one `cell` (eq. 3b).
+        sampling: out, metres of ground per pixel of the second finest of these views (a height needs two views), at
+            least `cell`; NaN where fewer than two views see the cell.
     """
     n, rows, cols = columns.shape
     mean = np.float32(centres[:, 2].mean())

@@ -19,40 +19,40 @@ from alight.parallax.view_kernels import normalise
 from alight.raster import grey_levels
 from alight.records import View
 
-NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
-NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
-LEAST_SIDE = 8  # pixels, least, of the shorter side of a picture that is made coarser
+NORM_CELLS = 5  # cells, window of the local mean and deviation; 9 cells smear walls and give a third more noise
+NORM_FLOOR = 3.0  # grey levels, least standard deviation: noise is not amplified to texture
+LEAST_SIDE = 8  # pixels, least length of the shorter side of a picture that is made coarser
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """One view at one cell size."""
+    """One view, prepared for one cell size."""
 
-    grey: F32  # (H, W) smoothed to the cell
-    norm: F32  # (H, W) grey less local mean over local sd
+    grey: F32  # (H, W) grey levels, smoothed to the cell size
+    norm: F32  # (H, W) normalised: (grey - local mean) / local standard deviation
     camera: Camera
     H: F64  # (3, 3) ground homography, ideal coordinates (eq. 2)
     b: F64  # (3,) image of the vertical (eq. 2)
-    centre: F64  # (3,) metres
+    centre: F64  # (3,) camera centre, metres
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
-    ratio: float  # pixels a cell spans
-    rolling: F64  # as from `rolling_of`
+    ratio: float  # pixels across a cell
+    rolling: F64  # motion during the exposure, see `rolling_of`
 
     def posed(self, world_from_cam: Pose) -> Prepared:
-        """The prepared picture with another pose of its camera."""
+        """Return the prepared view with another camera pose."""
         H, b = ground_projection(self.camera, world_from_cam)
         return replace(self, H=H, b=b, centre=np.array(world_from_cam.translation))
 
 
 def tone_of(view: View) -> U8:
-    """(256, 3) table from the levels of a view to colours that all views of the same ground share."""
+    """Return the (256, 3) table from levels of a view to colours: its gain is corrected, so that views look alike."""
     levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
 
 
 @cache
 def border_rays(camera: Camera) -> F64:
-    """Directions in the optical frame, (N, 3) with z = 1, along the border of a picture."""
+    """Return directions (N, 3) in the optical frame, with z = 1, along the border of a picture."""
     w, h = camera.width - 1.0, camera.height - 1.0
     u, v = np.linspace(0, w, 17), np.linspace(0, h, 17)
     border = np.concatenate([np.c_[u, 0 * u], np.c_[u, 0 * u + h], np.c_[0 * v, v], np.c_[0 * v + w, v]])
@@ -61,21 +61,22 @@ def border_rays(camera: Camera) -> F64:
 
 @cache
 def radius2_limit(camera: Camera) -> float:
-    """Largest squared ideal radius of the image's border, with 2 % to spare."""
+    """Return the largest squared ideal radius along the border of the image, plus 2 %."""
     return float((border_rays(camera)[:, :2] ** 2).sum(axis=1).max() * 1.02)
 
 
 def ground_sampling(view: View, height: float) -> float:
-    """Ground sampling distance at the image centre for level ground at `height`, metres."""
+    """Return the ground sampling distance at the image centre, metres, for level ground at `height`, metres."""
     drop = max(view.centre[2] - height, 1e-3)
     tilt = max(-view.world_from_cam.rotation[2, 2], 0.2)  # cosine of the optical axis to the vertical
     return float(drop / tilt / view.camera.fu)
 
 
 def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
-    """An image at half the resolution, and its camera: means of 2 x 2 pixels, without an odd last row or column.
+    """Return an image at half the resolution, and its camera.
 
-    Resized to half of an odd side, the image would end up to half a pixel beside its camera.
+    Pixels are means of 2 x 2 pixels; an odd last row or column is dropped. Otherwise the resized image would lie up to
+    half a pixel beside its camera.
     """
     rows, cols = (n // 2 for n in grey.shape)
     half = cv2.resize(grey[: 2 * rows, : 2 * cols], (cols, rows), interpolation=cv2.INTER_AREA)
@@ -83,16 +84,16 @@ def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
 
 
 def prepare_view(view: View, cell: float, height: float) -> Prepared:
-    """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel).
+    """Smooth a view to the cell size and normalise it by local mean and standard deviation, so that gain cancels.
 
-    A camera no higher than the ground, because of a wrong height, keeps `LEAST_SIDE` pixels.
+    `height`: ground height, metres. If it is wrong and not below the camera, the picture keeps `LEAST_SIDE` pixels.
     """
     grey, camera = grey_levels(view.image).astype(np.float32), view.camera
     ratio = min(cell / ground_sampling(view, height), max(min(grey.shape) / LEAST_SIDE, 1.0))
     while ratio >= 1.9:  # a cell spans two pixels
         grey, camera = halved(grey, camera)
         ratio /= 2
-    sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling is then even in its phase
+    sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling then blurs alike at any phase
     grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma), np.float32)
     H, b = ground_projection(camera, view.world_from_cam)
     norm = _normalised(grey, ratio)
@@ -100,7 +101,10 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
 
 
 def rolling_of(view: View) -> F64:
-    """(9,) translation (m) and turns (rad) of the camera while its rows were exposed; (0,): all at once."""
+    """Return the (9,) motion of the camera while its rows were exposed (eq. 4b); (0,) if all were exposed at once.
+
+    The elements are the translation [m] and the linear and quadratic part of the rotation [rad].
+    """
     return np.empty(0) if view.rolling is None else view.rolling
 
 
@@ -112,23 +116,23 @@ def _normalised(grey: F32, ratio: float) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A view prepared for matching."""
+    """A view and its prepared pictures at several resolutions."""
 
     view: View
-    levels: list[Prepared]  # at the cells of the map, at twice their size...; each is made at its first use
+    levels: list[Prepared]  # for the cells of the map, for twice their size, ...; each is made at its first use
 
     @classmethod
     def of(cls, view: View, cell: float, height: float) -> Kept:
-        """Prepare a view for cells of size `cell` above a ground at `height`, metres."""
+        """Prepare a view for cells of `cell` metres on ground at `height` metres."""
         return cls(view, [prepare_view(view, cell, height)])
 
     @property
     def fine(self) -> Prepared:
-        """The prepared view at the cells of the map."""
+        """The view prepared for the cells of the map."""
         return self.levels[0]
 
     def halved(self, times: int) -> Prepared:
-        """The prepared view with its picture halved so many times, for cells as much larger."""
+        """Return the prepared view with its picture halved `times` times, for cells larger by the same factor."""
         while len(self.levels) <= times:
             fine = self.levels[-1]
             grey, camera = halved(fine.grey, fine.camera)
@@ -136,7 +140,7 @@ class Kept:
         return self.levels[times]
 
     def posed(self, world_from_cam: Pose) -> Kept:
-        """The view with another pose of its camera."""
+        """Return the view with another camera pose."""
         view = replace(self.view, world_from_cam=world_from_cam)
         return Kept(view, [p.posed(world_from_cam) for p in self.levels])
 
@@ -148,7 +152,7 @@ class Buffers:
         self._flat: dict[str, NDArray[Any]] = {}
 
     def get(self, name: str, shape: tuple[int, ...], dtype: type[np.generic] = np.float32) -> NDArray[Any]:
-        """The array of this name, of any content; its old content is lost."""
+        """Return the array of this name and shape, with undefined content; what it held before is lost."""
         size = math.prod(shape)
         if name not in self._flat or self._flat[name].size < size:
             self._flat[name] = np.empty(size + size // 8, dtype)
@@ -156,12 +160,12 @@ class Buffers:
 
 
 def centres_of(prepared: list[Prepared]) -> F64:
-    """Camera centres (N, 3)."""
+    """Return the camera centres (N, 3), metres."""
     return np.array([p.centre for p in prepared])
 
 
 def when_exposed(p: Prepared, grid: Grid, height: float) -> Prepared:
-    """The view with its centre at the exposure of the middle of a grid at `height` (metres)."""
+    """Return the view with its camera centre at the time when the middle of `grid`, at `height` metres, was exposed."""
     if not p.rolling.size:
         return p
     x, y = (float(v.mean()) for v in grid.xy())
@@ -172,9 +176,10 @@ def when_exposed(p: Prepared, grid: Grid, height: float) -> Prepared:
 
 
 def maps(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
-    """Pixel coordinates (R, C) of places at height `h` (eqs. 1 to 3); negative outside of the picture.
+    """Project ground points at heights `h` (R, C), metres, to pixel columns and rows, (R, C) each (eqs. 1 to 3).
 
-    Columns are evenly spaced at `xs`, rows lie at any `ys`.
+    Pixels are negative outside the picture. `xs` (C,) is east, evenly spaced; `ys` (R,) is north, with any spacing;
+    both in metres.
     """
     held, camera = buffers or Buffers(), p.camera
     out = held.get("mapx", h.shape), held.get("mapy", h.shape)
@@ -189,12 +194,12 @@ def maps(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) 
 def sample(
     image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = None, how: int = cv2.INTER_LINEAR
 ) -> F32:
-    """Sample an image at the maps, NaN outside it."""
+    """Sample an image at pixel columns `mapx` and rows `mapy` (R, C); NaN outside the image."""
     return np.asarray(cv2.remap(image, mapx, mapy, how, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
 
 
 def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None = None) -> F32:
-    """The normalised samples of every view on the grid at height `h`, (N, R, C), NaN outside an image."""
+    """Return the normalised samples (N, R, C) of the views on the grid at heights `h`, metres; NaN outside an image."""
     held = buffers or Buffers()
     out = held.get("samples", (len(prepared), *grid.shape))
     for i, p in enumerate(prepared):
@@ -203,17 +208,18 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
 
 
 def inside_picture(camera: Camera, points_cam: F64) -> Mask:
-    """True for points (N, 3) in the optical frame that lie before the camera and in its picture."""
+    """Return which points (N, 3), in the optical frame, lie in front of the camera and inside its picture."""
     uv = camera.project(points_cam)
     inside = (uv >= 0).all(axis=1) & (uv[:, 0] <= camera.width - 1) & (uv[:, 1] <= camera.height - 1)
     return np.asarray(inside & (points_cam[:, 2] > 0))
 
 
 def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[int]:
-    """Views that may see some of a grid between two heights (metres): all that do, and some that do not.
+    """Return the indices of views that may see part of a grid between heights `low` and `high`, metres.
 
-    The cone about a picture against the sphere about the ground, for all views at once: with thousands of photos, most
-    are nowhere near a tile. A microradian more, so that rounding never loses a view.
+    No view that sees the grid is missing; some that do not see it are included. The cone about each picture is tested
+    against the sphere about the ground, for all views at once: with thousands of photos, most are far from a tile. The
+    cone is widened by a microradian, so that rounding never loses a view.
     """
     if not views:
         return []
@@ -230,10 +236,10 @@ def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[
 
 
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
-    """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
+    """Choose up to `count` views of a grid: every part seen often, over a wide and even baseline; return their indices.
 
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views
-    already chosen. Views flatter than `max_tangent` (horizontal over vertical distance) count where no other sees.
+    already chosen. Views flatter than `max_tangent` (horizontal over vertical distance) have a quarter of the weight.
     """
     if not views:
         return []
@@ -266,7 +272,7 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
 
 
 def colour_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
-    """Colour of a view at maps of its prepared image, (R, C, 3), as all views of the same ground share it."""
+    """Return the colours (R, C, 3) of a view at pixels of its prepared image, corrected by its gain."""
     picture = np.asarray(view.image)
     rgb = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     scale = np.float32(view.camera.fu / prepared.camera.fu)

@@ -11,12 +11,12 @@ Two = tuple[np.float32, np.float32]
 
 REACH = 3  # cells to the farthest neighbour
 STRIDE = CHUNK + 2 * REACH
-CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell
+CENTRE = REACH * STRIDE + REACH  # elements from the upper left neighbour to the cell
 
 
 @kernel
 def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, trust: F32) -> None:
-    """Fill a row with the heights and their weights as neighbours: 0 where unknown."""
+    """Fill a row with the heights and their weights as neighbours; both are 0 where unknown."""
     for c in range(h.size):
         known = h[c] == h[c]
         information = precision[c] / (precision[c] + noise[c] / (spread[c] * spread[c]) + np.float32(1e-12))
@@ -26,7 +26,7 @@ def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, tru
 
 @pixelwise
 def _pair(height: F32, trust: F32, i: int, off: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
-    """Add the two neighbours `off` places on and back, weighted by trust and by the height of their middle."""
+    """Add the pair of neighbours `off` elements after and before the cell, weighted by trust and midpoint height."""
     ahead, behind = i + np.uintp(CENTRE) + off, i + np.uintp(CENTRE) - off
     above = np.float32(0.5) * (height[ahead] + height[behind]) - here
     high = above * inverse
@@ -38,10 +38,10 @@ def _pair(height: F32, trust: F32, i: int, off: int, here: np.float32, inverse: 
 
 @kernel
 def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
-    """Sum sixteen pairs of a row of cells; of 7 x 7 neighbours these smooth as well as all twenty-four.
+    """Sum sixteen pairs of each cell of a row; of 7 x 7 neighbours, these smooth as well as all twenty-four pairs.
 
-    `height`, `trust`: rows of `STRIDE` from the upper left neighbour on. Unrolled, unsigned and with a constant stride:
-    three times as fast as a loop over pairs.
+    `height` and `trust` have rows of `STRIDE`, from the upper left neighbour on. Unrolled, unsigned and with a constant
+    stride, it is three times as fast as a loop over pairs.
     """
     for c in range(inverse.size):
         i, sums = np.uintp(c), (ZERO, ZERO)
@@ -69,7 +69,6 @@ def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
 def _pull_row(
     sw: F32, sh: F32, h: F32, precision: F32, noise: F32, inverse: F32, strength: np.float32, out: F32
 ) -> None:
-    """Pull each height to the mean of its pairs."""
     for c in range(h.size):
         share = sw[c] if sw[c] < ONE else ONE
         weight = strength * (noise[c] + np.float32(1e-3)) * inverse[c] * inverse[c] * share
@@ -79,10 +78,10 @@ def _pull_row(
 
 @parallel_kernel
 def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, out: F32) -> None:
-    """Pull each height towards the planes of its neighbours (eq. 12); unseen cells stay NaN and unused.
+    """Pull each height towards the planes of its neighbours (eq. 12); unknown heights stay NaN and are not used.
 
-    On a plane the middle between two opposite neighbours is the height, whatever the slope. The pull is `strength` in
-    parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
+    On a plane, the midpoint between two opposite neighbours is the height, whatever the slope. `spread` is the parallax
+    pixel, metres: the pull is measured in parallax pixels, so that `strength` means the same at any height.
     """
     rows, cols = h.shape
     for band in prange((rows + BAND - 1) // BAND):
@@ -109,7 +108,7 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
 
 @parallel_kernel
 def block_tops(h: F32, side: int, lowest: float, out: F32) -> None:
-    """Fill `out` with the highest known height of each block of `side` x `side` cells; `lowest` where there is none."""
+    """Fill `out` with the highest known height of each block of `side` x `side` cells; `lowest` if none is known."""
     rows, cols = h.shape
     for i in prange(out.shape[0]):
         out[i] = np.float32(lowest)
@@ -124,12 +123,13 @@ def visibility(
     h: F32, tops: F32, block: int, centres: F64, xs: F64, ys: F64, cell: float, margin: F32, top_row: int,
     left_col: int, visible: U8,
 ) -> None:  # fmt: skip
-    """Fill `visible` (N, P, Q) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
+    """Fill `visible` (N, P, Q) with 1 where the ray from a cell to camera i stays above the map, else 0 (eq. 13).
 
-    It is computed for the P x Q cells of the map from `top_row` and `left_col` on.
-
-    `tops`: for each block of `block` x `block` cells the highest height that a ray from it can meet: the march ends
-    once the ray is above it, and on open ground it does not begin. `margin` (P, Q) metres are forgiven.
+    Args:
+        tops: for each block of `block` x `block` cells, the highest height that a ray from it can meet, metres: the
+            march ends once the ray is higher, and on open ground it does not begin.
+        margin: (P, Q) metres by which the map may rise above a ray.
+        top_row, left_col: first of the P x Q cells in the map.
     """
     n, high, wide = visible.shape
     rows, cols = h.shape
@@ -149,7 +149,7 @@ def visibility(
                 length = max(abs(dx), abs(dy))
                 if length < 1e-6 or dz <= 0.0:
                     continue
-                rise = dz / length  # metres for each cell of the march
+                rise = dz / length  # metres per cell of the march
                 down, right = dy / length, dx / length
                 steps = int(min(length, (top - hc - spare) / rise))
                 for s in range(1, steps + 1):

@@ -1,4 +1,4 @@
-"""One step of the recursive estimator: its views, and the rectangles that they refine and weigh against the map."""
+"""One step of the recursive estimator: its views, and the rectangles that it refines and fuses with the map."""
 
 from __future__ import annotations
 
@@ -20,51 +20,52 @@ from alight.raster import close_mask, weighted_gaussian
 from alight.records import ElevationMap, Flag, Heights, is_trusted
 from alight.settings import ParallaxSettings
 
-GAP = 4  # cells: a gap narrower than twice this, between heights, starts from them
-HALO = 8  # cells about a rectangle that are refined with it and thrown away: no seams
-BESIDE = 0.02  # of the height: cameras of one exposure nearer to each other have the same occlusions
-APART = 0.06  # of the height: cameras nearer to each other see so much alike that a sweep needs one of them
-ALIKE = 0.1  # rad between the axes of such cameras
-SAME_FOCAL = 0.05  # between their focal lengths, as a share
+GAP = 4  # cells: a gap between heights that is narrower than twice this starts from them
+HALO = 8  # cells about a rectangle that are refined with it and discarded: no seams
+BESIDE = 0.02  # of the height: nearer cameras of one exposure have the same occlusions
+APART = 0.06  # of the height: nearer cameras see so much alike that a sweep needs only one of them
+ALIKE = 0.1  # rad, largest angle between the axes of such cameras
+SAME_FOCAL = 0.05  # largest relative difference of their focal lengths
 
 
 class Refined(NamedTuple):
-    """A rectangle after a step."""
+    """Result of a step for one rectangle."""
 
     heights: Heights
-    changed: Mask  # (R, C) ground that looks different since some moment: the height is the old one
-    came: Mask  # (R, C) ground on which somebody came to stand (eq. 16e)
+    changed: Mask  # (R, C) ground that looks different since some moment; its height is from before
+    came: Mask  # (R, C) ground on which somebody has come to stand (eq. 16e)
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Common input of all rectangles of one step."""
+    """Input shared by all rectangles of one step."""
 
     settings: ParallaxSettings
-    buffers: Buffers  # arrays that are used again
+    buffers: Buffers  # arrays that are reused
     grid: Grid
     known: ElevationMap  # the map before the step
-    kept: list[Kept]  # the views that take part
+    kept: list[Kept]  # the views used in the step
     seen: refine.ViewGeometry
-    ratio: F32  # (R, C) best over second-best cost of the last sweep; NaN: to be swept anew
-    searched: tuple[float, float]  # metres
-    drop: float  # metres from the newest camera to the ground
-    nearly: NDArray[np.intp]  # (N,) of each view, the first of its exposure within `BESIDE`
-    apart: NDArray[np.intp]  # (N,) and within `APART`
+    ratio: F32  # (R, C) best over second-best cost of the last sweep; NaN: to be swept again
+    searched: tuple[float, float]  # metres, lowest and highest height
+    drop: float  # metres, height of the newest camera above the ground
+    nearly: NDArray[np.intp]  # (N,) for each view, the first view of its exposure within `BESIDE`
+    apart: NDArray[np.intp]  # (N,) for each view, the first view of its exposure within `APART`
 
     def views_of(self, where: Box) -> NDArray[np.intp]:
-        """Indices of the views that see any of a rectangle."""
+        """Return the indices of the views that see any part of a rectangle."""
         r, c = (slice(s.start // refine.SEEN_BLOCK, -(-s.stop // refine.SEEN_BLOCK)) for s in where)
         return np.flatnonzero(self.seen.views[:, r, c].any(axis=(1, 2)))
 
     def refined(self, skyline: refine.Skyline, start: F32, wrong: Mask, box: Box, recolour: bool) -> Refined | None:
-        """The heights of a rectangle after a Gauss-Newton step, weighed against the map; None where nothing is known.
+        """Refine a rectangle by a Gauss-Newton step and fuse it with the map; None if nothing is known there.
 
         Args:
-            skyline: of `start`, for the rays that the map stops.
-            start: (R, C) of the window, heights to start from.
-            wrong: (R, C) cells whose height in the map counts for nothing.
-            recolour: the map's colours there are coarse.
+            skyline: skyline of `start`, for the rays that the map blocks.
+            start: (R, C) initial heights of the window, metres.
+            wrong: (R, C) cells whose height in the map is ignored.
+            box: the rectangle, rows and columns of the window.
+            recolour: whether the map's colours in the rectangle are coarse and must be renewed.
         """
         where, s = wider(box, self.grid.shape), self.settings
         grid, chosen, inner = self.grid.part(where), self.views_of(where), within(box, where)
@@ -88,7 +89,7 @@ class Window:
         if (off := wrong[where]).any():
             known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
         found = trust.judged(fit, cost, newest, self.searched, sampling, rgb, s.uncertainty)
-        samples = self.buffers.get("samples", (len(fine), *grid.shape))  # left there by the fit
+        samples = self.buffers.get("samples", (len(fine), *grid.shape))  # filled by the fit
         pairs, consistency = witness.instants([k.view for k in kept]), s.consistency
         moves = witness.moving(samples, pairs, fit, consistency.least_views, consistency)
         found = fused(replace(found, flags=found.flags | moves), known, s.recursive.worse)
@@ -101,7 +102,7 @@ class Window:
         return Refined(found.part(inner), anew[inner], doubt.came[inner])
 
     def _coloured(self, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
-        """The map's colour, renewed by the newest view just below it and where there was none."""
+        """Return the map's colours, renewed by the newest view just below it and where there was no colour."""
         view, fine = self.kept[-1].view, self.kept[-1].fine
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
@@ -122,19 +123,22 @@ class Window:
 
 
 def wider(where: Box, shape: tuple[int, int]) -> Box:
-    """The rectangle with its halo, as far as the window goes, from even cells on."""
+    """Return the rectangle widened by `HALO` cells, inside a window of `shape`, starting at even cells."""
     r, c = (slice(max(0, s.start - HALO) & ~1, min(n, s.stop + HALO)) for s, n in zip(where, shape, strict=True))
     return r, c
 
 
 def within(inner: Box, outer: Box) -> Box:
-    """A rectangle in the numbers of another that holds it."""
+    """Return the rectangle `inner` in rows and columns relative to the rectangle `outer`, which contains it."""
     r, c = (slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
     return r, c
 
 
 def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
-    """For each view (N,) the first one of its exposure that sees the same from a place `within` metres of it."""
+    """Return, for each view (N,), the index of the first view of its exposure that sees nearly the same.
+
+    Such a view lies at most `within` metres away and has the same direction and camera model.
+    """
     out = list[int]()
     for i, of in enumerate(kept):
         out.append(next((j for j in range(i) if out[j] == j and _are_twins(kept[j], of, within)), i))
@@ -142,7 +146,7 @@ def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
 
 
 def _are_twins(a: Kept, b: Kept, within: float) -> bool:
-    """True for views of one exposure from nearly one place, by cameras of one model that look the same way."""
+    """Whether two views are of one exposure, from nearly one position and direction, by one camera model."""
     if a.view.t_ns != b.view.t_ns or np.linalg.norm(a.view.centre - b.view.centre) >= within:
         return False
     axes, k, m = [v.view.world_from_cam.rotation[:, 2] for v in (a, b)], a.fine.camera, b.fine.camera
@@ -151,10 +155,10 @@ def _are_twins(a: Kept, b: Kept, within: float) -> bool:
 
 
 def bridged(start: F32, wanted: Mask) -> F32:
-    """Start narrow gaps that are `wanted` from the heights beside them.
+    """Fill narrow gaps that are `wanted` in the initial heights from the heights beside them.
 
-    A sweep at the rim of the pictures is often in vain, and the next one has to wait for twice the baseline. Without
-    this, the rims of earlier steps stay in the map as seams, one cell wide, that no touchdown may cross.
+    A sweep at the rim of the pictures often fails, and the next one has to wait for twice the baseline. If the gaps
+    were left, the rims of earlier steps would stay in the map as seams, one cell wide, that no touchdown may cross.
     """
     known = np.isfinite(start)
     gaps = wanted & ~known
@@ -166,10 +170,10 @@ def bridged(start: F32, wanted: Mask) -> F32:
 
 
 def fused(new: Heights, old: ElevationMap, worse: float) -> Heights:
-    """Weigh a step against the map (eq. 16).
+    """Fuse a step with the map (eq. 16).
 
-    Heights that disagree by more than three sigma are not averaged: the new one replaces the old. Where the new sigma
-    is much larger than the old, at the edge of the pictures, the map stays as it is.
+    Heights that differ by more than three sigma are not averaged: the new height replaces the old one. Where the new
+    sigma is at least `worse` times the old one, at the edge of the pictures, the map stays as it is.
     """
     out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
     rasters = ("height", "sigma", "flags", "views", "residual", "sampling")

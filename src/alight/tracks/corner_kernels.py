@@ -1,4 +1,4 @@
-"""Corner responses (Shi and Tomasi 1994) from image gradients, and the table of undistorted rays: kernels."""
+"""Kernels for corner responses (Shi and Tomasi 1994) from image gradients, and for the table of undistorted rays."""
 
 import math
 
@@ -7,12 +7,11 @@ import numpy as np
 from alight.arrays import F32, F64, I64, U8
 from alight.compiled import inline, kernel, sum_kernel
 
-_GREY = 4.0 * 255.0  # of a Sobel gradient: the divisor of cv2.cornerMinEigenVal
+_GREY = 4.0 * 255.0  # Sobel gradient of a grey range of 1: the divisor of cv2.cornerMinEigenVal
 
 
 @inline
 def _min_eigenvalue(xx: float, xy: float, yy: float) -> float:
-    """The smaller eigenvalue of [[xx, xy], [xy, yy]]."""
     return 0.5 * (xx + yy) - math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
 
 
@@ -23,10 +22,10 @@ def _mirror(i: int, n: int) -> int:
 
 @kernel
 def _copy_box(image: U8, top: int, left: int, rows: int, cols: int, grey: F32) -> None:
-    """Copy a rectangle row by row.
+    """Copy a rectangle of the image, row by row.
 
-    Single precision: products of gradients are whole numbers that it holds, and the compiler makes integers twice as
-    wide. The loops that follow run over all rows at once, because loops over one row are too short for vectors.
+    Single precision holds products of gradients exactly, and the compiler would make integers twice as wide. The loops
+    that follow run over all rows at once, because loops over one row are too short to be vectorised.
     """
     for r in range(rows):
         line, out = image[top + r, left : left + cols], grey[r * cols : (r + 1) * cols]
@@ -36,7 +35,7 @@ def _copy_box(image: U8, top: int, left: int, rows: int, cols: int, grey: F32) -
 
 @kernel
 def _mirrored_products(image: U8, top: int, left: int, window: int, xx: F32, xy: F32, yy: F32) -> None:
-    """Write the products of `_gradient_products` for a window that leaves the image, mirrored at the edge."""
+    """Write the products of `_gradient_products` for a window that extends beyond the image, mirrored at the edge."""
     h, w = image.shape
     for r in range(window):
         y = _mirror(top + r, h)
@@ -51,9 +50,9 @@ def _mirrored_products(image: U8, top: int, left: int, window: int, xx: F32, xy:
 
 @kernel
 def _gradient_products(grey: F32, count: int, cols: int, xx: F32, xy: F32, yy: F32) -> None:
-    """Write the products of the Sobel gradients at the pixels one row and one column on, `count` of them.
+    """Write the products of the Sobel gradients for `count` pixels, each one row and one column on.
 
-    The last two columns of each row mix two rows: they hold nothing.
+    The last two columns of each row mix two rows; they hold nothing of use.
     """
     above, here, below = grey, grey[cols:], grey[2 * cols :]
     for i in range(count):
@@ -65,7 +64,6 @@ def _gradient_products(grey: F32, count: int, cols: int, xx: F32, xy: F32, yy: F
 
 @sum_kernel
 def _weighted_sum(values: F32, weights: F32, count: int) -> float:
-    """The sum of weighted values."""
     total = np.float32(0.0)
     for i in range(count):
         total += values[i] * weights[i]
@@ -74,13 +72,13 @@ def _weighted_sum(values: F32, weights: F32, count: int) -> float:
 
 @kernel
 def corner_responses(image: U8, pixels: F32, window: int, out: F64) -> None:
-    """Write the Shi-Tomasi response a pixel over the window about each of (N, 2) pixels, mirrored at the edge.
+    """Write the Shi-Tomasi response per pixel of the window about each pixel; the image is mirrored at its edge.
 
     Args:
         image: (H, W) grey.
-        pixels: (N, 2) column and row; outside, the edge is taken.
-        window: px, side.
-        out: (N,), grey range 1.
+        pixels: (N, 2) column and row; pixels outside the image are moved to its edge.
+        window: side of the window, px.
+        out: (N,) responses, for a grey range of 1.
     """
     h, w = image.shape
     side, low, unit = window + 2, window // 2, 1.0 / (window * window * _GREY * _GREY)
@@ -122,7 +120,6 @@ def _box_sums(values: F32, count: int, cols: int, window: int, sums: F32) -> Non
 
 @kernel
 def _responses(xx: F32, xy: F32, yy: F32, count: int, unit: float, out: F32) -> None:
-    """Write the smaller eigenvalue of each of `count` sums."""
     scale, half = np.float32(unit), np.float32(0.5)
     for i in range(count):
         a, b, c = scale * xx[i], scale * xy[i], scale * yy[i]
@@ -132,15 +129,15 @@ def _responses(xx: F32, xy: F32, yy: F32, count: int, unit: float, out: F32) -> 
 
 @kernel
 def strongest_corners(image: U8, boxes: I64, taken: F32, away: float, half: int, out: F64) -> None:
-    """Find the strongest corner of every box, at a distance from the features present.
+    """Find the strongest corner of every box, at a distance from the present features.
 
     Args:
         image: (H, W) grey.
-        boxes: (E, 4) first row, end row, first column, end column; `half` + 1 inside the image.
-        taken: (M, 2) pixels of present features.
-        away: px, smallest distance of a corner from these.
-        half: of the window that the response is summed over, less the middle.
-        out: (E, 3) column, row, Shi-Tomasi response a pixel; the response is negative where there is none.
+        boxes: (E, 4) first row, end row, first column, end column; at least `half` + 1 inside the image.
+        taken: (M, 2) pixels of the present features.
+        away: smallest distance of a corner from these features, px.
+        half: half of the window over which the response is summed, without the middle pixel.
+        out: (E, 3) column, row, Shi-Tomasi response per pixel; the response is negative where there is no corner.
     """
     window, side = 2 * half + 1, 0
     unit = 1.0 / (window**2 * _GREY * _GREY)
@@ -180,7 +177,7 @@ def strongest_corners(image: U8, boxes: I64, taken: F32, away: float, half: int,
 
 @kernel
 def ray_at(table: F64, x: float, y: float, ray: F64) -> None:
-    """Interpolate a table (R, C, 2) bilinearly at one place (column, row); outside, at its edge."""
+    """Interpolate a table (R, C, 2) bilinearly at column `x`, row `y`; positions outside are moved to its edge."""
     rows, cols = table.shape[:2]
     x, y = min(max(x, 0.0), cols - 1.001), min(max(y, 0.0), rows - 1.001)
     i, j = int(y), int(x)
@@ -193,7 +190,7 @@ def ray_at(table: F64, x: float, y: float, ray: F64) -> None:
 
 @kernel
 def interpolate_rays(table: F64, pixels: F64, out: F64) -> None:
-    """Interpolate a table as in `ray_at` at (N, 2) places; NaN stays NaN."""
+    """Interpolate a table by `ray_at` at (N, 2) positions (column, row); NaN stays NaN."""
     for k in range(pixels.shape[0]):
         if not (np.isfinite(pixels[k, 0]) and np.isfinite(pixels[k, 1])):
             out[k] = np.nan

@@ -8,22 +8,22 @@ import numpy as np
 from alight.arrays import F32, F64, I64, U8, Mask
 from alight.tracks.corner_kernels import corner_responses, strongest_corners
 
-BORDER = 4  # px; closer to the edge the SSD window leaves the image
+BORDER = 4  # px; nearer to the edge, the SSD window extends beyond the image
 
 
 def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
-    """Return the (N,) Shi-Tomasi response a pixel over the SSD window: the sharpness of the minimum of the SSD."""
+    """Return the (N,) Shi-Tomasi response per pixel of the SSD window: it measures how sharp the SSD minimum is."""
     out = np.empty(len(pixels))
     corner_responses(image, np.asarray(pixels, dtype=np.float32), window_px, out)
     return out
 
 
 def oldest_per_cell(ids: I64, pixels: F32, good: Mask, cell: float, most: int) -> Mask:
-    """Keep the `most` oldest good features of every cell: converging tracks add cost and no information."""
+    """Return a mask (N,) of the `most` oldest good features of every cell: tracks that converge add only cost."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
     key = row * 100_000 + column
-    order = np.argsort(key, kind="stable")  # ids grow with the row, so the oldest of a cell come first
+    order = np.argsort(key, kind="stable")  # rows are in ascending order of ids, so the oldest of a cell come first
     ranked = key[order]
     rank = np.arange(len(at)) - np.searchsorted(ranked, ranked)
     keep[at[order[rank < most]]] = True
@@ -31,14 +31,14 @@ def oldest_per_cell(ids: I64, pixels: F32, good: Mask, cell: float, most: int) -
 
 
 def detect_corners(image: U8, taken: F32, cell: float, texture: float, border: int = 2 * BORDER) -> F32:
-    """Return the strongest Shi-Tomasi corner of each grid cell without a feature, (N, 2) pixels.
+    """Return the (M, 2) pixels of the strongest Shi-Tomasi corner of each grid cell without a feature.
 
     Args:
-        image: smoothed.
-        taken: (M, 2) pixels of the present features; new ones keep a distance of 0.7 cells.
-        cell: px, side of a cell.
+        image: smoothed image.
+        taken: (K, 2) pixels of the present features; new ones keep a distance of 0.7 cells from them.
+        cell: side of a cell, px.
         texture: smallest response.
-        border: px along the edge that have no corner.
+        border: width of the border without corners, px; it is never less than 2 `BORDER`.
     """
     height, width = image.shape
     rows, cols = (int(np.ceil(n / cell)) for n in image.shape)

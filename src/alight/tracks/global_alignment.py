@@ -1,4 +1,4 @@
-"""Global image alignment: predicted pixels of all features when the prediction of the motion is poor (M1b, M1c)."""
+"""Global image alignment: predicted pixels of all features where the predicted motion is poor (M1b, M1c)."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the
 
 
 def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
-    """Warp an earlier image by one affine map to the predicted present view (M1b).
+    """Warp an earlier image to the predicted present view by one affine map (M1b).
 
-    The SSD window is only shifted: at 0.03 rad a frame its matches drift by 0.17 px in five frames, with the warp by
+    The SSD window is only shifted: at 0.03 rad per frame its matches drift by 0.17 px in five frames, with the warp by
     0.014 px.
 
     Returns:
-        the image and the (N, 2) pixels of the features in it; unchanged where features are too few.
+        The image and the (N, 2) pixels of the features in it; both unchanged if there are too few features.
     """
     if len(pixels) < 12:
         return image, pixels
     ones = np.column_stack([pixels, np.ones(len(pixels))]).astype(np.float64)
     affine = np.linalg.lstsq(ones, predicted.astype(np.float64), rcond=None)[0].T
-    size = (image.shape[1], image.shape[0])  # linear, as the matching samples: cubic doubles the drift
+    size = (image.shape[1], image.shape[0])  # linear, as in the matching: cubic interpolation doubles the drift
     warped = cv2.warpAffine(image, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
 
 
 def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
-    """Adapt an image to the brightness and contrast of another one of the same ground (M1d).
+    """Adapt an image to the brightness and contrast of another image of the same ground (M1d).
 
-    The SSD does not model exposure: a step of 20 % between two images cost 0.4 px, one of 50 % nine of ten features.
-    Small differences are left: they come from ground that only one image shows.
+    The SSD does not model exposure: a step of 20 % between two images caused an error of 0.4 px, a step of 50 % the
+    loss of nine of ten features. Small differences are not corrected: they come from ground that only one image shows.
     """
     a, b = (i[::4, ::4].astype(np.float32) for i in (image, other))
     most = settings.most_gain
@@ -47,7 +47,7 @@ def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
 
 
 def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, least_overlap: float) -> F32:
-    """Return the (2,) px of the common error of all predicted pixels: a degree of tilt is 34 px, beyond the search."""
+    """Return the (2,) common error of all predicted pixels, px: one degree of tilt is 34 px, beyond the search."""
     a, b = downsampled(then), downsampled(now)
     k = downsampling_factor(now)
     warped, valid = _warped(a, b, _affine_of(pixels, predicted, k))
@@ -62,14 +62,15 @@ def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, 
 
 
 def likely_turns(now_from_then: Pose | None, covariance: F64 | None, sigmas: float) -> tuple[float, ...]:
-    """Turns about the optical axis, rad, that a predicted motion of camera 0 leaves open; all where none is known.
+    """Return the turns about the optical axis, rad, that a predicted motion of camera 0 leaves possible.
 
-    The lines of a car park look the same after half a turn: turns that the gyros exclude are not tried.
+    Without a prediction or covariance, all `TURNS` are returned. The lines of a car park look the same after half a
+    turn, so turns that the gyros exclude are not tried.
 
     Args:
-        now_from_then: the prediction.
-        covariance: (6, 6) of the prediction, its turn first.
-        sigmas: of the turn about the axis, up to which it may be wrong.
+        now_from_then: predicted motion.
+        covariance: (6, 6) covariance of the prediction, rotation first.
+        sigmas: largest error of the predicted turn, in standard deviations.
     """
     if now_from_then is None or covariance is None:
         return TURNS
@@ -79,10 +80,10 @@ def likely_turns(now_from_then: Pose | None, covariance: F64 | None, sigmas: flo
 
 
 def relocate(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
-    """Return (N, 2) pixels of one image in another, without any prediction: rotated about the axis and shifted.
+    """Find pixels (N, 2) of one image in another without a prediction: rotated about the optical axis and shifted.
 
-    Phase correlation of the downsampled images (Kuglin and Hines 1975), for each rotation of `turns` in rad; the
-    rotation with the highest peak is taken.
+    The downsampled images are phase correlated (Kuglin and Hines 1975) for each rotation of `turns` in rad; the
+    rotation with the highest peak is used.
     """
     middle = (np.array([then.shape[1], then.shape[0]], np.float64) - 1.0) / 2.0
     k, a, b = downsampling_factor(now), downsampled(then), downsampled(now)
@@ -100,7 +101,6 @@ def relocate(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
 
 
 def _high_pass(image: U8) -> F32:
-    """The image less a Gaussian mean."""
     x = image.astype(np.float32)
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), 4.0), dtype=np.float32)
 
@@ -111,26 +111,29 @@ def downsampling_factor(image: U8) -> int:
 
 
 def downsampled(image: U8) -> U8:
-    """Return a small version of the image."""
+    """Return the image, downsampled by `downsampling_factor`."""
     k = 1.0 / downsampling_factor(image)
     return np.asarray(cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA))
 
 
 def _affine_of(pixels: F32, predicted: F32, factor: int) -> F64:
-    """Return the affine map (2, 3) of downsampled images from `pixels` to `predicted`, (N, 2) of full size."""
+    """Return the affine map (2, 3) between downsampled images from `pixels` to `predicted`, (N, 2) of full size."""
     a, b = ((x.astype(np.float64) + 0.5) / factor - 0.5 for x in (pixels, predicted))
     return np.asarray(np.linalg.lstsq(np.column_stack([a, np.ones(len(a))]), b, rcond=None)[0].T)
 
 
 def _warped(then: U8, now: U8, affine: F64) -> tuple[U8, Mask]:
-    """Warp a downsampled image by a (2, 3) affine map; also return where it is valid."""
+    """Warp a downsampled image to the size of `now` by an affine map (2, 3); also return the mask of valid pixels."""
     size = (now.shape[1], now.shape[0])
     valid = cv2.warpAffine(np.ones_like(then), affine, size, flags=cv2.INTER_NEAREST) > 0
     return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(valid)
 
 
 def image_correlation(then: U8, now: U8, pixels: F32, predicted: F32, factor: int, least_overlap: float) -> float:
-    """Correlation of two downsampled images where they overlap by the affine map from `pixels` to `predicted`."""
+    """Return the correlation of downsampled images, aligned by the affine map from `pixels` to `predicted` (full size).
+
+    It is -1 if the overlap is too small.
+    """
     warped, valid = _warped(then, now, _affine_of(pixels, predicted, factor))
     if valid.mean() < least_overlap:
         return -1.0

@@ -1,4 +1,4 @@
-"""Alignment of patches of earlier images with the present one: kernels (docs/method/tracks.md, M1e)."""
+"""Kernels that align patches of earlier images with the present image (docs/method/tracks.md, M1e)."""
 
 import math
 
@@ -9,22 +9,19 @@ from alight.compiled import kernel, sum_kernel
 from alight.tracks.corner_kernels import ray_at
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
-_DIFFERENCE = 4.0  # px over which the map between two views is differenced
-_MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the view instead
+_DIFFERENCE = 4.0  # px, step of the numerical derivative of the map between two views
+_MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the axis instead
 
 
 @kernel
 def _sample_patch(
     patch: U8, x: float, y: float, warp: F64, half: int, at: I32, shares: F32, corners: U8, out: F32
 ) -> bool:
-    """Sample a warped patch bilinearly, `half` px around a place; False: the patch is too small.
+    """Sample a warped patch bilinearly, `half` px around (x, y); return False if the patch is too small.
 
-    Addresses, the four grey levels and their mean in three loops: the first and the last one are vectorised, which
-    halves the time.
-
-    Args:
-        at, shares, corners: (S,), (2, S), (4, S) scratch for the S = (2 half + 1)^2 samples.
-        out: (S,) row by row.
+    Addresses, grey levels and interpolation have separate loops, because the first and the last one are then
+    vectorised, which halves the time. `out` (S,) is row by row, S = (2 half + 1)^2; `at`, `shares` (2, S), `corners`
+    (4, S) are scratch.
     """
     rows, cols = patch.shape
     wide = half * (abs(warp[0, 0]) + abs(warp[0, 1]))
@@ -57,13 +54,10 @@ def _sample_patch(
 
 @sum_kernel
 def _normalise_patch(lay: F32, m: int, grey: F32, gx: F32, gy: F32, sums: F64) -> None:
-    """Write a patch and its gradients less their means, row by row and followed by zeros.
+    """Write a patch (S,) and its gradients less their means, row by row and followed by zeros.
 
-    Args:
-        lay: the window and a pixel around it, row by row.
-        m: side of the window.
-        grey, gx, gy: (S,) out, S at least m^2.
-        sums: out: xx, xy, yy, square of the patch, x and y by patch.
+    `lay` is the window of side `m` with one pixel around it. `sums` (6,) gets the products xx, xy, yy of the gradients,
+    the square of the patch, and the products of the x and y gradient with the patch.
     """
     mean, mx, my, count, wide = _ZERO, _ZERO, _ZERO, m * m, m + 2
     for r in range(m):
@@ -97,9 +91,10 @@ def _normalise_patch(lay: F32, m: int, grey: F32, gx: F32, gy: F32, sums: F64) -
 def _gauss_newton_step(
     image: U8, x: float, y: float, m: int, grey: F32, gx: F32, gy: F32, value: F32, sums: F64, step: F64
 ) -> float:
-    """Write one Gauss-Newton step over shift, gain and offset of brightness; return the correlation before it.
+    """Write one Gauss-Newton step over shift, gain and offset of brightness; return the correlation before the step.
 
-    `value` (S,) is scratch with zeros behind the window, S a multiple of the vector length: sums need no remainder.
+    -1 is returned for too little contrast. `value` (S,) is scratch with zeros behind the window; S is a multiple of the
+    vector length, so that the sums need no remainder.
     """
     half = m // 2
     top, left = int(y) - half, int(x) - half
@@ -137,19 +132,19 @@ def align_patches(
 ) -> None:
     """Align patches with an image by least squares over a shift, a gain and an offset of brightness.
 
-    Inverse compositional Gauss-Newton (Baker and Matthews 2004): gradients are taken once, of the patch.
+    Inverse compositional Gauss-Newton (Baker and Matthews 2004): gradients are computed once, of the patch.
 
     Args:
         patches: (M, S, T) grey, cut from earlier images, or whole images.
-        slots: (N,) which of them.
-        places: (N, 2) column and row of the features in them.
+        slots: (N,) index of the patch of each feature.
+        places: (N, 2) column and row of each feature in its patch.
         warps: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
         image: (H, W) grey.
-        m: px, odd side of the window.
-        stop: px, largest last step.
-        rounds: most steps; without a last step below `stop` there is no match.
-        found: (N, 2) start pixels; replaced by the aligned ones.
-        fit: (N,) out: correlation, -1 = no match.
+        m: side of the window, px, odd.
+        stop: largest last step, px.
+        rounds: largest number of steps; without a last step below `stop` there is no match.
+        found: (N, 2) initial pixels; replaced by the aligned pixels.
+        fit: (N,) out, correlation; -1 = no match.
     """
     h, w = image.shape
     half, size = m // 2, (m * m + 31) // 32 * 32
@@ -187,14 +182,16 @@ def align_patches(
 def warp_patches(
     pixels: F64, table: F64, R: F64, t: F64, views: I64, up: F64, depth: float, there: F64, other: F64, out: F64
 ) -> None:
-    """Write the (N, 2, 2) derivative of pixels in other views by pixels here, for level ground around features.
+    """Write the (N, 2, 2) derivative of pixels in other views by pixels in this view, for level ground around features.
 
     Args:
-        pixels: (N, 2) here.
-        table, other: rays of the lens of this view, and of the other views, as in `ray_at`, with a pixel at place + 1.
+        pixels: (N, 2) pixels in this view.
+        table, other: ray tables of the lenses of this view and the other views, see `ray_at`; pixel (0, 0) is at (1,
+            1).
         R, t: (V, 3, 3), (V, 3) other_from_here.
-        views: (N,) which of them.
-        up: (3,) unit, here; depth: m of the ground along the axis; a view that is too oblique has it across.
+        views: (N,) index of the other view of each feature.
+        up: (3,) unit vector upwards in this view.
+        depth: depth of the ground along the axis, m; in a view that is too oblique the plane is across the axis.
         there: (N, 2) pixels in the other views.
         out: (N, 2, 2).
     """

@@ -14,13 +14,13 @@ from alight.settings import TracksSettings
 from alight.tracks.patch_kernels import align_patches, warp_patches
 from alight.tracks.view_transfer import Lens, median_depth
 
-STEPS = 0.01, 12  # largest last step of an alignment, px; most steps
+STEPS = 0.01, 12  # px, largest last step of an alignment; largest number of steps
 
 
 def smooth_image(image: U8) -> U8:
-    """Return the smoothed image from which patches are cut and in which they are located.
+    """Return the smoothed image from which patches are cut, and in which they are located.
 
-    Without it linear interpolation biases matches towards whole pixels (M1e).
+    Without smoothing, linear interpolation biases matches towards whole pixels (M1e).
     """
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.7))
 
@@ -31,24 +31,24 @@ class FeaturePatches:
 
     ids: I64  # (N,) ascending
     grey: U8  # (M, S, T) patches, or whole images
-    slots: I64  # (N,) which of them
-    places: F64  # (N, 2) column and row in it
-    pixels: F64  # (N, 2) in the image from which it was cut
+    slots: I64  # (N,) index into `grey`
+    places: F64  # (N, 2) column and row of the feature in its patch
+    pixels: F64  # (N, 2) pixel in the image from which the patch was cut
     R: F64  # (N, 3, 3) pose of the camera of that image, world_from_cam
     t: F64  # (N, 3)
 
     @classmethod
     def none(cls, window: int) -> FeaturePatches:
-        """Return no patches, for a window of that many px; nine px around it are room for rotation and scale."""
+        """Return an empty set of patches for a window of `window` px; 9 px around it are for rotation and scale."""
         side, empty = window + 2 * 9, np.empty(0, np.int64)
         pixels, R, t = (np.empty((0, *shape)) for shape in ((2,), (3, 3), (3,)))
         return cls(empty, np.empty((0, side, side), np.uint8), empty, pixels, pixels, R, t)
 
     @classmethod
     def whole(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
-        """Take a whole smoothed image as the patch of its features: nothing is copied.
+        """Use a whole smoothed image as the patch of its features; nothing is copied.
 
-        Features too close to its edge have none. The world is that of its camera.
+        Features too close to the edge of the image get no patch. The frame of the camera is used as world.
         """
         margin, (height, width) = window // 2 + 2, image.shape
         inside = ((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin])).all(axis=1)
@@ -59,20 +59,20 @@ class FeaturePatches:
         )
 
     def select(self, which: Mask | I64) -> FeaturePatches:
-        """Return the patches of some features; their pixels are shared."""
+        """Return the patches of the features at the indices or mask `which`; the images are shared."""
         own = (f.name for f in fields(self) if f.name != "grey")
         return replace(self, **{name: getattr(self, name)[which] for name in own})
 
     def of(self, ids: I64) -> tuple[FeaturePatches, I64]:
-        """Return the patches of those of some features that have one, and (N,) where these are in `ids`, ascending."""
+        """Return the patches held for the features `ids` (ascending), and the (N,) index in `ids` of each patch."""
         at = np.searchsorted(ids, self.ids)
         present = np.append(ids, -1)[at] == self.ids
         return self.select(present), at[present]
 
     def with_new(self, image: U8, ids: I64, pixels: F64, pose: Pose) -> FeaturePatches:
-        """Return these patches and those of features without one, cut out of a smoothed image.
+        """Return these patches and new ones, cut from a smoothed image, for features that have none yet.
 
-        Features too close to its edge get none. `pose`: world_from_cam of the image.
+        Features too close to the edge of the image get no patch. `pose`: world_from_cam of the image.
         """
         side, new = self.grey.shape[1], ~np.isin(ids, self.ids)
         ids, pixels = ids[new], pixels[new]
@@ -95,17 +95,17 @@ class FeaturePatches:
         )
 
     def warps(self, own: Lens, pixels: F64, lens: Lens, pose: Pose, up: F64, depth: F64) -> F64:
-        """Return the (N, 2, 2) derivative of the pixels of these patches by those of another view.
+        """Return the (N, 2, 2) derivative of the pixels of these patches by the pixels of another view.
 
-        The ground is a level plane through the median depth of all features.
+        The ground is assumed to be a level plane at the median depth of all features.
 
         Args:
             own: lens of the patches.
-            pixels: (N, 2) in the other view.
-            lens: of the other view.
+            pixels: (N, 2) pixels in the other view.
+            lens: lens of the other view.
             pose: world_from_cam of the other view.
-            up: (3,) unit, upwards in the other camera.
-            depth: (M,) m along its optical axis, of all features, NaN = unknown.
+            up: (3,) unit vector upwards in the other camera.
+            depth: (M,) depth of all features along its optical axis, m, NaN = unknown.
         """
         own_from_world, out = self.R.transpose(0, 2, 1), np.empty((len(pixels), 2, 2))
         off = own_from_world @ (pose.translation - self.t)[..., None]
@@ -118,17 +118,17 @@ class FeaturePatches:
     def locate(
         self, image: U8, start: F64, warp: F64, settings: TracksSettings, reach: F64 | None = None
     ) -> tuple[F64, Mask]:
-        """Locate patches in a smoothed image.
+        """Locate the patches in a smoothed image.
 
         Args:
-            image: smoothed.
-            start: (N, 2) pixels.
+            image: smoothed image.
+            start: (N, 2) pixels where the search starts.
             warp: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
-            settings: least correlation, and the largest distance from the start.
-            reach: (N,) px, another largest distance.
+            settings: least correlation, and largest distance from the start.
+            reach: (N,) largest distance from the start, px, instead of that of the settings.
 
         Returns:
-            (N, 2) pixels, the start where a patch was not found; (N,) which were found.
+            (N, 2) pixels, the start where a patch was not found; (N,) mask of the patches found.
         """
         there, fit = np.array(start, dtype=np.float64), np.empty(len(start))
         window = settings.window_px | 1
@@ -140,14 +140,14 @@ class FeaturePatches:
 
 
 def follow_patches(then: U8, now: U8, pixels: F64, start: F32, settings: TracksSettings) -> tuple[F64, Mask]:
-    """Follow features from one smoothed image to the next one by patches of these two, forward and backward.
+    """Follow features from one smoothed image to the next by patches of both images, forward and backward.
 
     Args:
-        pixels: (N, 2) in the earlier image.
-        start: (N, 2) in the later one, where the search begins.
+        pixels: (N, 2) pixels in the earlier image.
+        start: (N, 2) pixels in the later image where the search starts.
 
     Returns:
-        (N, 2) pixels in the later image; (N,) which were found, and found back.
+        (N, 2) pixels in the later image; (N,) mask of the features found in both directions.
     """
     zero, upright, fit = np.zeros(len(pixels), np.int64), np.tile(np.eye(2), (len(pixels), 1, 1)), np.empty(len(pixels))
     numbers = settings.window_px | 1, *STEPS

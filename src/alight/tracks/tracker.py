@@ -1,7 +1,8 @@
 """Feature tracks: Shi-Tomasi corners followed in time and across the rig by pyramidal Lucas-Kanade.
 
-The search starts at the predicted pixel of a feature and is bounded about it. Each match in time is checked forward and
-backward; matches between cameras are checked by the patch and the epipolar line (docs/method/tracks.md, M1-M3).
+The search starts at the predicted pixel of a feature and is limited to a region about it. Each match in time is checked
+forward and backward. Matches between cameras are checked by the patch and the epipolar line (docs/method/tracks.md,
+M1-M3).
 """
 
 from __future__ import annotations
@@ -34,17 +35,15 @@ Poses = tuple[Pose, ...]
 
 @dataclass(frozen=True, eq=False)
 class _Exposure:
-    """An exposure with a left image, and its features."""
-
     t_ns: int
     image: U8
-    soft: U8  # the same, smoothed for patches
-    poses: Poses | None  # predicted
-    pose: Pose | None  # that of the left camera, if the last prediction was good enough for warps
+    soft: U8  # the image smoothed for patches
+    poses: Poses | None  # predicted world_from_cams
+    pose: Pose | None  # pose of the left camera, if the last prediction was good enough for warps
     ids: I64
     pixels: F32  # (N, 2)
     depth: F64  # (N,) metres in the left camera, NaN = unknown
-    patches: FeaturePatches  # ids are the rows of the features
+    patches: FeaturePatches  # patches of this image; their ids are the rows of the features
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +53,11 @@ class _Found:
     ids: I64  # (N,) ascending
     pixels: F32  # (N, 2)
     depth: F64  # (N,) m, NaN = unknown
-    anchored: Mask  # (N,) settled by their own patch already
+    anchored: Mask  # (N,) whether the feature's own patch was aligned already
 
 
 class Tracker:
-    """Follows features through the exposures of a rig; `feed` returns one `Tracks` an exposure."""
+    """Tracks features through the exposures of a rig; `feed` returns one `Tracks` per exposure."""
 
     def __init__(self, rig: Rig, settings: TracksSettings) -> None:
         self._settings = settings
@@ -66,25 +65,26 @@ class Tracker:
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
         self._views = ViewTransfer(self._lenses, self._cam_from_first, settings)
-        self._anchors = FeaturePatches.none(settings.window_px | 1)  # of the left camera, as features were first seen
-        # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
+        self._anchors = FeaturePatches.none(settings.window_px | 1)  # first patches of the features in the left camera
+        # px, 90th percentile over the last matches: in time for camera 0, across the rig for other cameras
         self._prediction_error = [np.inf] * len(rig.cameras)
         self._next_id = 0
         self._last: _Exposure | None = None
 
     @property
     def last_ns(self) -> int | None:
-        """Stamp of the exposure from which features are tracked; None: none yet."""
+        """Stamp of the exposure from which features are tracked, ns; None before the first."""
         return self._last.t_ns if self._last else None
 
     def feed(self, frame: Frame, prediction: Prediction | None = None) -> Tracks:
-        """Track the features into one exposure and add new corners where the image has none.
+        """Track the features into one exposure, and add new corners where the image has no feature.
 
         Args:
-            prediction: of the cameras at this exposure, relative to that at `last_ns`.
+            frame: images of one exposure.
+            prediction: poses of the cameras at this exposure, relative to the exposure at `last_ns`.
 
         Returns:
-            the features observed; none when the left image is missing (tracking goes on at the next one).
+            The features observed; no features if the left image is missing (tracking goes on at the next exposure).
         """
         if frame.images[0] is None:
             return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._lenses), 2)), np.empty(0))
@@ -135,14 +135,13 @@ class Tracker:
         return _Found(m.ids[good], pixels[good], depth[good], anchored[good])
 
     def _is_close(self, cam: int) -> bool:
-        """Return whether the last predictions were so good that patches are found from them at once."""
+        """Whether the last predictions were so good that patches are found directly from the predicted pixels."""
         return self._prediction_error[cam] < self._settings.close_px
 
     def _align_in_time(self, m: _Exposure, soft: U8, predicted: PredictedPixels, pose: Pose) -> tuple[F32, Mask, Mask]:
-        """Settle features from their predicted pixels by patches alone: their own ones, else those of the last image.
+        """Align features from their predicted pixels by patches alone: by their own, else by those of the last image.
 
-        Returns:
-            (N, 2) pixels; (N,) which were found; (N,) which of them by their own patch.
+        Return the (N, 2) pixels, the (N,) mask of features found, and the (N,) mask of those found by their own patch.
         """
         start = predicted.pixels.astype(np.float64)
         pixels, anchored = self._locate_anchors(soft, m.ids, start, pose, predicted.depth)
@@ -158,7 +157,7 @@ class Tracker:
         return pixels.astype(np.float32), good, anchored & good
 
     def _refine_in_time(self, soft: U8, found: _Found, pose: Pose | None) -> F32:
-        """Refine matches of Lucas-Kanade by the features' own patches; without a pose their warp is unknown."""
+        """Refine matches of Lucas-Kanade by the features' own patches; without `pose` the matches stay as they are."""
         if pose is None:
             self._anchors = FeaturePatches.none(self._settings.window_px | 1)
             return found.pixels
@@ -166,23 +165,16 @@ class Tracker:
         if not anchored.any():
             pixels, anchored = self._locate_anchors(soft, found.ids, pixels, pose, found.depth)
         held, at = self._anchors.of(found.ids[anchored])
-        moved = pixels[anchored][at] - held.pixels  # far from where a patch was cut, it no longer serves
+        moved = pixels[anchored][at] - held.pixels  # far from where it was cut, a patch is no longer useful
         most = self._settings.patch_span * self._lenses[0].camera.width
         self._anchors = held.select((moved * moved).sum(axis=1) < most**2)
         return pixels.astype(np.float32)
 
     def _locate_anchors(self, soft: U8, ids: I64, pixels: F64, pose: Pose, depth: F64) -> tuple[F64, Mask]:
-        """Locate the features' own patches near given pixels.
+        """Locate the features' own patches in the image `soft` near given pixels (N, 2); `ids` (N,) are ascending.
 
-        Args:
-            soft: smoothed image.
-            ids: (N,) ascending.
-            pixels: (N, 2) where the search begins.
-            pose: predicted world_from_cam.
-            depth: (N,) m, NaN = unknown.
-
-        Returns:
-            (N, 2) pixels, as given where there is no patch or it does not fit; (N,) which fit.
+        Return the (N, 2) pixels, unchanged where a feature has no patch or it does not fit, and the (N,) mask of
+        patches that fit. `pose` is the predicted world_from_cam; `depth` (N,) is in metres, NaN = unknown.
         """
         held, at = self._anchors.of(ids)
         out, found, lens = np.array(pixels, dtype=np.float64), np.zeros(len(ids), bool), self._lenses[0]
@@ -194,7 +186,7 @@ class Tracker:
     def _predicted_pixels(
         self, m: _Exposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
     ) -> PredictedPixels:
-        """Predict pixels from the motion; where they move far, their common error is corrected first (M1c)."""
+        """Predict pixels from the motion; if they move far, their common error is corrected first (M1c)."""
         has_depth = bool(np.isfinite(m.depth).any())
         depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
         predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
@@ -223,16 +215,11 @@ class Tracker:
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
     ) -> tuple[F32, Mask]:
-        """Match by Lucas-Kanade from `a` to `b` (of camera `cam`), in time forward and backward.
+        """Match pixels (N, 2) of image `a` in image `b` by Lucas-Kanade, from their predictions.
 
-        Args:
-            pixels: (N, 2) in `a`.
-            predicted: in `b`.
-            cam: index of the camera of `b`; 0: a match in time.
-            expected: the prediction is good to some pixels, so that coarse pyramid levels are not needed.
-
-        Returns:
-            (N, 2) pixels in `b`; (N,) which are inside the image and the search region.
+        Return the (N, 2) pixels and the (N,) mask of matches. `cam` is the index of the camera of `b`; 0 is a match in
+        time, which is checked forward and backward. `expected`: whether the prediction is good to some pixels, so that
+        coarse pyramid levels are not needed.
         """
         s = self._settings
         a = match_brightness(a, b, s)
@@ -247,7 +234,7 @@ class Tracker:
         return found, good
 
     def _in_search_region(self, cam: int, found: F32 | F64, predicted: PredictedPixels) -> Mask:
-        """Return (N,) whether matches are inside the image and near enough to their prediction."""
+        """Return a mask (N,) of matches inside the image and near enough to their prediction."""
         s, error = self._settings, found - predicted.pixels
         good: Mask = _inside(found, self._lenses[cam].camera) & ((error * error).sum(axis=1) < s.search_px**2)
         if predicted.covariance is not None:
@@ -255,7 +242,6 @@ class Tracker:
         return good
 
     def _note_prediction_error(self, cam: int, found: F32 | F64, predicted: PredictedPixels, good: Mask) -> None:
-        """Remember the 90th percentile of the distance of the matches from their predictions."""
         distance = np.sort(np.linalg.norm((found - predicted.pixels)[good], axis=1))
         count = len(distance)
         self._prediction_error[cam] = float(distance[int(0.9 * count)]) if count > 0.5 * len(good) else np.inf
@@ -277,7 +263,7 @@ class Tracker:
         )
 
     def _match_across_rig(self, frame: Frame, left: _Exposure) -> tuple[F64, _Exposure]:
-        """Match features of the left camera in all other cameras; pixels (N, cameras, 2), and the depths found."""
+        """Match features of the left camera in all others; return pixels (N, cameras, 2) and `left` with new depths."""
         observed = np.full((len(left.pixels), len(self._lenses), 2), np.nan)
         observed[:, 0] = left.pixels
         for i in range(1, len(self._lenses)):
@@ -288,7 +274,7 @@ class Tracker:
         return observed, left
 
     def _match_stereo(self, i: int, left: _Exposure, right: U8) -> tuple[F64, F64]:
-        """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
+        """Match in camera `i` from the expected disparity; return pixels (N, 2) and depths (N,), NaN = no match."""
         pose, focal = self._cam_from_first[i], self._lenses[i].camera.fu
         pixels, depth = left.pixels, left.depth
         predicted, soft_right = self._views.predicted(pixels, depth, pose, i), smooth_image(right)
@@ -317,7 +303,7 @@ class Tracker:
     def _refine_by_patches(
         self, i: int, left: _Exposure, right: U8, found: F64, good: Mask, reach: F64 | None = None
     ) -> F64:
-        """Refine matches in another camera by their patches; a match that fails is marked in `good`."""
+        """Refine matches in another camera by their patches; `good` is updated, False where the patch does not fit."""
         patched = left.patches.select(good[left.patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
         up = np.array([0.0, 0.0, -1.0]) if left.pose is None else (left.pose @ to_first).rotation[2]

@@ -1,4 +1,4 @@
-"""Features carried from one view to another: pixels, depth and covariance: kernels (M1, M1f)."""
+"""Kernels that transfer features from one view to another: pixels, depth and covariance (M1, M1f)."""
 
 import math
 
@@ -10,7 +10,7 @@ from alight.compiled import kernel
 
 @kernel
 def _distort(x: float, y: float, model: int, k: F64, out: F64) -> None:
-    """Write distorted coordinates: 0 no distortion, 1 radial-tangential, 2 equidistant, as in `Camera.distort`."""
+    """Write distorted coordinates as `Camera.distort`; `model`: 0 no distortion, 1 radial-tangential, 2 equidistant."""
     out[0], out[1] = x, y
     if model == 1:
         r2 = x * x + y * y
@@ -30,13 +30,13 @@ def _distort(x: float, y: float, model: int, k: F64, out: F64) -> None:
 def carry_points(
     rays: F64, depth: F64, R: F64, t: F64, lens: F64, model: int, k: F64, points: F64, pixels: F64
 ) -> None:
-    """Write points in another camera, and their pixels there; NaN behind it.
+    """Write points in the frame of another camera, and their pixels there; NaN for points behind that camera.
 
     Args:
-        rays: (N, 2) normalised coordinates here.
-        depth: (N,) m along the axis here.
+        rays: (N, 2) normalised coordinates in this camera.
+        depth: (N,) depth along the axis of this camera, m.
         R, t: (3, 3), (3,) there_from_here.
-        lens: (4,) focal lengths and principal point there; model, k: its distortion, (5,).
+        lens: (4,) focal lengths and principal point of the other camera; model, k: its distortion, (5,).
         points: (N, 3) out, m. pixels: (N, 2) out.
     """
     flat = np.empty(2)
@@ -52,14 +52,9 @@ def carry_points(
 
 @kernel
 def pixel_covariances(points: F64, by_depth: F64, focal: float, root: F64, out: F64) -> None:
-    """Write the (N, 2, 2) covariance in px^2 of pixels predicted in a view.
+    """Write the (N, 2, 2) covariance of pixels predicted in a view, px^2; the arguments are as in `pixel_covariance`.
 
-    Args:
-        points: (N, 3) m in the camera of that view, as predicted.
-        by_depth: (N, 3) m, motion of each point by one sigma of its depth.
-        focal: px.
-        root: (6, M), root root' is the covariance of the rotation and shift of all points in that camera.
-        out: (N, 2, 2).
+    `root` (6, M): root root' is the covariance of the rotation and shift of all points in the camera of that view.
     """
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], max(points[n, 2], 1e-9)
@@ -77,12 +72,9 @@ def pixel_covariances(points: F64, by_depth: F64, focal: float, root: F64, out: 
 
 @kernel
 def triangulate_matches(first: F64, other: F64, R: F64, t: F64, inverse_depth: F64, arm: F64) -> None:
-    """Write the inverse depth of (N, 2) normalised matches, and the length of its derivative's inverse (M2).
+    """Write the (N,) inverse depth, 1/m, and `arm`, m, of normalised matches, as `view_transfer.inverse_depth` (M2).
 
-    Args:
-        first, other: (N, 2).
-        R, t: (3, 3), (3,) other_from_first.
-        inverse_depth, arm: (N,) out.
+    `R` (3, 3) and `t` (3,) are other_from_first.
     """
     for n in range(len(first)):
         x, y, u, v = first[n, 0], first[n, 1], other[n, 0], other[n, 1]
@@ -97,7 +89,7 @@ def triangulate_matches(first: F64, other: F64, R: F64, t: F64, inverse_depth: F
 
 @kernel
 def line_distances(first: F64, other: F64, E: F64, out: F64) -> None:
-    """Write the (N,) distance of `other` from the epipolar line of `first` by the essential matrix (M3)."""
+    """Write the (N,) distance of `other` from the epipolar line of `first`, given the essential matrix `E` (M3)."""
     for n in range(len(first)):
         x, y = first[n, 0], first[n, 1]
         a, b = E[0, 0] * x + E[0, 1] * y + E[0, 2], E[1, 0] * x + E[1, 1] * y + E[1, 2]

@@ -1,4 +1,4 @@
-"""Features carried from view to view: rays, predicted pixels with covariance, and depths (M1, M1c, M1f, M2, M3)."""
+"""Transfer of features between views: rays, predicted pixels with covariance, and depths (M1, M1c, M1f, M2, M3)."""
 
 from __future__ import annotations
 
@@ -16,31 +16,28 @@ from alight.tracks.transfer_kernels import carry_points, line_distances, pixel_c
 
 
 class Lens:
-    """Normalised coordinates of pixels, interpolated between whole pixels (error 1e-8 for common lenses)."""
+    """Lens of a camera: normalised coordinates of pixels, interpolated in a table (error 1e-8 for common lenses)."""
 
     def __init__(self, camera: Camera) -> None:
-        # (H + 2, W + 2, 2) rays of the pixels and of a pixel around the image: each frame needs hundreds, several times
+        # (H + 2, W + 2, 2) rays of all pixels and of a margin of one pixel: each frame needs hundreds, several times
         u, v = np.meshgrid(np.arange(-1.0, camera.width + 1.0), np.arange(-1.0, camera.height + 1.0))
         self.table = np.ascontiguousarray(camera.rays(np.stack([u, v], axis=-1))[..., :2])
         self.camera = camera
-        self.pinhole = np.array([camera.fu, camera.fv, camera.cu, camera.cv])  # px
+        self.pinhole = np.array([camera.fu, camera.fv, camera.cu, camera.cv])  # px, focal lengths and principal point
 
     def normalise(self, pixels: F64) -> F64:
-        """Return the (N, 2) normalised coordinates x/z, y/z of pixels; NaN stays NaN, outside at the edge."""
+        """Return (N, 2) normalised coordinates x/z, y/z of pixels; NaN stays NaN, pixels outside move to the edge."""
         out = np.empty((len(pixels), 2))
         interpolate_rays(self.table, np.asarray(pixels, dtype=np.float64) + 1.0, out)
         return out
 
 
 def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, F64]:
-    """Triangulate normalised matches: inverse depth in the first camera (M2).
-
-    Args:
-        first, other: (N, 2) normalised coordinates.
+    """Triangulate matches of normalised coordinates `first` and `other`, (N, 2) each (M2).
 
     Returns:
-        (N,) inverse depth [1/m], negative where the rays diverge; (N,) length of its derivative's inverse, so that
-        the sigma of the inverse depth is the sigma of a normalised coordinate over it.
+        (N,) inverse depth in the first camera, 1/m, negative where the rays diverge; (N,) `arm`, m: the sigma of the
+        inverse depth is the sigma of a normalised coordinate over it.
     """
     depth, arm = np.empty(len(first)), np.empty(len(first))
     triangulate_matches(first, other, other_from_first.rotation, other_from_first.translation, depth, arm)
@@ -48,20 +45,20 @@ def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, 
 
 
 def epipolar_distance(first: F64, other: F64, other_from_first: Pose) -> F64:
-    """Return the (N,) distance of `other` from the epipolar line of `first`, both normalised (M3)."""
+    """Return the (N,) distance of `other` from the epipolar line of `first`, in normalised coordinates (N, 2) (M3)."""
     out = np.empty(len(first))
     line_distances(first, other, skew(other_from_first.translation) @ other_from_first.rotation, out)
     return out
 
 
 def pixel_covariance(points: F64, by_depth: F64, focal: float, relative_covariance: F64 | None) -> F64:
-    """Return the (N, 2, 2) covariance in px^2 of pixels predicted in a view.
+    """Return the (N, 2, 2) covariance of pixels predicted in a view, px^2.
 
     Args:
-        points: (N, 3) m in the camera of that view, as predicted.
-        by_depth: (N, 3) m, motion of each point by one sigma of its depth.
-        focal: px.
-        relative_covariance: (6, 6) of the rotation and shift of all points in that camera; None: exact.
+        points: (N, 3) predicted points in the camera of that view, m.
+        by_depth: (N, 3) motion of each point by one sigma of its depth, m.
+        focal: focal length, px.
+        relative_covariance: (6, 6) covariance of the rotation and shift of all points in that camera; None: exact.
     """
     root = np.zeros((6, 0))
     if relative_covariance is not None:
@@ -73,11 +70,11 @@ def pixel_covariance(points: F64, by_depth: F64, focal: float, relative_covarian
 
 
 def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, least: float) -> Mask:
-    """Return which of (N, 2) offsets from a predicted pixel lie inside some sigmas of it.
+    """Return which of (N, 2) offsets from a predicted pixel lie within `sigmas` standard deviations.
 
     Args:
-        covariance: (N, 2, 2) of the prediction, px^2.
-        least: px, sigma added in every direction: of the match, and of errors that the covariance leaves out.
+        covariance: (N, 2, 2) covariance of the prediction, px^2.
+        least: sigma added in every direction, px, for the match and for errors that the covariance leaves out.
     """
     a, b, c = covariance[:, 0, 0] + least**2, covariance[:, 0, 1], covariance[:, 1, 1] + least**2
     x, y = offset[:, 0].astype(np.float64), offset[:, 1].astype(np.float64)
@@ -85,7 +82,7 @@ def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, leas
 
 
 def median_depth(depth: F64, otherwise: float) -> float:
-    """Return the (upper) median of the finite depths (N,), else `otherwise`; ten times as fast as `np.median`."""
+    """Return the (upper) median of the finite depths, else `otherwise`; it is ten times as fast as `np.median`."""
     known = depth[np.isfinite(depth)]
     middle = len(known) // 2
     return float(np.partition(known, middle)[middle]) if len(known) else otherwise
@@ -96,34 +93,36 @@ class PredictedPixels:
     """Predicted pixels of features, where the search starts."""
 
     pixels: F32  # (N, 2)
-    depth: F64  # (N,) m in that view, NaN = unknown
+    depth: F64  # (N,) depth in that view, m, NaN = unknown
     covariance: F64 | None = None  # (N, 2, 2) px^2 of the prediction; None: unknown
 
     def select(self, which: I64) -> PredictedPixels:
-        """Return the predictions of some features."""
+        """Return the predictions of the features at the indices `which`."""
         covariance = None if self.covariance is None else self.covariance[which]
         return PredictedPixels(self.pixels[which], self.depth[which], covariance)
 
 
 class ViewTransfer:
-    """Carries features of the left camera to another time or another camera of the rig."""
+    """Transfers features of the left camera to another time or another camera of the rig."""
 
     def __init__(self, lenses: Sequence[Lens], cam_from_first: Sequence[Pose], settings: TracksSettings) -> None:
         self._lenses, self._settings = lenses, settings
         baselines = [float(np.linalg.norm(p.translation)) * lenses[0].camera.fu for p in cam_from_first[1:]]
-        self._rig_baseline_px = max([b for b in baselines if b > 0], default=np.inf)  # m px: over the depth, disparity
+        self._rig_baseline_px = max([b for b in baselines if b > 0], default=np.inf)  # m px; over depth: disparity
 
     def predicted(
         self, pixels: F32, depth: F64, other_from_first: Pose, other: int, relative_covariance: F64 | None = None
     ) -> PredictedPixels:
-        """Project pixels of the left camera at their depth (unknown: the median, else infinity) into another view.
+        """Project pixels of the left camera into another view, at their depth.
+
+        Pixels of unknown depth get the median depth, or infinity if no depth is known.
 
         Args:
-            pixels: (N, 2) in the left camera.
+            pixels: (N, 2) pixels in the left camera.
             depth: (N,) m, NaN = unknown.
-            other_from_first: the other view from that of the pixels.
-            other: index of its camera.
-            relative_covariance: (6, 6) of the rotation and shift between the views; None: exact.
+            other_from_first: pose of the left camera in the other view.
+            other: index of the camera of the other view.
+            relative_covariance: (6, 6) covariance of the rotation and shift between the views; None: exact.
         """
         has_depth, s, n = np.isfinite(depth), self._settings, len(pixels)
         common = median_depth(depth, 1e6)
@@ -143,14 +142,15 @@ class ViewTransfer:
         return PredictedPixels(predicted, there, covariance)
 
     def common_depth(self, images: tuple[U8, U8], pixels: F32, depth: F64, now_from_then: Pose) -> F64:
-        """Return one depth for all features when none is known: that of the best correlation of the images (M1c).
+        """Return the depth, (N,) m, common to all features, at which both images correlate best (M1c).
 
-        A single camera needs it between photos, where features move by more than a search covers.
+        It is used when no depth is known: a single camera needs it between photos, where features move farther than a
+        search reaches. Without a baseline between the images, `depth` is returned.
         """
         baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._lenses[0].camera
         if baseline < 1e-5:  # m: no depth shifts a feature
             return depth
-        least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
+        least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # range of shifts, tried in steps of an eighth
         shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
         small, now = (downsampled(image) for image in images)
         factor, scores = downsampling_factor(images[1]), list[float]()
@@ -160,7 +160,7 @@ class ViewTransfer:
         return np.full(len(pixels), baseline / shifts[int(np.argmax(scores))])
 
     def updated_depths(self, before: F32, pixels: F32, depth: F64, now_from_then: Pose) -> F64:
-        """Return depths in the present view: by parallax where it suffices, else the old depths moved on."""
+        """Return (N,) depths in the present view: by parallax where it suffices, else the old depths moved along."""
         focal = self._lenses[0].camera.fu
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (before, pixels))
         w, arm = inverse_depth(then, now, now_from_then)

@@ -33,15 +33,15 @@ from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-LEAST_EXPOSURES = 3  # of a flight that is smoothed
-_MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which they count as a jump, not a short fault
-_MAX_GPS_AGE = 0.2  # s between a GPS position and the exposure that it is used for
+LEAST_EXPOSURES = 3  # least exposures of a flight that is smoothed
+_MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate that are a jump, not a short fault
+_MAX_GPS_AGE = 0.2  # s, largest age of a GPS position at the exposure for which it is used
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
-_MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must lie after its stamp for the IMU to be waited for
+_MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must follow its stamp to wait for the IMU
 _RATE_HALF_WINDOW_NS = 15_000_000  # ns, half of the time over which the angular velocity is averaged
-_RATE_MARGIN = 100.0  # over the variance of that mean: the error of an exposure's rate would count as time offset
+_RATE_MARGIN = 100.0  # on the variance of that mean: an error of the rate would look like a time offset
 _ATTITUDE_INFLATION = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added when observations contradict
-_MAX_INFLATIONS = 3  # in a row without a good exposure between, after which the filter starts anew
+_MAX_INFLATIONS = 3  # inflations without a good exposure between, after which the filter starts again
 
 
 @dataclass(eq=False)
@@ -51,11 +51,11 @@ class FilterMemory:
     visual: VisualUpdate
     health: Health
     state: FilterState | None = None
-    predicted: Step | None = None  # the state as last predicted: first estimate, where Jacobians are taken
-    inertial: bool = False  # True: an IMU drives the motion
-    nav_sigma: F64 = field(default_factory=lambda: np.ones(9))  # of the last GPS/INS row
+    predicted: Step | None = None  # the state as last predicted: the first estimate, where Jacobians are taken
+    inertial: bool = False  # whether an IMU drives the motion
+    nav_sigma: F64 = field(default_factory=lambda: np.ones(9))  # (9,) 1-sigma of the last GPS/INS row
     last_exposure_ns: int = NEVER_NS
-    inflations: int = 0  # of the attitude, in a row
+    inflations: int = 0  # inflations of the attitude in a row
     frame_id: int = 0
     lost: bool = False
     last_nav: NavSample | None = None
@@ -63,7 +63,7 @@ class FilterMemory:
 
     @property
     def t_ns(self) -> int:
-        """Time of the state, by the clock of GPS/INS."""
+        """Time of the state by the clock of GPS/INS, ns."""
         return NEVER_NS if self.state is None else self.state.t_ns
 
     def copy(self) -> FilterMemory:
@@ -74,7 +74,7 @@ class FilterMemory:
 
 @dataclass(eq=False)
 class RecordedFlight:
-    """Input of the filter during a flight, and its motions: what the smoother takes."""
+    """Input of the filter during a flight, and its motions: the input of the smoother."""
 
     rig: Rig
     settings: FilterSettings
@@ -85,31 +85,29 @@ class RecordedFlight:
 
 @dataclass(frozen=True, eq=False)
 class _Processed:
-    """An event that was processed, and the filter before it."""
-
     t_ns: int
     event: NavSample | Tracks
     before: FilterMemory
-    exposures: int  # recorded before it
-    rows: int  # of GPS/INS, recorded before it
+    exposures: int  # exposures recorded before it
+    rows: int  # rows of GPS/INS recorded before it
     imu_ns: int  # stamp of the last inertial measurement at that time
 
 
 class MotionFilter:
-    """Feed events; every exposure gives a `Motion` once there has been a row of GPS/INS.
+    """Estimates the motion from events; every exposure gives a `Motion` once there has been a row of GPS/INS.
 
-    Events are stamped correctly but may arrive out of sequence, as over radio links, up to `lateness`: the filter then
-    goes back to before such an event and processes the later ones again. Motions returned before are not changed;
-    later ones include it.
+    Events are stamped correctly but may arrive out of sequence, as over radio links, by up to `lateness`. The filter
+    then returns to its state before such an event and processes the later events again. Motions returned before are not
+    changed; later ones include the event.
 
     Args:
-        frame_id: of its first map frame; a filter that replaces another one goes on with the next number.
+        frame_id: number of the first map frame; a filter that replaces another one goes on with the next number.
     """
 
     def __init__(self, rig: Rig, settings: FilterSettings, frame_id: int = 0) -> None:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
-        self._vague = False  # True: a warning on the sigmas of GPS/INS was given
+        self._vague = False  # whether a warning on the sigmas of GPS/INS was given
         self._late_ns = round(settings.lateness * 1e9)
         visual, health = VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast)
         self._memory = FilterMemory(visual, health, frame_id=frame_id)
@@ -119,10 +117,10 @@ class MotionFilter:
         self.too_late = 0  # events left out because they came later than `lateness`
 
     def feed(self, event: NavSample | ImuSample | Tracks) -> Motion | None:
-        """Take one event; the features of an exposure give its motion.
+        """Process one event and return the motion if the event is the features of an exposure.
 
-        None for other events, and where there has been no row of GPS/INS, a stamp is repeated or comes too late. An
-        inertial measurement is used when the next exposure or row of GPS/INS comes.
+        Return None for other events, and for an exposure before the first row of GPS/INS, with a repeated stamp, or too
+        late. An inertial measurement is used when the next exposure or row of GPS/INS arrives.
         """
         if isinstance(event, ImuSample):
             self._keep_imu(event)
@@ -156,21 +154,21 @@ class MotionFilter:
         self.imu.forget_before(min(sample.t_ns - _IMU_KEEP_NS - self._late_ns, used_ns))
 
     def clone_window(self) -> CloneWindow | None:
-        """Return the clones by value, from which the joint posterior follows; None before any exposure."""
+        """Return a copy of the clones, from which the joint posterior follows; None before any exposure."""
         m = self._memory
         if m.state is None or m.last_exposure_ns == NEVER_NS:
             return None
         return m.visual.window(m.state, m.last_exposure_ns, m.frame_id)
 
     def predictor(self) -> MotionPredictor | None:
-        """Return the predictor of later exposures; None before the first GPS/INS row."""
+        """Return the predictor of later exposures; None before the first row of GPS/INS."""
         m = self._memory
         return None if m.state is None else MotionPredictor.of(m.state, self._cams, m.inertial, self._settings)
 
     def refined(self) -> RefinedMotions:
-        """All exposures so far, refined together, with their joint covariance (docs/method/smoother.md, M18-M22b).
+        """Return all exposures so far, refined together, with joint covariance (docs/method/smoother.md, M18-M22b).
 
-        Empty when `smooth` is off in the settings, and where a batch is not possible.
+        The result is empty if `smooth` is off in the settings, or if a batch is not possible.
         """
         if self._recording is None:
             return RefinedMotions((), None)
@@ -180,18 +178,18 @@ class MotionFilter:
 
     @property
     def state(self) -> FilterState | None:
-        """A copy of the state, to be inspected; None before the first GPS/INS row."""
+        """Copy of the state, for inspection; None before the first row of GPS/INS."""
         return self._memory.state.copy() if self._memory.state is not None else None
 
     # -- out of sequence -------------------------------------------------------------------------------------------
 
     def _time_of(self, event: NavSample | Tracks) -> int:
-        """Time of an event, by the clock of GPS/INS."""
+        """Return the time of an event by the clock of GPS/INS, ns."""
         state = self._memory.state
         return event.t_ns if isinstance(event, NavSample) or state is None else instant(event.t_ns, state.core)
 
     def _repeat_last_exposure(self) -> None:
-        """Process the last exposure again if, by its time offset, it lies after the IMU that was there at the time."""
+        """Process the last exposure again if, by its time offset, it was later than the IMU samples available then."""
         last = self._processed[-1] if self._processed else None
         if last is None or not isinstance(last.event, Tracks) or last.t_ns - last.event.t_ns < _MIN_AHEAD_NS:
             return
@@ -200,7 +198,6 @@ class MotionFilter:
             self._process(last.event)
 
     def _restore(self, event: _Processed) -> None:
-        """Go back to before an event."""
         self._memory = event.before
         if self._recording:
             del self._recording.exposures[event.exposures :], self._recording.nav[event.rows :]
@@ -262,7 +259,7 @@ class MotionFilter:
         return motion
 
     def _course(self, tracks: Tracks) -> CourseAttitude | None:
-        """Estimate the attitude from images where GPS comes without it: at the start, and between photos (M26)."""
+        """Estimate the attitude from images if GPS comes without one: initially, and between photos (M26)."""
         m, nav = self._memory, self._memory.last_nav
         if nav is None or nav.position_world is None or nav.world_from_body is not None:
             return None
@@ -281,7 +278,7 @@ class MotionFilter:
     # -- time ------------------------------------------------------------------------------------------------------
 
     def _start(self, sample: NavSample, sigma: F64) -> bool:
-        """Start from a row with position and attitude: the first time, or in a new map frame when the state is lost."""
+        """Start from a row with position and attitude, in a new map frame if there was a state; return success."""
         m, state = self._memory, initial_state(sample, sigma, self._settings)
         if state is None:
             return False
@@ -305,7 +302,7 @@ class MotionFilter:
         return True
 
     def _start_over(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
-        """Start anew where the state has diverged; not if the row itself claims as little as that."""
+        """Start again from the row if the state has diverged, unless the row itself is as uncertain."""
         fresh = initial_state(sample, sigma, self._settings)
         if fresh is None or not (is_diverged(fresh) and np.isfinite(state.core).all()):
             self._start(sample, sigma)
@@ -315,7 +312,6 @@ class MotionFilter:
             log.warning(claim + "it is lost until IMU or pictures make them better", *sigma[[3, 6]])
 
     def _start_biases(self, state: FilterState) -> None:
-        """Set the biases of the IMU to zero with their prior covariance."""
         s = self._settings
         for part, sigma in ((AT.gyro, s.gyro_bias_sigma), (AT.acc, s.accelerometer_bias_sigma)):
             state.core[part] = 0.0
@@ -323,7 +319,7 @@ class MotionFilter:
             state.P[part, part] = np.eye(3) * sigma**2
 
     def _propagate(self, state: FilterState, t_ns: int) -> None:
-        """EKF prediction to a later time (M8-M10)."""
+        """Propagate the state to a later time (M8-M10)."""
         m, dt, s = self._memory, (t_ns - state.t_ns) * 1e-9, self._settings
         if dt <= 0 or m.predicted is None:
             return
@@ -336,7 +332,7 @@ class MotionFilter:
         state.R, state.core[AT.pos], state.core[AT.vel] = after.R, after.position, after.velocity
         state.core[AT.nav] *= decay
         state.t_ns = t_ns
-        if m.inertial:  # the mean over 30 ms, with its variance as it counts for M27
+        if m.inertial:  # the mean over 30 ms, with its variance as used in M27
             state.rate = self.imu.mean_rate(t_ns, _RATE_HALF_WINDOW_NS) - state.core[AT.gyro]
             state.rate_variance = _RATE_MARGIN * s.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
         else:
@@ -347,7 +343,7 @@ class MotionFilter:
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
 
     def _update_from_nav(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
-        """Update by the quantities of a GPS/INS row that pass their gates (M14-M16)."""
+        """Update the state by the quantities of a GPS/INS row that pass their gates (M14-M16)."""
         rows = measurements(state, sample, sigma, self._settings, self._memory.inertial)
         quantities = self._correct_by_passed(state, rows) if rows else set()
         position = Quantity.POSITION in quantities if sample.position_world is not None else None
@@ -356,7 +352,7 @@ class MotionFilter:
             self._accept_jump(state, sample.position_world)
 
     def _correct_by_passed(self, state: FilterState, rows: Sequence[NavMeasurement]) -> set[Quantity]:
-        """Update by the measurements that pass their gates, each by itself; return their quantities."""
+        """Update the state by the measurements that pass their own gates; return their quantities."""
         H = np.concatenate([z.H for z in rows])
         residual, unit = np.concatenate([z.residual for z in rows]), np.concatenate([z.variance for z in rows]) ** -0.5
         residual, HP = residual * unit, (H @ state.P[:CORE]) * unit[:, None]
@@ -381,7 +377,7 @@ class MotionFilter:
         self._memory.health.on_gps(state.t_ns, True, True)
 
     def _inflate_attitude(self, state: FilterState) -> None:
-        """Inflate the attitude, because consistent observations contradict the state: INS may be wrong (M25)."""
+        """Inflate the attitude covariance: consistent observations contradict the state, so INS may be wrong (M25)."""
         self._memory.inflations += 1
         log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
         self._memory.visual.reset(state)
@@ -394,7 +390,6 @@ class MotionFilter:
     # -- results ---------------------------------------------------------------------------------------------------
 
     def _motion(self, state: FilterState, stamp_ns: int, support: int) -> Motion:
-        """Return the motion of the present exposure, with its health."""
         m = self._memory
         judged, why = m.health.judge(state)
         m.inflations = 0 if judged is MotionState.GOOD else m.inflations

@@ -1,4 +1,4 @@
-"""Health of the motion, from the measurements that pass their gates; and when the state itself is wrong (M24)."""
+"""Health of the motion, from the measurements that pass their gates, and detection of a wrong state (M24)."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from alight.motion.ekf.state import AT, FilterState
 from alight.records import MotionState
 
 NEVER_NS = -(1 << 62)  # ns, a time before all events
-_MIN_SUPPORT = 8  # features that pass their gates, at least, and as many as fail, for the cameras to hold the motion
-_FEW = 4  # fewer suffice where this many pass, and as many for each that fails: a pose has six degrees of freedom
-_DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
-_PHOTO_INTERVALS = 2.5  # that time in intervals between exposures: photos come every few seconds
-_SETTLING = 3  # supported exposures until the start is over
-_START, _START_INTERVALS = 3.0, 10.0  # s, intervals after which a start without them ends too: a hover has no parallax
-_CONTRADICTIONS = 5  # exposures in a row in which most features contradict the state, until the state is taken as wrong
+_MIN_SUPPORT = 8  # features that must pass their gates, and at least as many as fail, to support the motion
+_FEW = 4  # fewer suffice if this many pass for each that fails: a pose has six degrees of freedom
+_DROPPED_FRAME = 0.5  # s without a supported exposure that are treated as a dropped frame
+_PHOTO_INTERVALS = 2.5  # the same time in intervals between exposures: photos come every few seconds
+_SETTLING = 3  # supported exposures that end the initialisation
+_START, _START_INTERVALS = 3.0, 10.0  # s, intervals that end it in any case: a hover has no parallax
+_CONTRADICTIONS = 5  # exposures in a row in which most features contradict the state, until it is wrong
 _GPS_REJECTIONS = 3  # GPS positions in a row that fail their gate: more than chance
 _MAX_INNOVATION = 3.0  # mean squared innovation over its variance; above it observations are worse than claimed
-_INNOVATION_GAIN = 0.2  # of the last exposure in the running mean
+_INNOVATION_GAIN = 0.2  # weight of the last exposure in the running mean
 _MAX_TILT_SIGMA, _MAX_VELOCITY_SIGMA = 0.2, 20.0  # rad, m/s; above these the state has diverged
 
 
@@ -28,13 +28,13 @@ _MAX_TILT_SIGMA, _MAX_VELOCITY_SIGMA = 0.2, 20.0  # rad, m/s; above these the st
 class GateCounts:
     """Numbers of features of one exposure that passed and failed their gates."""
 
-    passed: int = 0  # of the landmarks and of the tracks used in this exposure
+    passed: int = 0  # landmarks, and tracks used in this exposure, that passed
     failed: int = 0
-    innovation: float = 0.0  # mean squared distance a row of those that passed, 1 expected; 0: none
+    innovation: float = 0.0  # mean squared distance per row of the features that passed, 1 expected; 0: none passed
 
     @classmethod
     def of(cls, tried: Mask, passed: Mask, distance: F64, rows: I64) -> GateCounts:
-        """Count N features that were tried, with their squared Mahalanobis distances and rows."""
+        """Count the N features that were tried, given their squared Mahalanobis distances and numbers of rows."""
         mean = float(distance[passed].sum() / max(rows[passed].sum(), 1))
         return cls(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
@@ -45,34 +45,34 @@ class GateCounts:
 
 
 class Health:
-    """Judge of the motion at every exposure, from the outcome of all gates."""
+    """Rates the motion at every exposure, from the outcome of all gates."""
 
     def __init__(self, coast: float) -> None:
-        """Take the time [s] without any support after which the motion is lost."""
+        """Set the time `coast` (s) without any support after which the motion is lost."""
         self._coast = coast
         self._supported_ns = self._nav_ns = self._position_ns = self._exposure_ns = NEVER_NS
-        self._start_ns = NEVER_NS  # the first exposure
+        self._start_ns = NEVER_NS  # time of the first exposure
         self._settled = self._contradictions = 0
         self._innovation = 1.0
         self._interval = 0.0  # s between the last two exposures
-        self._gps_rejections = 0  # in a row
-        self._gps_rejected_since = 0  # ns
+        self._gps_rejections = 0  # rejections in a row
+        self._gps_rejected_since = 0  # ns, time of the first of these rejections
 
     def restart(self, t_ns: int) -> None:
-        """Start again from GPS/INS."""
+        """Start again from GPS/INS at `t_ns`."""
         self._nav_ns = self._position_ns = t_ns
         self._start_ns = NEVER_NS
         self._settled = self._contradictions = self._gps_rejections = 0
 
     def on_gps(self, t_ns: int, position: bool | None, other: bool) -> float:
-        """Take one row of GPS/INS.
+        """Record the outcome of one row of GPS/INS.
 
         Args:
-            position: True: the position passed its gate; None: not measured.
-            other: True: any other quantity passed.
+            position: whether the position passed its gate; None: not measured.
+            other: whether any other quantity passed its gate.
 
         Returns:
-            Time (s) for which positions have failed their gate without a break.
+            Time in s for which positions have failed their gate without a break.
         """
         if position or other:
             self._nav_ns = t_ns
@@ -83,14 +83,14 @@ class Health:
         return (t_ns - self._gps_rejected_since) * 1e-9 if self._gps_rejections else 0.0
 
     def on_exposure(self, t_ns: int, counts: GateCounts) -> bool:
-        """Take one exposure; True: observations contradict the state for so long that it must be wrong."""
+        """Record one exposure; return whether observations contradict the state for so long that it must be wrong."""
         self._interval = max((t_ns - self._exposure_ns) * 1e-9, 0.0)
         self._exposure_ns = t_ns
         self._start_ns = t_ns if self._start_ns == NEVER_NS else self._start_ns
         if counts.passed >= _MIN_SUPPORT and counts.passed >= counts.failed:
             self._supported_ns, self._settled = t_ns, self._settled + 1
         elif counts.passed >= _FEW * max(counts.failed, 1):
-            self._supported_ns = t_ns  # near the ground: a few metres of it are in view, and pass in some exposures
+            self._supported_ns = t_ns  # near the ground only a few metres are in view, which pass in some exposures
         if self._supported_ns == t_ns:
             self._innovation += _INNOVATION_GAIN * (counts.innovation - self._innovation)
         contradicts = counts.failed >= _MIN_SUPPORT and counts.failed > 2 * counts.passed
@@ -101,7 +101,7 @@ class Health:
         return False
 
     def judge(self, state: FilterState) -> tuple[MotionState, str]:
-        """Return the motion state at the last exposure, and why it is not GOOD."""
+        """Return the motion state at the last exposure, and the reason if it is not GOOD."""
         t = self._exposure_ns
         coast = max(self._coast, _PHOTO_INTERVALS * self._interval)
         unsupported = (t - self._supported_ns) * 1e-9  # s
@@ -127,7 +127,7 @@ class Health:
 
 
 def is_diverged(state: FilterState) -> bool:
-    """True if the covariance of tilt or velocity is too large for use, or the state is not finite."""
+    """Whether the covariance of tilt or velocity is too large for use, or the state is not finite."""
     variance = np.diag(state.P)
     small = variance[AT.att][:2].max() <= _MAX_TILT_SIGMA**2 and variance[AT.vel].max() <= _MAX_VELOCITY_SIGMA**2
     return not (bool(small) and bool(np.isfinite(state.core).all()))

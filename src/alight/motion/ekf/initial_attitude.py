@@ -1,4 +1,4 @@
-"""Initial attitude without INS: the course over ground by GPS against the motion in the image (M26)."""
+"""Initial attitude without INS, from the course over ground by GPS and the motion in the image (M26)."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from alight.motion.gps_ins import sigmas, whites
 from alight.records import NavSample, Tracks
 from alight.settings import FilterSettings
 
-_MIN_GPS_BASELINE = 0.5  # m between two GPS positions whose direction is used
-MIN_SHARED = 20  # features that two exposures share; with fewer, the later one is the first of the next pair
+_MIN_GPS_BASELINE = 0.5  # m, least distance of two GPS positions whose direction is used
+MIN_SHARED = 20  # least features that two exposures share; else the later one is the first of the next pair
 _TILT_SIGMA = 0.1  # rad; the camera is assumed to look down
 _MIN_HEADING_SIGMA = 0.05  # rad
-MAX_START_SIGMA = 1.0 / 3.0  # rad, of the heading at a start: way and shift are three sigmas long, else they grow first
+MAX_START_SIGMA = 1.0 / 3.0  # rad, largest sigma of an initial heading: path and shift are three sigmas long
 _MIN_FEATURES = 12
 _INLIER = 0.01  # normalised coordinates; features with a larger residual are off the ground plane, or wrong
 
 
 @dataclass(frozen=True, eq=False)
 class CourseAttitude:
-    """Attitude of a camera that is taken to look straight down, with the heading from the course."""
+    """Attitude of a camera that is assumed to look straight down, with the heading from the course."""
 
     R: F64  # (3, 3) world_from_body
     sigma: F64  # (3,) rad about east, north, up
 
     def row(self, nav: NavSample, t_ns: int) -> NavSample:
-        """Return a GPS row with this attitude, as the row at an instant."""
+        """Return a GPS row with this attitude and the time `t_ns`."""
         about_body = np.sqrt((self.R.T**2) @ self.sigma**2)
         return replace(nav, t_ns=t_ns, world_from_body=self.R, sigma_attitude=about_body)
 
 
 @dataclass(frozen=True, eq=False)
 class PositionedExposure:
-    """An exposure and the GPS row at it, which has a position and no attitude."""
+    """An exposure and the GPS row at its time, which has a position and no attitude."""
 
     tracks: Tracks
     nav: NavSample
 
     def course_to(self, now: PositionedExposure, cam: Pose, settings: FilterSettings) -> CourseAttitude | None:
-        """Return the attitude at a later one by the course; `cam` is body_from_cam; None: not determined."""
+        """Return the attitude at a later exposure by the course, None if it is not determined; `cam`: body_from_cam."""
         assert self.nav.position_world is not None
         assert now.nav.position_world is not None
         way = (now.nav.position_world - self.nav.position_world)[:2]
@@ -55,24 +55,24 @@ class PositionedExposure:
 
 @dataclass(frozen=True)
 class _Shift:
-    """Motion of the ground through the image, in normalised coordinates, without the change of the tilt."""
+    """Motion of the ground through the image, in normalised coordinates, without the effect of a change of tilt."""
 
     value: complex
-    sigma: float  # across its direction
-    scale: float  # of the second image against the first: above 1 the camera descended
+    sigma: float  # 1-sigma across its direction
+    scale: float  # scale of the second image over the first; above 1 the camera descended
 
 
 def attitude_from_course(
     before: Tracks, now: Tracks, way_world: F64, way_sigma: float, body_from_cam: Pose
 ) -> CourseAttitude | None:
-    """Return the attitude at `now` for a camera that looks straight down; None: images do not determine it.
+    """Return the attitude at `now` of a camera that looks straight down; None if the images do not determine it.
 
-    The ground moves against the direction of flight. The map from one image to the other gives that direction in the
-    image, GPS gives it in the world.
+    The ground moves through the image against the direction of flight. The map from one image to the other gives the
+    direction of flight in the image, and GPS gives it in the world.
 
     Args:
-        way_world: (2,) m east and north, GPS position of `now` less that of `before`.
-        way_sigma: m, 1-sigma of each component.
+        way_world: (2,) metres east and north, GPS position of `now` less that of `before`.
+        way_sigma: 1-sigma of each component, metres.
     """
     way = float(np.hypot(way_world[0], way_world[1]))
     _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
@@ -86,7 +86,7 @@ def attitude_from_course(
     size = abs(shift.value)
     by_tilt = abs(shift.scale - 1.0) * _TILT_SIGMA / size
     heading = float(np.linalg.norm([_MIN_HEADING_SIGMA, way_sigma / way, shift.sigma / size, by_tilt]))
-    x_axis = np.arctan2(way_world[1], way_world[0]) + np.angle(-shift.value)  # of the image, from east
+    x_axis = np.arctan2(way_world[1], way_world[0]) + np.angle(-shift.value)  # rad, of the image, from east
     c, s = np.cos(x_axis), np.sin(x_axis)
     world_from_cam = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
     R = np.asarray(world_from_cam @ body_from_cam.rotation.T)
@@ -94,16 +94,15 @@ def attitude_from_course(
 
 
 def _complex(z: F64) -> NDArray[np.complex128]:
-    """Return (N, 2) coordinates as (N,) complex numbers: a similarity is then linear."""
     return np.asarray(z[:, 0] + 1j * z[:, 1])
 
 
 def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shift | None:
-    """Return the shift t of the map b (1 + h . a) = c a + t, by least squares without outliers; None: no clear motion.
+    """Return the shift t of the map b (1 + h . a) = c a + t by robust least squares; None: no clear motion.
 
-    A change of the tilt shifts the image like a flight over ground, by -h turned as the image has turned. So it is
-    estimated by h and taken out: at 30 m it changed the direction by 0.2 rad. The fit starts from the pair of features
-    with the most inliers by a similarity, since the images may be rotated by any angle.
+    A change of the tilt shifts the image like a flight over ground, by -h turned as the image has turned. So h is
+    estimated and its effect removed: at 30 m it changed the direction by 0.2 rad. The fit starts from the pair of
+    features whose similarity has the most inliers, because the images may be rotated by any angle.
     """
     i, j = np.random.default_rng(0).integers(0, len(a), (2, 100))
     c = (b[j] - b[i]) / np.where(i == j, 1.0, a[j] - a[i])

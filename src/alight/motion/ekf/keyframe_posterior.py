@@ -1,4 +1,4 @@
-"""Joint posterior of the clones, refined with all observations not used by the state yet (M23)."""
+"""Joint posterior of the clones, refined by all observations that the state has not used yet (M23)."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class CloneWindow:
-    """The clones after one exposure and the observations not used by the state yet, by value.
+    """Copy of the clones after one exposure, and of the observations that the state has not used yet.
 
-    Few exposures become keyframes of a map, and the posterior costs as much as the update of the state. So the filter
-    gives out this record, and a user of the posterior computes it: it is a function of the record alone.
+    Few exposures become keyframes of a map, and the posterior takes as long as the update of the state. So the filter
+    returns this record, and the posterior is computed only where it is needed: it depends on the record alone.
     """
 
     clones: Clones  # K
-    P: F64  # (6K, 6K) their joint covariance, (rotation, position) a pose
-    offset_cross: F64  # (6K, 3) its cross covariance with the offset of the map
+    P: F64  # (6K, 6K) joint covariance of the clones, (rotation, position) per pose
+    offset_cross: F64  # (6K, 3) cross covariance of the clones with the offset of the map
     offset: F64  # (3,) m
     offset_covariance: F64  # (3, 3)
-    mount: F64  # (3,) rad, mounting of the cameras
+    mount: F64  # (3,) rad, mounting correction of the cameras
     observations: WindowObservations
     cams: tuple[Pose, ...]  # rig_from_cam
     frame_id: int
@@ -44,7 +44,7 @@ class CloneWindow:
         cls, state: FilterState, unused: WindowObservations, cams: Sequence[Pose], settings: FilterSettings,
         frame_id: int = 0,
     ) -> CloneWindow:  # fmt: skip
-        """Copy the window of a state."""
+        """Copy the clones, mounting and map offset of a state, with the observations that it has not used yet."""
         rows, at, core = state.clone_rows, AT.offset, state.core
         joint, cross, offset = (state.P[r, c].copy() for r, c in ((rows, rows), (rows, at), (at, at)))
         return cls(
@@ -53,12 +53,12 @@ class CloneWindow:
         )  # fmt: skip
 
     def refined(self) -> CloneWindow:
-        """The window after Gauss-Newton: prior is the joint covariance of the clones, data are the unused observations.
+        """Return the window after Gauss-Newton on the unused observations, with the clones' joint covariance as prior.
 
-        The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
-        errors of trees, grass in the wind and water are correlated, from feature to feature and in time. Observations
-        that contradict the prior as a whole are left out: weights relative to the median do not help where all are
-        wrong, as when the lines of a car park are matched with each other.
+        The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`,
+        because errors of trees, grass in the wind and water are correlated between features and in time. Observations
+        that contradict the prior as a whole are left out: weights relative to the median do not help where all
+        observations are wrong, as when the lines of a car park are matched with each other.
         """
         P, clones, median = self.P, self.clones, 0.0
         error, gain = np.zeros(len(P)), np.asarray(np.eye(len(P)))
@@ -80,10 +80,10 @@ class CloneWindow:
         return replace(self, clones=clones, P=inflation @ P @ gain @ inflation.T, offset_cross=cross)
 
     def posterior(self) -> KeyframePosterior:
-        """Return the joint posterior, oldest first (M23).
+        """Return the joint posterior of the clones, oldest first (M23).
 
-        Covariances of the single motions are marginals in the world. The joint covariance is in the map frame, whose
-        offset from the world (`offset_world`) cameras cannot observe. GPS/INS corrections move all poses together.
+        The covariance of a single motion is its marginal in the world. The joint covariance is in the map frame, whose
+        offset from the world (`offset_world`) cameras cannot observe; GPS/INS corrections move all poses together.
         """
         refined = self.refined()
         order = (CLONE * np.arange(len(self.clones))[:, None] + POSITION_FIRST).ravel()
@@ -91,7 +91,7 @@ class CloneWindow:
         return KeyframePosterior(motions, refined.P[np.ix_(order, order)])
 
     def keyframe(self, i: int) -> Motion:
-        """Return one clone as a motion."""
+        """Return the clone of index `i` as a motion."""
         rows, R, p = CLONE * i + POSITION_FIRST, self.clones.R[i], self.clones.p[i]
         rig, body = Pose(R, p), Pose(R @ so3_exp(self.mount).T, p)
         covariance = moment_in_world(
@@ -104,9 +104,10 @@ class CloneWindow:
 
 
 def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
-    """Joint posterior of poses with one common rigid error, with the covariance of the last one; None without poses.
+    """Return the joint posterior of poses that share one rigid error, that of the last pose; None without poses.
 
-    For motions that were given out one by one: the covariance of the poses relative to each other is lost.
+    It is used for motions that were returned one by one: the covariance of the poses relative to each other is then
+    lost.
     """
     if not motions:
         return None
@@ -118,10 +119,10 @@ def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
 
 
 def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
-    """Return the (6K, 6K) map that inflates the variance of poses relative to the reference, which is not changed.
+    """Return the (6K, 6K) matrix that inflates the variance of poses relative to the reference pose by `factor`.
 
     Args:
-        p: (K, 3) metres, positions; each pose is (rotation, position).
+        p: (K, 3) positions, metres; the error of a pose is ordered (rotation, position).
         reference: index of the pose that keeps its covariance.
     """
     root, k = np.sqrt(factor), len(p)

@@ -1,4 +1,4 @@
-"""Landmarks measured from the last clone: their rows, gates and the innovation of those that pass: kernels (M11)."""
+"""Kernels for landmarks measured from the last clone: rows, gates, and innovation of the rows that pass (M11)."""
 
 import numpy as np
 
@@ -13,17 +13,17 @@ def linearise_points(
     x: F64, first_x: F64, normalised: F64, sigma: F64, R: F64, origin: F64, first_R: F64, first_origin: F64,
     first_p: F64, near: float, residual: F64, by_pose: F64, by_point: F64, count: I64,
 ) -> None:  # fmt: skip
-    """Write residuals at the estimates and Jacobians at the first estimates, 2 rows a camera, in sigmas.
+    """Write residuals at the estimates and Jacobians at the first estimates, 2 rows per camera, in sigmas.
 
     Args:
-        x, first_x: (N, 3) points, m.
+        x, first_x: (N, 3) points and their first estimates, m.
         normalised: (N, C, 2) observations, NaN = not observed.
-        sigma: (N,) of a normalised coordinate.
-        R, origin, first_R, first_origin: (C, 3, 3), (C, 3) world_from_cam, now and first.
-        first_p: (3,) m of the rig, at the first estimate.
-        near: m along the axis that a point must have.
-        residual, by_pose, by_point: (N, 2C), (N, 2C, 6), (N, 2C, 3) out; rows that are not observed are zero.
-        count: (N,) out, rows observed.
+        sigma: (N,) 1-sigma of a normalised coordinate.
+        R, origin, first_R, first_origin: (C, 3, 3), (C, 3) world_from_cam, now and at the first estimate.
+        first_p: (3,) first estimate of the rig's position, m.
+        near: m along the optical axis; observations of nearer points are left out.
+        residual, by_pose, by_point: (N, 2C), (N, 2C, 6), (N, 2C, 3) out; rows without an observation are zero.
+        count: (N,) out, number of rows with an observation.
     """
     q, f = np.empty(3), np.empty(3)
     for n in range(x.shape[0]):
@@ -49,9 +49,10 @@ def linearise_points(
 
 @kernel
 def project_covariance(P: F64, pose: int, points: I64, by_pose: F64, by_point: F64, HP: F64) -> None:
-    """Write the covariance `HP` of the rows of N landmarks with all errors, of covariance `P` (n, n).
+    """Write the covariance `HP` (N, m, n) of the m measurement rows of N landmarks with all errors, given `P` (n, n).
 
-    Arguments as in `LandmarkRows`.
+    `pose` and `points` (N,) are the first rows of the clone and of each landmark in `P`. The Jacobians `by_pose` and
+    `by_point` are those of `linearise_points`.
     """
     for k in range(by_pose.shape[0]):
         for r in range(by_pose.shape[1]):
@@ -70,7 +71,7 @@ def project_covariance(P: F64, pose: int, points: I64, by_pose: F64, by_point: F
 
 @kernel
 def _covariance_with(HP: F64, pose: int, point: int, by_pose: F64, by_point: F64) -> float:
-    """Covariance of a row, given with all errors in `HP`, with another row."""
+    """Return the covariance of a measurement row, given its covariance `HP` with all errors, with another row."""
     out = 0.0
     for j in range(6):
         out += HP[pose + j] * by_pose[j]
@@ -81,9 +82,9 @@ def _covariance_with(HP: F64, pose: int, point: int, by_pose: F64, by_point: F64
 
 @kernel
 def gate_distances(HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, out: F64) -> None:
-    """Write the (N,) squared Mahalanobis distance of each landmark by the covariance of its own rows.
+    """Write the (N,) squared Mahalanobis distance of each landmark, by the covariance of its own rows.
 
-    Arguments as in `LandmarkRows`.
+    The arguments are as in `project_covariance` and `linearise_points`.
     """
     m = residual.shape[1]
     S, L, y = np.zeros((m, m)), np.zeros((m, m)), np.empty(m)
@@ -99,15 +100,15 @@ def innovation_of(
     HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, used: I64, scale: F64,
     rows: F64, S: F64, innovation: F64,
 ) -> None:  # fmt: skip
-    """Gather the rows that are used, each times the factor of its landmark.
+    """Gather the rows that are used, each multiplied by the factor of its landmark.
 
     Args:
-        HP, pose, points, by_pose, by_point, residual: as in `LandmarkRows`.
+        HP, pose, points, by_pose, by_point, residual: as in `gate_distances`.
         used: (M, 2) landmark and row.
         scale: (N,) factor of each landmark.
         rows: (M, n) out, covariance with all errors.
         S: (M, M) out, covariance of the rows with each other, its lower half.
-        innovation: (M,) out.
+        innovation: (M,) out, scaled residuals.
     """
     for i in range(len(used)):
         k, r = used[i]

@@ -1,4 +1,4 @@
-"""Prediction of camera poses from a copy of the state: the tracker uses it while the filter is busy."""
+"""Prediction of camera poses from a copy of the state, for the tracker while the filter is busy."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from alight.motion.preintegration import preintegrate
 from alight.records import Prediction
 from alight.settings import FilterSettings
 
-_CORE = np.r_[AT.motion, AT.mount]  # errors of a state on which predicted poses depend
-_MOVING = slice(CLONE, CLONE + AT.motion.stop)  # in the covariance of a predictor: attitude to accelerometer bias
+_CORE = np.r_[AT.motion, AT.mount]  # rows of the errors on which predicted poses depend
+_MOVING = slice(CLONE, CLONE + AT.motion.stop)  # rows of attitude to accelerometer bias in a predictor's covariance
 
 
 def instant(stamp_ns: int, core: F64) -> int:
-    """Return the time of an exposure by the clock of GPS/INS (M27)."""
+    """Return the time of an exposure by the clock of GPS/INS, ns (M27)."""
     return stamp_ns - round(float(core[AT.time][0]) * 1e9)
 
 
@@ -32,7 +32,7 @@ class MotionPredictor:
     t_ns: int
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) as in `FilterState`
-    last: Clones  # the rig at the last exposure; none before the first
+    last: Clones  # the rig at the last exposure; empty before the first one
     P: F64  # (24, 24) joint: `last` (6; zero without it), attitude to accelerometer bias, AT.mount
     cams: tuple[Pose, ...]  # body_from_cam
     inertial: bool
@@ -40,7 +40,7 @@ class MotionPredictor:
 
     @classmethod
     def of(cls, state: FilterState, cams: tuple[Pose, ...], inertial: bool, noise: FilterSettings) -> MotionPredictor:
-        """Copy the relevant part of a state."""
+        """Copy the part of a state that a prediction needs."""
         last = state.clones.select(range(len(state.clones))[-1:])
         rows = np.concatenate([np.arange(state.landmark_start - CLONE, state.landmark_start), _CORE])
         P = state.P[rows[:, None], rows]
@@ -49,7 +49,11 @@ class MotionPredictor:
         return cls(state.t_ns, state.R, state.core.copy(), last, P, cams, inertial, noise)
 
     def cameras(self, stamp_ns: int, before_ns: int | None, imu: ImuBuffer) -> Prediction:
-        """Predict the cameras at an exposure, relative to that at `before_ns`; for a past exposure: as they are now."""
+        """Predict the cameras at the exposure stamped `stamp_ns`, relative to the exposure stamped `before_ns`.
+
+        For an exposure before the state's time, the cameras are those at the state's time. The prediction has no
+        earlier poses if the exposure `before_ns` is no longer held.
+        """
         held = before_ns in self.last.stamps
         if not held and before_ns is not None and (before := instant(before_ns, self.core)) >= self.t_ns:
             return self._at_exposure(before_ns, before, imu).cameras(stamp_ns, before_ns, imu)
@@ -61,7 +65,6 @@ class MotionPredictor:
         return Prediction(now, earlier, self._relative_covariance(after, F, Q))
 
     def _propagated(self, t_ns: int, imu: ImuBuffer) -> tuple[Step, F64, F64]:
-        """Return the step to a later time, its (15, 15) transition and noise."""
         here = Step(self.R, self.core[AT.pos], self.core[AT.vel])
         driven = self.inertial and len(imu)
         m = preintegrate(imu, self.t_ns, t_ns, self.core[AT.biases], self.noise) if driven else None
@@ -83,11 +86,11 @@ class MotionPredictor:
         return replace(self, t_ns=t_ns, R=after.R, core=core, last=last, P=H @ P @ H.T)
 
     def _relative_covariance(self, after: Step, F: F64, Q: F64) -> F64:
-        """(6, 6) covariance of the rotation and shift that take earlier points to camera 0 (`Prediction`)."""
+        """Return the (6, 6) covariance of the motion of earlier points in camera 0, as in `Prediction.covariance`."""
         cam, rig, last = self.cams[0], after.R @ so3_exp(self.core[AT.mount]), self.last
         cam_from_world, arms = (rig @ cam.rotation).T, (last.R[0] @ cam.translation, rig @ cam.translation)
         baseline = after.position + arms[1] - last.p[0] - arms[0]
-        J = np.zeros((6, 2 * CLONE))  # by (rotation, position) of the rig at the last exposure and at this one
+        J = np.zeros((6, 2 * CLONE))  # by (rotation, position) of the rig at the last and at this exposure
         J[:3, :3], J[:3, 6:9] = cam_from_world, -cam_from_world
         J[3:, :3], J[3:, 3:6] = -cam_from_world @ (skew(baseline) + skew(arms[0])), cam_from_world
         J[3:, 6:9], J[3:, 9:] = cam_from_world @ skew(arms[1]), -cam_from_world
@@ -98,6 +101,5 @@ class MotionPredictor:
         return np.asarray(J @ joint @ J.T)
 
     def _cameras_of(self, R: F64, p: F64) -> tuple[Pose, ...]:
-        """world_from_cam of every camera for the pose of the rig."""
         rig = Pose(R, p)
         return tuple(rig @ c for c in self.cams)

@@ -28,15 +28,15 @@ class CoreLayout(NamedTuple):
     vel: slice = slice(6, 9)  # m/s
     gyro: slice = slice(9, 12)  # rad/s, gyro bias; without IMU the angular velocity of the body itself
     acc: slice = slice(12, 15)  # m/s^2, accelerometer bias; without IMU unused
-    biases: slice = slice(9, 15)  # these two
+    biases: slice = slice(9, 15)  # both biases
     motion: slice = slice(0, 15)  # all of the above: errors that the motion model propagates
     nav_pos: slice = slice(15, 18)  # m, slowly varying error of the GPS/INS position
-    nav_att: slice = slice(18, 21)  # rad, of its attitude, in the world
-    nav_vel: slice = slice(21, 24)  # m/s, of its velocity
-    nav: slice = slice(15, 24)  # these three
+    nav_att: slice = slice(18, 21)  # rad, slowly varying error of the GPS/INS attitude, in world axes
+    nav_vel: slice = slice(21, 24)  # m/s, slowly varying error of the GPS/INS velocity
+    nav: slice = slice(15, 24)  # all slowly varying errors of GPS/INS
     mount: slice = slice(24, 27)  # rad, rotation from the INS body to the body that the cameras are calibrated to
-    offset: slice = slice(27, 30)  # m, from the map frame, where the start is exact, to the world
-    time: slice = slice(30, 31)  # s that the cameras' stamps are ahead of the clock of GPS/INS and IMU
+    offset: slice = slice(27, 30)  # m, from the map frame, in which the initial position is exact, to the world
+    time: slice = slice(30, 31)  # s by which the cameras' stamps are ahead of the clock of GPS/INS and IMU
 
 
 AT = CoreLayout()
@@ -49,18 +49,18 @@ _UNMODELLED = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """N points x_i of the paper's state."""
+    """N landmarks: the points x_i of the paper's state."""
 
     ids: I64  # (N,)
     x: F64  # (N, 3) m, world
     first_x: F64  # (N, 3) where Jacobians are taken
-    rejections: I64  # (N,) exposures in a row in which it failed its gate
-    mean_residual: F64  # (N, m) of the last exposures, in sigmas
-    mean_square: F64  # (N,) of the same residuals
+    rejections: I64  # (N,) exposures in a row in which the landmark failed its gate
+    mean_residual: F64  # (N, m) running mean of the residuals, in sigmas
+    mean_square: F64  # (N,) running mean of their squared norm
 
     @classmethod
     def new(cls, ids: I64, x: F64, first_x: F64, rows: int) -> Landmarks:
-        """Return landmarks that are observed by `rows` numbers an exposure."""
+        """Return new landmarks, each with `rows` residuals per exposure."""
         n = len(ids)
         return cls(ids, x, first_x, np.zeros(n, np.int64), np.zeros((n, rows)), np.zeros(n))
 
@@ -68,11 +68,11 @@ class Landmarks:
         return len(self.ids)
 
     def select(self, kept: I64) -> Landmarks:
-        """Return the landmarks of the indices `kept`."""
+        """Return the landmarks at the indices `kept`."""
         return Landmarks(*(getattr(self, f.name)[kept] for f in fields(self)))
 
     def joined(self, other: Landmarks) -> Landmarks:
-        """Return these landmarks and others."""
+        """Return these landmarks followed by the others."""
         if not len(self):
             return other
         return Landmarks(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
@@ -80,7 +80,7 @@ class Landmarks:
 
 @dataclass(eq=False)
 class FilterState:
-    """Core, clones and landmarks; `P` follows that order. Clones and landmarks are replaced, never changed."""
+    """Core, clones and landmarks, in this order in `P`; clones and landmarks are replaced, never changed in place."""
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
@@ -92,7 +92,7 @@ class FilterState:
     )
     rate: F64 = field(default_factory=lambda: np.zeros(3))  # rad/s, angular velocity in the body frame
     rate_variance: float = 0.0  # (rad/s)^2
-    refused: int = 0  # measurements without a possible update: not finite, or a singular matrix
+    refused: int = 0  # measurements that could not be used: not finite, or a singular matrix
 
     def copy(self) -> FilterState:
         """Return an independent copy."""
@@ -100,7 +100,7 @@ class FilterState:
 
     @property
     def rig(self) -> F64:
-        """(3, 3) world_from_rig: the attitude with the mounting correction."""
+        """Rotation world_from_rig (3, 3): the body's attitude with the mounting correction."""
         return self.R @ so3_exp(self.core[AT.mount])
 
     @property
@@ -114,9 +114,9 @@ class FilterState:
         return slice(CORE, self.landmark_start)
 
     def add_clone(self, t_ns: int) -> None:
-        """Append the present pose of the rig to the clones, as that of an exposure stamped `t_ns`.
+        """Append the present pose of the rig to the clones, for the exposure stamped `t_ns`.
 
-        Its Jacobian by the time offset: a stamp further ahead than assumed means an earlier pose (M27).
+        The clone depends on the time offset: a stamp farther ahead than assumed means an earlier pose (M27).
         """
         J = np.zeros((CLONE, CORE))
         J[0:3, AT.att], J[0:3, AT.mount], J[3:6, AT.pos] = np.eye(3), self.R, np.eye(3)
@@ -126,9 +126,9 @@ class FilterState:
         self.clones = self.clones.with_pose(t_ns, self.rig, self.core[AT.pos])
 
     def _time_offset_noise(self) -> F64:
-        """(6, 6) covariance that M27 leaves out while the time offset is uncertain: errors and changes of the rates.
+        """Return the (6, 6) covariance that M27 omits in a clone: errors and changes of the rates, times the offset.
 
-        Without it the noise of a gyro (7 mrad/s a sample) counts as rotation, and the offset becomes wrong.
+        Without it, the noise of a gyro (7 mrad/s per sample) is treated as rotation, and the offset becomes wrong.
         """
         time, velocity = float(self.P[AT.time, AT.time][0, 0]), float(self.P[AT.vel, AT.vel].diagonal().max())
         rotation = time * self.rate_variance + (0.5 * time * _UNMODELLED[0]) ** 2
@@ -136,14 +136,14 @@ class FilterState:
         return np.diag(np.repeat([rotation, position], 3))
 
     def insert(self, at: int, cross: F64, own: F64) -> None:
-        """Insert k errors at a row: covariance `own` (k, k), and `cross` (k, n) with the others."""
+        """Insert k errors at row `at` of `P`, with covariance `own` (k, k) and cross covariance `cross` (k, n)."""
         n = len(self.P) + len(own)
         out = np.empty((n, n))
         insert_rows(self.P, at, cross, own, out)
         self.P = out
 
     def drop(self, clones: Sequence[int] = (), landmarks: I64 | Sequence[int] = ()) -> None:
-        """Marginalise clones and landmarks by index."""
+        """Marginalise the clones and landmarks at these indices."""
         if not len(clones) and not len(landmarks):
             return
         keep = np.ones(len(self.P), bool)
@@ -157,17 +157,17 @@ class FilterState:
         self.clones = self.clones.select([i for i in range(len(self.clones)) if i not in set(clones)])
 
     def correct(self, residual: F64, H: F64, columns: slice | I64) -> None:
-        """EKF update by a measurement of unit noise: `residual = H error[columns] + noise`, H (m, len(columns))."""
+        """Update the state by a measurement `residual = H error[columns] + unit noise`, H (m, len(columns))."""
         HP = H @ self.P[columns]
         self.correct_by(residual, HP, HP[:, columns] @ H.T)
 
     def correct_by(self, residual: F64, HP: F64, S: F64) -> None:
-        """EKF update by a measurement of unit noise; one that makes a matrix singular is left out and counted.
+        """Update the state by a measurement of unit noise; one with a singular matrix or NaN is skipped and counted.
 
         Args:
-            residual: (m,)
+            residual: (m,) measured less predicted.
             HP: (m, n) covariance of the measured errors with all errors; overwritten.
-            S: (m, m) covariance of the measured errors without the noise, its lower half; overwritten.
+            S: (m, m) covariance of the measured errors without the noise, only its lower half; overwritten.
         """
         if not len(residual):
             return
@@ -182,7 +182,6 @@ class FilterState:
         self._apply(half @ dtrsm(1.0, U, residual[:, None], trans_a=1)[:, 0])
 
     def _apply(self, error: F64) -> None:
-        """Add (n,) errors to the nominal values."""
         R = np.empty((1, 3, 3))
         move_poses(self.R[None], self.core[None, AT.pos], error, R, np.empty((1, 3)))
         self.R = R[0]
@@ -196,9 +195,9 @@ def moment_in_world(covariance: F64, by_offset: F64, offset: F64, offset_covaria
     """Return the (6, 6) second moment of the error of a map pose (position, rotation) in the world.
 
     Args:
-        covariance: (6, 6) of the pose in the map frame.
-        by_offset: (6, 3) cross covariance with the offset of the map.
-        offset, offset_covariance: (3,) m, (3, 3) of the map.
+        covariance: (6, 6) covariance of the pose in the map frame.
+        by_offset: (6, 3) cross covariance of the pose with the offset of the map.
+        offset, offset_covariance: (3,) m, (3, 3) offset of the map and its covariance.
     """
     out = covariance.copy()
     out[:, :3] += by_offset

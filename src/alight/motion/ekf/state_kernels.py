@@ -1,4 +1,4 @@
-"""Covariance of the filter's errors: propagation, insertion and removal of rows, corrections: kernels."""
+"""Kernels for the covariance of the filter's errors: propagation, insertion and removal of rows, distances."""
 
 import math
 
@@ -13,7 +13,7 @@ def propagate_errors(P: F64, F: F64, Q: F64, decay: F64, drift: F64) -> None:
     """Propagate a covariance in place (M10).
 
     Args:
-        P: (n, n); its first rows are the motion, then the errors of GPS/INS.
+        P: (n, n) covariance; its first m rows are the motion, the next k rows the errors of GPS/INS.
         F, Q: (m, m) transition and noise of the motion.
         decay, drift: (k,) transition and noise variance of the errors of GPS/INS.
     """
@@ -45,7 +45,7 @@ def propagate_errors(P: F64, F: F64, Q: F64, decay: F64, drift: F64) -> None:
 
 @kernel
 def keep_rows(P: F64, kept: I64, out: F64) -> None:
-    """Write the (m, m) covariance of some rows, `kept` in ascending order."""
+    """Write the (m, m) covariance of the rows `kept`, in ascending order."""
     for i in range(len(kept)):
         row = P[kept[i]]
         for j in range(len(kept)):
@@ -54,14 +54,9 @@ def keep_rows(P: F64, kept: I64, out: F64) -> None:
 
 @kernel
 def insert_rows(P: F64, at: int, cross: F64, own: F64, out: F64) -> None:
-    """Write a covariance with k rows and columns inserted at `at`.
+    """Write the covariance P (n, n) with k rows and columns inserted at row `at` to `out` (n + k, n + k).
 
-    Args:
-        P: (n, n).
-        at: row.
-        cross: (k, n) covariance of the new errors with the others.
-        own: (k, k) of the new errors.
-        out: (n + k, n + k).
+    `cross` (k, n) is the covariance of the new errors with the others, `own` (k, k) that of the new errors.
     """
     n, k = len(P), len(own)
     for i in range(n):
@@ -79,7 +74,7 @@ def insert_rows(P: F64, at: int, cross: F64, own: F64, out: F64) -> None:
 
 @kernel
 def mirror_lower(P: F64) -> None:
-    """Copy the lower triangle of (n, n) to the upper one, block by block."""
+    """Copy the lower triangle of P (n, n) to the upper one, block by block."""
     n, size = len(P), 16
     for top in range(0, n, size):
         for left in range(0, top + 1, size):
@@ -90,7 +85,7 @@ def mirror_lower(P: F64) -> None:
 
 @kernel
 def unit_noise_distance(residual: F64, S: F64, L: F64, y: F64) -> float:
-    """Squared Mahalanobis distance as in `squared_distance`, of the lower half of `S`; L (m, m), y (m,) are scratch."""
+    """Return the distance of `squared_distance`, using only the lower half of `S`; L (m, m) and y (m,) are scratch."""
     out = 0.0
     for r in range(len(residual)):
         e = residual[r]
@@ -108,6 +103,6 @@ def unit_noise_distance(residual: F64, S: F64, L: F64, y: F64) -> float:
 
 @kernel
 def squared_distance(residual: F64, S: F64) -> float:
-    """Squared Mahalanobis distance of an (m,) residual with unit noise and a covariance (m, m) without it."""
+    """Return the squared Mahalanobis distance of a residual (m,) with covariance `S` (m, m) plus unit noise."""
     m = len(residual)
     return float(unit_noise_distance(residual, S, np.empty((m, m)), np.empty(m)))

@@ -1,4 +1,4 @@
-"""Visual update of the EKF: landmarks are measured directly, other tracks once when they end (MSCKF; M11-M17)."""
+"""Visual update of the EKF by landmarks in every exposure, and by other tracks once when they end (MSCKF; M11-M17)."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from alight.motion.robust import median_of, median_residual, robust_pose_weights
 from alight.records import Tracks
 from alight.settings import FilterSettings
 
-MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped: it moves
-_MIN_POSES = 3  # that must have observed a track before it is used
+MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped as moving
+_MIN_POSES = 3  # poses that must have observed a track before it is used
 _MIN_FREEDOM = 2  # degrees of freedom of a track that becomes a landmark: enough to check its observations
 _MAX_LINEARISATION_ERROR = 0.04  # rad between a clone and its first estimate; above it Jacobians are no longer valid
-_RESIDUAL_GAIN = 0.3  # of the last exposure in a landmark's running mean residual
+_RESIDUAL_GAIN = 0.3  # weight of the last exposure in a landmark's running mean residual
 _MAX_MEAN_RESIDUAL = 9.0  # squared mean residual over its expectation by chance; above it a landmark moves
 _MAX_INITIAL_MISFIT = 2.0  # in medians; tracks with a larger residual do not become landmarks
 
 
 def gate_limits(rows: I64, probability: float) -> F64:
-    """Return the largest squared Mahalanobis distances of so many rows that pass a gate (chi-square)."""
+    """Return the largest squared Mahalanobis distances that pass a chi-square gate, for numbers of `rows` (N,)."""
     return np.asarray(2.0 * gammaincinv(0.5 * rows, probability))
 
 
 class VisualUpdate:
-    """Visual update of the state by the tracks of each exposure; it keeps the observations not used yet.
+    """Visual update of the state by the tracks of each exposure; holds the observations not used yet.
 
     Attributes are replaced, never changed in place, so that `copy.copy` gives an independent copy.
     """
@@ -58,7 +58,7 @@ class VisualUpdate:
     def window(self, state: FilterState, exposure_ns: int, frame_id: int) -> CloneWindow:
         """Return the clones with the unused observations, from which their posterior follows (M23).
 
-        Without clones, as after a reset, the window has the present pose alone, as that of the exposure.
+        Without clones, as after a reset, the window holds only the present pose, stamped `exposure_ns`.
         """
         if not len(state.clones):
             state = state.copy()
@@ -66,7 +66,7 @@ class VisualUpdate:
         return CloneWindow.of(state, self._unused, self._cams, self._settings, frame_id)
 
     def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:
-        """Take one exposure: use ended tracks, clone the pose, update landmarks, initialise new ones."""
+        """Process one exposure: use ended tracks, clone the pose, update landmarks and initialise new ones."""
         order = np.argsort(tracks.ids)
         ids, normalised = tracks.ids[order], tracks.normalised[order]
         sigma = observation_sigma(tracks, self._camera, self._settings)[order]
@@ -83,9 +83,10 @@ class VisualUpdate:
         return counts + self._initialise_landmarks(state)
 
     def _relinearise_if_stale(self, state: FilterState, t_ns: int) -> None:
-        """Take Jacobians anew after a start with a wrong heading: between photos in place, else from scratch.
+        """Renew Jacobians once the oldest clone has turned too far from its first estimate.
 
-        The oldest clone has then turned too far from its first estimate.
+        This happens after a wrong initial heading. Between photos the first estimates are replaced; otherwise the
+        visual update is reset.
         """
         w, q, least = state.clones, state.landmarks, 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)
         stale = len(w) > 0 and float((w.R[0] * w.first_R[0]).sum()) < least
@@ -95,7 +96,7 @@ class VisualUpdate:
             self.reset(state)
 
     def _clone_to_drop(self, state: FilterState) -> list[int]:
-        """Return the index of the last clone if the one before is near, else of the oldest if there are too many."""
+        """Return the index of the last clone if it is near the one before, else of the oldest if there are too many."""
         p, off = state.clones.p, state.landmarks.x - state.core[AT.pos]
         distance = float(np.sqrt(median_of((off * off).sum(axis=1)))) if len(off) else 0.0  # m, of the landmarks
         if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < self._settings.clone_baseline * distance:
@@ -129,13 +130,10 @@ class VisualUpdate:
         return GateCounts.of(well_known, passed, distance, freedom)
 
     def _update_landmarks(self, state: FilterState, ids: I64, normalised: F64, sigma: F64) -> GateCounts:
-        """Update the state by the N landmarks observed at its last clone, by m = 2 rows a camera.
+        """Update the state by the N landmarks observed at its last clone, with m = 2 rows per camera.
 
-        Residuals are taken at the estimates, Jacobians at the first estimates (M11; Huang et al. 2008).
-
-        Args:
-            state: corrected in place.
-            ids, normalised, sigma: observations of the exposure, (M,) sorted, (M, cameras, 2), (M,).
+        Residuals are taken at the estimates, Jacobians at the first estimates (M11; Huang et al. 2008). The
+        observations of the exposure are `ids` (M,), ascending, `normalised` (M, cameras, 2) and `sigma` (M,).
         """
         column = positions(ids, state.landmarks.ids)
         index = np.flatnonzero(column >= 0)
@@ -171,7 +169,7 @@ class VisualUpdate:
         return GateCounts.of(tried, passed, distance, count)
 
     def _initialise_landmarks(self, state: FilterState) -> GateCounts:
-        """Move tracks whose observations agree from the window to free places for landmarks, longest first (M17).
+        """Turn tracks whose observations agree into landmarks as long as there is room, the longest tracks first (M17).
 
         Delayed initialisation: the observations of a track are split into two independent parts. The part that does not
         depend on the point measures the poses; it is gated and used. The other part gives the point with its covariance
@@ -213,12 +211,12 @@ class VisualUpdate:
 
 
 def reject_moving(landmarks: Landmarks, index: I64, residual: F64) -> Landmarks:
-    """Mark landmarks whose residual keeps its sign, exposure after exposure: they move slowly.
+    """Mark landmarks whose residual keeps its sign from exposure to exposure, because they move slowly.
 
     Args:
-        landmarks: `rejections` is set to `MAX_REJECTIONS` where they move.
-        index: (N,) of those observed in this exposure.
-        residual: (N, m) of this exposure, in sigmas.
+        landmarks: landmarks; a moving one is returned with `rejections` set to `MAX_REJECTIONS`.
+        index: (N,) landmarks observed in this exposure.
+        residual: (N, m) their residuals in this exposure, in sigmas.
     """
     mean, square = landmarks.mean_residual.copy(), landmarks.mean_square.copy()
     rejections = landmarks.rejections.copy()

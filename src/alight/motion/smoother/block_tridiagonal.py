@@ -23,7 +23,7 @@ class BlockTridiagonal:
         self._factors, self._gains = list[tuple[F64, bool]](), list[F64]()
 
     def add(self, rows: NDArray[np.int64], A: F64, g: F64) -> None:
-        """Add a (m, m) term and its (m,) right side at the unknowns `rows`, all within two neighbouring blocks."""
+        """Add an (m, m) matrix and its (m,) right side at the unknowns `rows`, all within two neighbouring blocks."""
         n, block = self.size, int(rows.min()) // self.size
         local = rows - block * n
         low, high = local < n, local >= n
@@ -34,7 +34,7 @@ class BlockTridiagonal:
             self._diagonal[block + 1][np.ix_(local[high] - n, local[high] - n)] += A[np.ix_(high, high)]
 
     def factorise(self) -> None:
-        """Find the block Cholesky factors, from which the solution and the covariance follow.
+        """Compute the block Cholesky factors, from which the solution and the covariance follow.
 
         Raises:
             numpy.linalg.LinAlgError: A is not positive definite.
@@ -67,10 +67,10 @@ class BlockTridiagonal:
         return out
 
     def joint(self, rows: NDArray[np.int64], own: F64) -> F64:
-        """(m, m): the inverse of A at the unknowns `rows`, in ascending order; `own` is the result of `covariance`.
+        """Return the inverse of A at the m unknowns `rows`, ascending, (m, m); `own` is the result of `covariance`.
 
-        Backward over the blocks: the cross covariance of block b with any later unknown is that of block b + 1, times
-        minus the gain. Memory is that of the answer and of `size` times m numbers.
+        The loop runs backward over the blocks: the cross covariance of block b with any later unknown is that of block
+        b + 1, times minus the gain. It needs memory for the result and for `size` times m numbers.
         """
         size, m = self.size, len(rows)
         out, later = np.zeros((m, m)), np.empty((size, 0))  # `later`: of block b + 1 with the rows from it on

@@ -32,19 +32,19 @@ from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-_SIZE = AT.nav.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
-_POSE = AT.pos.stop  # of these: attitude and position
+_SIZE = AT.nav.stop  # unknowns per exposure: the core of the filter's state up to the GPS/INS errors
+_POSE = AT.pos.stop  # unknowns of these that are attitude and position
 _NAV_SCALE = np.sqrt(27.0)  # sigmas, Cauchy scale of a quantity of GPS/INS
 _ITERATIONS = 12
-_LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
+_LONG = 1500  # exposures; tracks of longer flights are cut shorter, so that memory (0.6 MB per exposure) stays bounded
 _SHORTEST = 5  # exposures in a piece
-_MOST_JOINT = 240  # exposures whose joint covariance is given out: 17 MB; between them errors are interpolated
+_MOST_JOINT = 240  # exposures whose joint covariance is returned: 17 MB; between them errors are interpolated
 _LEAD_NS = 50_000_000  # ns by which an exposure may lie before the first inertial sample for the IMU to drive it
-_ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
+_ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: the solution has converged if all steps of poses are smaller
 
 
 def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
-    """Smooth all exposures; an empty result where that is not possible (too few exposures, no solution)."""
+    """Smooth all exposures; the result is empty if there are too few exposures or no solution."""
     if len(recording.exposures) < LEAST_EXPOSURES:
         return RefinedMotions((), None)
     try:
@@ -56,19 +56,17 @@ def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
 
 @dataclass(frozen=True, eq=False)
 class _NavRow:
-    """One GPS/INS row: the exposure before it, the preintegral up to it, its errors."""
+    """One row of GPS/INS, with the exposure before it, the preintegral up to it, and its errors."""
 
     k: int
     dt: float
     preintegral: Preintegral | None  # None: without IMU
     sample: NavSample
-    decay: F64  # (9,) of the slow errors from the exposure to the row
-    variance: F64  # (9,) of the white errors and of the drift of the slow ones
+    decay: F64  # (9,) decay of the slow errors from the exposure to the row
+    variance: F64  # (9,) variance of the white errors and of the drift of the slow ones
 
 
 class _Batch:
-    """The unknowns and the factors between them."""
-
     def __init__(self, r: RecordedFlight) -> None:
         self._settings, self._motions = r.settings, [m for m, _, _ in r.exposures]
         self._t = [instant(m.t_ns, r.exposures[-1][2]) for m in self._motions]
@@ -90,13 +88,13 @@ class _Batch:
         self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, imu)) is not None]
 
     def _preintegrated(self, imu: ImuBuffer, k: int, end_ns: int) -> Preintegral | None:
-        """Return the IMU sum from exposure k to a later time; None before there is an IMU."""
+        """Return the preintegral from exposure k to a later time; None before there is an IMU."""
         if k < self._inertial:
             return None
         return preintegrate(imu, self._t[k], end_ns, self._x[k, AT.biases], self._settings)
 
     def _nav_row(self, sample: NavSample, imu: ImuBuffer) -> _NavRow | None:
-        """Return a row with the exposure before it; None: before the first one, or an interval after the last one."""
+        """Return a GPS/INS row with the exposure before it; None before all exposures or an interval after them."""
         k = bisect_right(self._t, sample.t_ns) - 1
         if k < 0 or sample.t_ns - self._t[-1] > np.median(np.diff(self._t)):
             return None
@@ -106,7 +104,7 @@ class _Batch:
         return _NavRow(k, dt, self._preintegrated(imu, k, sample.t_ns), sample, decay, variance)
 
     def run(self) -> RefinedMotions:
-        """Gauss-Newton on all unknowns; the weights of observations follow the residuals."""
+        """Solve for all unknowns by Gauss-Newton, with weights of observations that follow the residuals."""
         self._segments.triangulate(*self._rigs())
         for i in range(_ITERATIONS):
             rms = self._segments.reweigh(*self._rigs())
@@ -122,10 +120,11 @@ class _Batch:
         return RefinedMotions(motions, self._joint(motions, system, covariance))
 
     def _joint(self, motions: tuple[Motion, ...], system: BlockTridiagonal, own: F64) -> KeyframePosterior:
-        """Joint posterior of the exposures, or of `_MOST_JOINT` of them, evenly spaced (M22b).
+        """Return the joint posterior of the exposures, or of `_MOST_JOINT` evenly spaced ones (M22b).
 
-        As in the keyframe posterior (M23), tracking errors are correlated: the covariance of the poses relative to the
-        middle one is inflated by the median residual and by `smoother_repeat`; the middle one keeps its own.
+        As in the keyframe posterior (M23), tracking errors are correlated. So the covariance of the poses relative to
+        the middle pose is inflated by the median residual and by `smoother_repeat`; the middle pose keeps its own
+        covariance.
         """
         K = len(motions)
         some = np.unique(np.linspace(0, K - 1, min(K, _MOST_JOINT)).round().astype(int))
@@ -140,7 +139,6 @@ class _Batch:
         return self._R @ self._mount, self._x[:, AT.pos]
 
     def _factorised(self, linear: LinearisedSegments) -> BlockTridiagonal:
-        """Return the normal equations at the present values, factorised."""
         span, K = self._span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
@@ -158,7 +156,7 @@ class _Batch:
         return system
 
     def _step(self, system: BlockTridiagonal, linear: LinearisedSegments) -> F64:
-        """Take the (K, 24) step, points included."""
+        """Solve for the step of the unknowns, (K, 24); apply it to them and to the points, and return it."""
         step = system.solution().reshape(-1, _SIZE)[: len(self._t)]
         linear.move_points(step[:, :_POSE])
         self._R = so3_exp(step[:, AT.att]) @ self._R
@@ -173,12 +171,11 @@ class _Batch:
         system.add(np.arange(_SIZE), np.diag(information), -information * self._x[0])
         for k in range(len(self._t), padded):
             system.add(np.arange(_SIZE) + k * _SIZE, np.eye(_SIZE), np.zeros(_SIZE))
-        weak = np.eye(_SIZE) * 1e-8  # holds unknowns without a measurement, as the accelerometer bias without IMU
+        weak = np.eye(_SIZE) * 1e-8  # fixes unknowns without a measurement, such as the accelerometer bias without IMU
         for k in range(len(self._t)):
             system.add(np.arange(_SIZE) + k * _SIZE, weak, np.zeros(_SIZE))
 
     def _propagated(self, k: int, dt: float, m: Preintegral | None) -> tuple[Step, F64, F64]:
-        """Propagate exposure k by `dt`: the step, its transition and noise (15, 15)."""
         x, s = self._x[k], self._settings
         m = None if m is None else corrected(m, x[AT.biases])
         after, F, Q = propagate(Step(self._R[k], x[AT.pos], x[AT.vel]), x[AT.gyro], m, dt, s)
@@ -189,7 +186,7 @@ class _Batch:
         return after, F, Q
 
     def _add_motion(self, system: BlockTridiagonal) -> None:
-        """Factors between successive exposures: the motion model (M8, M9) and the GPS/INS errors (M10)."""
+        """Add the factors between successive exposures: the motion model (M8, M9) and the GPS/INS errors (M10)."""
         for k, m in enumerate(self._imu_motion):
             dt = (self._t[k + 1] - self._t[k]) * 1e-9
             after, F, Q = self._propagated(k, dt, m)
@@ -208,7 +205,7 @@ class _Batch:
             J[:, _SIZE:] = np.eye(_SIZE)
             J[AT.motion, AT.motion], J[AT.nav, AT.nav] = -F, -np.diag(decay)
             W = np.zeros((_SIZE, _SIZE))
-            W[AT.motion, AT.motion] = np.linalg.inv(Q + 1e-14 * np.eye(len(Q)))  # has an inverse
+            W[AT.motion, AT.motion] = np.linalg.inv(Q + 1e-14 * np.eye(len(Q)))  # now the sum has an inverse
             W[AT.nav, AT.nav] = np.diag(1.0 / drift)
             rows = np.arange(2 * _SIZE) + k * _SIZE
             system.add(rows, J.T @ W @ J, -J.T @ W @ e)
@@ -216,16 +213,17 @@ class _Batch:
     def _nav_drift(self, k: int, dt: float) -> tuple[F64, F64]:
         """Return the (9,) decay and added variance of the GPS/INS errors from exposure k to the next (M10).
 
-        Their variance is what the rows claim at both. Where they claim less, the error becomes smaller with them.
+        Their variance is what the rows claim at both exposures: where later rows claim less, the errors become smaller.
         """
         before, after = self._nav_sigma[k], self._nav_sigma[k + 1]
         decay = nav_decay(dt, before, self._settings)[0] * np.minimum(after / before, 1.0)
         return decay, after**2 - (decay * before) ** 2
 
     def _add_nav(self, system: BlockTridiagonal, row: _NavRow) -> None:
-        """A GPS/INS row at the exposure before it (M14-M16), each of its quantities with a Cauchy weight.
+        """Add a GPS/INS row at the exposure before it (M14-M16); each of its quantities has a Cauchy weight.
 
-        Its noise is its own white part, and the motion model's and the drift of its slow error from there to it.
+        The noise consists of the row's white part, and of the motion model's noise and the drift of the slow error up
+        to it.
         """
         after, F, Q = self._propagated(row.k, row.dt, row.preintegral)
         z, nav = row.sample, row.decay * self._x[row.k, AT.nav]
@@ -250,7 +248,7 @@ class _Batch:
 
     @staticmethod
     def _add_row(system: BlockTridiagonal, k: int, J: F64, e: F64, variance: F64) -> None:
-        """A quantity of GPS/INS at exposure k with its residual e (3,), J (3, 24) and variance (3,)."""
+        """Add a quantity of GPS/INS at exposure k, with residual e (3,), Jacobian J (3, 24) and variance (3,)."""
         W = cauchy((e**2 / variance).sum(keepdims=True), _NAV_SCALE)[0] / variance
         system.add(np.arange(_SIZE) + k * _SIZE, (J.T * W) @ J, J.T @ (W * e))
 
@@ -268,7 +266,7 @@ class _Batch:
 
 
 def _nav_sigmas(nav: Sequence[NavSample], times: Sequence[int], settings: FilterSettings) -> F64:
-    """Return the (K, 9) sigma of GPS/INS at each time: of the last row with that quantity, before any of the first."""
+    """Return (K, 9) 1-sigmas at each time: each quantity's from the last GPS/INS row that holds it, else the first."""
     if not nav:
         return np.ones((len(times), 9))
     out = np.tile(sigmas(nav[0], settings), (len(times), 1))

@@ -14,19 +14,19 @@ from alight.motion.points import NEAR, triangulate_rays
 from alight.motion.robust import cauchy
 from alight.records import Tracks
 
-_MIN_EXPOSURES = 3  # of a segment
-_POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: holds points with parallel rays
+_MIN_EXPOSURES = 3  # least exposures of a segment
+_POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: fixes points with parallel rays
 
 
 def in_camera(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
-    """Return the (N, 3) coordinates of world points in a camera, for one pose (N, 3, 3), (N, 3) of the rig a point."""
+    """Return the coordinates of world points `x` (N, 3) in a camera, for one rig pose (N, 3, 3), (N, 3) per point."""
     return np.asarray((((x - p)[:, None] @ R)[:, 0] - rig_from_cam.translation) @ rig_from_cam.rotation)
 
 
 def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
-    """Return the Jacobians of normalised coordinates by the rig's (rotation, position), (N, 2, 6), and by the point.
+    """Return the Jacobians of normalised coordinates by the rig pose (N, 2, 6) and by the point (N, 2, 3).
 
-    With d = x - p and C = cam_from_world: d(q) = C (dx - dp + [d]x theta), theta the rotation error in the world (M11).
+    With d = x - p, C = cam_from_world: d(q) = C (dx - dp + [d]x theta); theta is the rotation error in the world (M11).
     """
     q = in_camera(R, p, rig_from_cam, x)
     w = 1.0 / np.maximum(q[:, 2], MIN_DEPTH)
@@ -40,16 +40,16 @@ def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
 class TrackSegments:
     """Observations of every track, cut into segments of at most `span` exposures with one point each.
 
-    M observations are sorted by segment; within a segment they are in order of time.
+    The M observations are sorted by segment, and within a segment by time.
     """
 
     def __init__(self, tracks: Sequence[Tracks], sigma: F64, cams: tuple[Pose, ...], span: int) -> None:
-        """Take the tracks of all exposures.
+        """Cut the tracks of all exposures into segments.
 
         Args:
-            sigma: of a normalised coordinate, one a row of all tracks in turn.
-            cams: rig_from_cam.
-            span: exposures, longest segment.
+            sigma: 1-sigma of a normalised coordinate, for each row of all tracks in turn.
+            cams: rig_from_cam of the cameras.
+            span: longest segment, exposures.
         """
         exposure = np.repeat(np.arange(len(tracks)), [len(t.ids) for t in tracks])
         ids, normalised = (np.concatenate(rows) for rows in zip(*((t.ids, t.normalised) for t in tracks), strict=True))
@@ -61,16 +61,16 @@ class TrackSegments:
         self.exposure = exposure[row]  # (M,)
         self.segment = np.unique(segment[row], return_inverse=True)[1]  # (M,)
         self.normalised = normalised[row, self.cam]  # (M, 2)
-        self.sigma = sigma[row]  # (M,) of a normalised coordinate
+        self.sigma = sigma[row]  # (M,) 1-sigma of a normalised coordinate
         self.starts = np.flatnonzero(np.diff(self.segment, prepend=-1, append=self.segment.max(initial=-1) + 1))
         self.count = len(self.starts) - 1
-        self.first = self.exposure[self.starts[:-1]]  # (count,) exposure
+        self.first = self.exposure[self.starts[:-1]]  # (count,) first exposure of each segment
         self.points = np.zeros((self.count, 3))
-        self.weights = np.ones(len(row))  # (M,) of the robust cost
+        self.weights = np.ones(len(row))  # (M,) weights of the robust cost
         self._cams = cams
 
     def _by_camera(self, R: F64, p: F64) -> list[tuple[NDArray[np.intp], F64, F64, Pose]]:
-        """Return, for each camera, the numbers of its observations, the poses of the rig (N, 3, 3), (N, 3), and it."""
+        """Return, for each camera, indices of its observations, rig poses (N, 3, 3), (N, 3), and rig_from_cam."""
         out = []
         for i, cam in enumerate(self._cams):
             index = np.flatnonzero(self.cam == i)
@@ -78,7 +78,7 @@ class TrackSegments:
         return out
 
     def triangulate(self, R: F64, p: F64) -> None:
-        """Set every point to the one nearest to its rays; (K, 3, 3), (K, 3) are the poses of the rig."""
+        """Set every point to the position nearest to its rays, for rig poses `R` (K, 3, 3), `p` (K, 3)."""
         rays, origins = np.empty((len(self.cam), 3)), np.empty((len(self.cam), 3))
         for index, R_rig, p_rig, cam in self._by_camera(R, p):
             in_rig = np.column_stack([self.normalised[index], np.ones(len(index))]) @ cam.rotation.T
@@ -87,7 +87,7 @@ class TrackSegments:
         self.points = triangulate_rays(self.starts, rays, origins, np.ones(len(self.cam)))
 
     def residuals(self, R: F64, p: F64) -> F64:
-        """(M, 2) observed less predicted; NaN where a point lies behind the camera."""
+        """Return the residuals (M, 2), observed less predicted; NaN where a point lies behind the camera."""
         out = np.full((len(self.cam), 2), np.nan)
         for index, R_rig, p_rig, cam in self._by_camera(R, p):
             q = in_camera(R_rig, p_rig, cam, self.points[self.segment[index]])
@@ -96,10 +96,11 @@ class TrackSegments:
         return out
 
     def reweigh(self, R: F64, p: F64) -> float:
-        """Set the weights of the Cauchy cost: of each observation, times the mean of its segment.
+        """Set the weights of the Cauchy cost and return the rms of the weighted residuals, in sigmas.
 
-        A point that moves is wrong as a whole. The scale follows the median residual down to two sigmas, so that a poor
-        start does not count as poor observations. Returns the root mean square of the weighted residuals, in sigmas.
+        The weight of an observation is multiplied by the mean of its segment, because a point that moves is wrong as a
+        whole. The scale follows the median residual down to two sigmas, so that poor initial poses do not look like bad
+        observations.
         """
         e = self.residuals(R, p) / self.sigma[:, None]
         square = (e**2).sum(axis=1)
@@ -112,9 +113,10 @@ class TrackSegments:
         return float(np.sqrt(total / max(2 * self.weights.sum(), 1e-12)))
 
     def median_misfit(self, R: F64, p: F64) -> float:
-        """Median over the segments of the squared residual, in sigmas, per degree of freedom; 0 without any.
+        """Return the median over segments of the squared residual (in sigmas) per degree of freedom; 0 if none exist.
 
-        Segments with a point behind a camera count as the worst; where most are such, it is the largest of the others.
+        Segments with a point behind a camera are ranked as the worst. If most are such, the largest of the others is
+        returned.
         """
         square = ((self.residuals(R, p) / self.sigma[:, None]) ** 2).sum(axis=1)
         freedom = np.maximum(2 * np.diff(self.starts) - 3, 1)
@@ -123,7 +125,7 @@ class TrackSegments:
         return median if np.isfinite(median) else float(misfit[np.isfinite(misfit)].max(initial=0.0))
 
     def linearise(self, R: F64, p: F64) -> LinearisedSegments:
-        """Linearise the weighted observations at the present poses and points."""
+        """Linearise the weighted observations at rig poses `R` (K, 3, 3), `p` (K, 3) and the present points."""
         e = np.nan_to_num(self.residuals(R, p))
         by_pose, by_point = np.zeros((len(e), 2, 6)), np.zeros((len(e), 2, 3))
         for index, R_rig, p_rig, cam in self._by_camera(R, p):
@@ -136,23 +138,23 @@ class LinearisedSegments:
     """Linearised observations with the points eliminated: the Schur complement in factors (M21).
 
     The couplings G of all observations of a point are stacked over the poses. G G' is subtracted from the normal matrix
-    of the poses, and G z from the right side, z = root' gradient.
+    of the poses, and G z from the right side, with z = root' gradient.
     """
 
     def __init__(self, segments: TrackSegments, residual: F64, by_pose: F64, by_point: F64) -> None:
         self._segments, self._residual, self._by_pose, self._by_point = segments, residual, by_pose, by_point
         n, m = segments.count, len(residual)
-        self._coupling, self._gradient = np.empty((m, 6, 3)), np.empty((n, 3))  # G; right side of the points
-        root, self._covariance = np.empty((n, 3, 3)), np.empty((n, 3, 3))  # of the points for exact poses
+        self._coupling, self._gradient = np.empty((m, 6, 3)), np.empty((n, 3))  # G, and the right side of the points
+        root, self._covariance = np.empty((n, 3, 3)), np.empty((n, 3, 3))  # of the points, for exact poses
         given = segments.starts, residual, by_pose, by_point, _POINT_PRIOR
         eliminate_list(*given, self._coupling, self._gradient, root, self._covariance)
         self._reduced_gradient = np.einsum("nji,nj->ni", root, self._gradient)  # z
 
     def reduced(self, start: int, stop: int, span: int) -> tuple[F64, F64]:
-        """Normal equations of 2 span poses from `start` on, by the segments that begin in [start, stop).
+        """Return the normal equations of 2 `span` poses from `start` on, by the segments that begin in [start, stop).
 
         Returns:
-            (12 span, 12 span) matrix and (12 span,) right side.
+            Matrix (12 span, 12 span) and right side (12 span,).
         """
         s = self._segments
         chosen = np.flatnonzero((s.first >= start) & (s.first < stop))
@@ -181,7 +183,7 @@ class LinearisedSegments:
 
 
 def _segment_of(exposure: I64, ids: I64, span: int) -> I64:
-    """Number the segments: observations of one feature, cut every `span` exposures from its first."""
+    """Return the segment number of each observation: tracks are cut every `span` exposures from their first one."""
     if not len(ids):
         return np.zeros(0, np.int64)
     _, feature = np.unique(ids, return_inverse=True)

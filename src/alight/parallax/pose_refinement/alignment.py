@@ -1,8 +1,8 @@
 """Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method/recursive.md).
 
-The pictures fix the exposures and the map relative to each other; their common position stays that of the prior. A
-cell's height and template value are marginalised, the height with the map's own sigma as prior. The joint Gaussian is
-carried from keyframe to keyframe.
+The pictures fix the exposures and the map relative to each other; the common position of both stays at the prior. The
+height and the template value of each cell are marginalised; the prior of the height has the map's own sigma. The joint
+Gaussian is carried from keyframe to keyframe.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class RefinementCells:
-    """The cells of the solve."""
+    """Cells of the map that take part in the solve."""
 
     xs: F64  # (C,) metres east
     ys: F64  # (R,) metres north
-    height: F32  # (R, C) metres, NaN: left out
+    height: F32  # (R, C) metres; NaN: the cell is left out
     kappa: F32  # (R, C) one over the variance of a height about the map's plane
-    about: F64  # (2,) metres, to which the plane's offset refers
-    arm: float  # metres, of the template's gradient
+    about: F64  # (2,) metres east and north, where the plane's offset is taken
+    arm: float  # metres from a cell to the samples for the template's gradient
 
     def coarser(self) -> RefinementCells:
-        """Every second row of the cells, for pictures of half the resolution."""
+        """Return every second row of the cells, for pictures of half the resolution."""
         half = slice(None, None, 2)
         return replace(self, ys=self.ys[half], height=self.height[half], kappa=self.kappa[half], arm=2 * self.arm)
 
@@ -50,20 +50,23 @@ class Alignment:
     """Joint Gaussian over the exposures of a keyframe window and the plane of the map below them."""
 
     settings: ParallaxSettings
-    about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, to which the plane's offset refers
+    about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, where the plane's offset is taken
     state: PoseGaussian | None = None
-    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane found at the last step
+    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane that the last step found
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
-    mapped: bool = False  # there are heights that hold the plane
-    _offset2: float = 0.0  # m^2, variance of the map's place in the world, of its height; pictures do not show it
+    mapped: bool = False  # whether there are heights that fix the plane
+    _offset2: float = 0.0  # m^2, variance of the map's height in the world, which pictures do not show
 
     @property
     def tuning(self) -> PoseRefinementTuning:
-        """The constants of the refinement."""
+        """Constants of the refinement."""
         return self.settings.poses
 
     def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
-        """Adopt the posterior of the keyframes; exposures that are neither in it nor `held` are dropped."""
+        """Adopt the posterior of the keyframes; exposures that are neither in it nor `held` (times in ns) are dropped.
+
+        `drop`: height of the camera above the ground, metres.
+        """
         if self.state is None:
             self.state, self.about = (
                 PoseGaussian.none(np.array(self.tuning.plane_sigma) * [drop, 1, 1]),
@@ -80,9 +83,14 @@ class Alignment:
     def align(
         self, exposures: dict[int, list[Kept]], grid: Grid, known: ElevationMap, old: Mask, ground: float
     ) -> dict[int, list[Kept]]:
-        """Refine the poses of exposures by time with the map; `plane` is then the error of the map that was found.
+        """Return the exposures, by time in ns, with their poses refined against the map `known` on `grid`.
 
-        `old` (R, C): cells that belong to other poses, and count as unknown.
+        Also set `plane` to the error of the map that was found. Without a posterior of every exposure, nothing is
+        refined.
+
+        Args:
+            old: (R, C) cells whose heights belong to other poses and are treated as unknown.
+            ground: height of the ground, metres.
         """
         newest = exposures[max(exposures)][0].view
         self.plane = np.zeros(PLANE)
@@ -98,11 +106,13 @@ class Alignment:
         return {t: [k.posed(self._camera_of(k, poses)) for k in e] for t, e in exposures.items()}
 
     def _camera_of(self, k: Kept, poses: dict[int, Pose]) -> Pose:
-        """world_from_cam of a view, of the poses world_from_body."""
         return poses[k.view.t_ns] @ self._mounts[k.view.t_ns, k.view.cam]
 
     def prior(self, drop: float, here: F64) -> PoseGaussian:
-        """The state, with a plane that may have wandered about `here`, (2,) east and north; before a map, any plane."""
+        """Return the state as prior of a solve: its plane may have wandered about `here` (2,), metres east and north.
+
+        Before there is a map, the plane is free. `drop`: height of the camera above the ground, metres.
+        """
         assert self.state is not None
         scale, P = np.array([drop, 1.0, 1.0]), self.state.covariance.copy()
         if self.mapped:
@@ -115,7 +125,7 @@ class Alignment:
 
     @staticmethod
     def _transition(way: F64) -> F64:
-        """Transition (3, 3) of a plane to the reference point that lies `way` (2,) metres east and north of its own."""
+        """Return the (3, 3) transition of a plane to a reference point `way` (2,) metres east and north of its own."""
         out = np.eye(PLANE)
         out[0, 1:] = way
         return out
@@ -123,12 +133,10 @@ class Alignment:
     def _refined(
         self, prior: PoseGaussian, kept: list[Kept], cells: RefinementCells, drop: float
     ) -> tuple[PoseGaussian, F64]:
-        """The posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
+        """Return the posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
 
-        Args:
-            prior: distribution of the poses and the plane.
-            kept: views of exposures that the prior holds.
-            drop: metres from the cameras to the ground.
+        The views `kept` are of exposures that the prior holds. If the pictures contradict the prior, it is returned
+        unchanged, with a plane error of zero. `drop`: height of the cameras above the ground, metres.
         """
         tuning, pixel = self.tuning, cells.arm / drop  # rad, angle of a pixel
         used = {k.view.t_ns for k in kept}
@@ -165,7 +173,7 @@ class Alignment:
         return prior.corrected(across @ whitened, follow @ after @ follow.T), prior.plane + x[:PLANE]
 
     def _cells(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
-        """A thinned set of cells: trusted ones held to the map, unseen ones free, no others."""
+        """Return a thinned set of cells: trusted cells tied to the map's heights, unseen cells free, no others."""
         every, (xs, ys) = max(1, round((grid.rows * grid.cols / self.tuning.cells) ** 0.5)), grid.xy()
         some = slice(every // 2, None, every), slice(every // 2, None, every)
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
@@ -181,11 +189,11 @@ class Alignment:
         )
 
     def plane_on(self, grid: Grid) -> F32:
-        """Correction of the map's heights that the last step found, (R, C) metres."""
+        """Return the correction of the map's heights that the last step found, (R, C) metres."""
         return plane_on(*grid.xy(), self.plane, self.about)
 
     def datum(self, grid: Grid) -> Datum | None:
-        """Offset and tilt that all heights of a window share, about its middle, with covariance."""
+        """Return the offset and tilt common to all heights of a window, with covariance; None without a map."""
         if self.state is None or not self.mapped:
             return None
         east, north = (float(v.mean()) for v in grid.xy())
@@ -196,7 +204,7 @@ class Alignment:
 
 
 def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseRefinementTuning) -> tuple[int, ...]:
-    """Halvings of the pictures of each linearisation, coarse to fine; more if the newest exposure is less certain."""
+    """Return the halvings of the pictures for each linearisation; there are more if the newest pose is uncertain."""
     P, n = state.covariance, len(state.covariance) - POSE
     own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])  # given all other exposures
     v = np.maximum(own, 0.0)
@@ -207,7 +215,7 @@ def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseR
 
 
 def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
-    """Transition matrix of the errors when the next step takes a share of the heights from these poses (eq. 24)."""
+    """Return the transition of the errors if the next step takes `share` of its heights from these poses (eq. 24)."""
     out = np.eye(size)
     out[:PLANE, :PLANE] *= 1 - share
     out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
@@ -218,13 +226,10 @@ def _information(
     views: list[Prepared], owner: I64, poses: list[Pose], ground: RefinementCells, plane: F64, held: Buffers,
     settings: ParallaxSettings,
 ) -> tuple[F64, F64]:  # fmt: skip
-    """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E.
+    """Return the normal equations A (M, M) and b (M,) at one linearisation, M = 3 + 6E for E exposures.
 
-    Args:
-        views: with the poses of this linearisation.
-        owner: of each the number of its exposure.
-        poses: world_from_body of the exposures.
-        plane: (3,) error of their heights.
+    `owner` (N,) is the index of each view's exposure, `poses` are world_from_body of the exposures, and `plane` (3,) is
+    the error of the map's plane, added to the heights.
     """
     height = ground.height + plane_on(ground.xs, ground.ys, plane, ground.about)
     s = _crosses(views, ground, height, held)
@@ -244,7 +249,7 @@ def _information(
 
 
 def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: Buffers) -> F32:
-    """Samples (N, 5, R, C) at the cells and `arm` metres east, west, north and south of them."""
+    """Return samples (N, 5, R, C) at the cells and at `arm` metres east, west, north and south of them."""
     n, (rows, cols), a = len(views), height.shape, ground.arm
     out = held.get("crosses", (n, 5, rows, cols))
     xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
@@ -257,7 +262,7 @@ def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: 
 
 
 def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuning) -> F64:
-    """One over the variance of each view's samples; 0 for a view that shares too little ground."""
+    """Return the (N,) inverse variances of the views' samples; 0 for a view that shares too little ground."""
     e = np.where(weights > 0, samples - mean, np.float32(0))
     total = weights.sum(axis=(1, 2), dtype=np.float64)
     enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells

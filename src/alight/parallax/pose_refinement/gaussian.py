@@ -1,4 +1,4 @@
-"""Gaussian over the poses of the exposures and the plane of the map, jointly (docs/method/recursive.md, eqs. 22 to 25).
+"""Joint Gaussian over the poses of the exposures and the plane of the map (docs/method/recursive.md, eqs. 22 to 25).
 
 The keyframe posterior of the navigation lane initialises it, the pictures update it.
 """
@@ -18,48 +18,48 @@ from alight.records import KeyframePosterior
 
 
 def corrected_pose(pose: Pose, error: F64) -> Pose:
-    """The pose corrected for an error (6,)."""
+    """Return the pose corrected for an error (6,): position [m], then rotation vector [rad], in world axes."""
     return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
 
 
 def corrected_poses(poses: dict[int, Pose], error: F64) -> dict[int, Pose]:
-    """The poses of E exposures corrected for an error (3 + 6E,), of the plane first."""
+    """Return the poses of E exposures corrected for an error (3 + 6E,), whose first three elements are the plane's."""
     errors = error[PLANE:].reshape(-1, POSE)
     return {t: corrected_pose(p, e) for (t, p), e in zip(poses.items(), errors, strict=True)}
 
 
 def between(a: Pose, b: Pose) -> F64:
-    """The error (6,) that takes `a` to `b`."""
+    """Return the error (6,), position [m] and rotation vector [rad], that takes pose `a` to pose `b`."""
     return np.concatenate([b.translation - a.translation, so3_log(b.rotation @ a.rotation.T)])
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGaussian:
-    """Means and joint covariance; an error must be added to the map's plane and to the poses.
+    """Means and joint covariance of errors, which must be added to the map's plane and to the poses.
 
-    Of the plane: offset up [m], rise per metre towards east and towards north [rad]. Of a pose: position [m], rotation
-    vector [rad], world axes.
+    The plane's error is its offset up [m] and its rise per metre towards east and north [rad]. The error of a pose is
+    its position [m] and rotation vector [rad] in world axes.
     """
 
     poses: dict[int, Pose]  # world_from_body by t_ns of the exposures
     covariance: F64  # (3 + 6E, 3 + 6E)
-    plane: F64  # (3,) mean of the map's error
-    start: F64  # (3 + 6E,) initial error of the next solve: where the last one ended
+    plane: F64  # (3,) mean error of the map's plane
+    start: F64  # (3 + 6E,) initial error of the next solve: the result of the last solve
 
     @classmethod
     def none(cls, plane_sigma: F64) -> PoseGaussian:
-        """Distribution without exposures, with a plane of this 1-sigma (3,)."""
+        """Return a distribution without exposures, whose plane has the 1-sigma `plane_sigma` (3,)."""
         return cls({}, np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
 
     def rows(self, times: Collection[int]) -> NDArray[np.int64]:
-        """Rows of the covariance that belong to the exposures of these times."""
+        """Return the rows of the covariance that belong to the exposures at these times, ns."""
         return PLANE + _rows_of([k for k, t in enumerate(self.poses) if t in times])
 
     def with_posterior(self, posterior: KeyframePosterior) -> PoseGaussian:
-        """Adopt the posterior of the keyframes (eq. 23).
+        """Return the distribution with the posterior of the keyframes adopted (eq. 23).
 
-        Their joint distribution is replaced. The distribution of the other exposures and of the plane, conditional on
-        the keyframes, is kept; so they follow the keyframes. New exposures are appended.
+        The joint distribution of the keyframes is replaced. The distribution of the other exposures and of the plane,
+        conditional on the keyframes, is kept, so that they follow the keyframes. New exposures are appended.
         """
         at = {m.t_ns: k for k, m in enumerate(posterior.motions)}
         shared = [t for t in self.poses if t in at]
@@ -88,21 +88,26 @@ class PoseGaussian:
         return PoseGaussian(means, out, self.plane + shift[:PLANE], np.concatenate([self.start - shift, lead]))
 
     def kept(self, times: Collection[int]) -> PoseGaussian:
-        """Marginalise all other exposures."""
+        """Return the distribution of the plane and the exposures at these times (ns); all others are marginalised."""
         keep = np.concatenate([np.arange(PLANE), self.rows(times)])
         poses = {t: p for t, p in self.poses.items() if t in times}
         return replace(self, poses=poses, covariance=self.covariance[np.ix_(keep, keep)], start=self.start[keep])
 
     def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
-        """The distribution after poses and map were corrected for an error (3 + 6E,)."""
+        """Return the distribution with poses and map corrected for an error (3 + 6E,), and with this covariance."""
         poses, start = corrected_poses(self.poses, error), np.zeros(len(error))
         return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=start)
 
 
 def regress_on(P: F64, across: F64) -> F64:
-    """Regression coefficients (m, n) of m variables on n of covariance `P` (n, n); cross-covariance `across` (n, m).
+    """Return the regression coefficients (m, n) of m variables on n variables.
 
-    Errors common to all make `P` singular; 1e-9 of its variances is added, which does not change the result.
+    Errors common to all n variables make `P` singular. So 1e-9 of its variances is added, which does not change the
+    result.
+
+    Args:
+        P: (n, n) covariance of the n variables.
+        across: (n, m) cross-covariance of both groups.
     """
     if not len(P):
         return np.zeros((across.shape[1], 0))

@@ -10,7 +10,6 @@ PLANE, POSE = 3, 6  # unknowns of the map's plane, which come first, and of an e
 
 @kernel
 def _take_out(sums: F64, by_first: float, by_second: float, out: F64) -> None:
-    """Subtract the outer products of two rows from the upper triangle."""
     for i in range(sums.shape[1]):
         s, t = sums[0, i] * by_first, sums[1, i] * by_second
         if (s != 0.0) | (t != 0.0):
@@ -23,9 +22,9 @@ def _view(
     point: F64, gradient: F64, i: int, k: int, centres: F64, pivots: F64, w: float, e: float, row: F64,
     sums: F64, A: F64, b: F64,
 ) -> float:  # fmt: skip
-    """Add view `i` of exposure `k` to its own block and to the sums of w J and w q J (eq. 18); returns q.
+    """Add view `i` of exposure `k` to its own block and to the sums of w J and w q J (eq. 18); return q.
 
-    Numbers instead of slices: a slice costs more than the sums.
+    It reads single elements instead of slices, because a slice takes longer than the sums.
     """
     gx, gy, at = gradient[0], gradient[1], PLANE + POSE * k
     q = (gx * (point[0] - centres[i, 0]) + gy * (point[1] - centres[i, 1])) / (centres[i, 2] - point[2])
@@ -47,7 +46,7 @@ def _cell(
     point: F64, phi: F64, gradient: F64, s: F32, weights: F32, mean: float, owner: I64, centres: F64, pivots: F64,
     precision: F64, kappa: float, sums: F64, row: F64, A: F64, b: F64,
 ) -> None:  # fmt: skip
-    """Add one cell, its template value and its height eliminated (eqs. 19, 20)."""
+    """Add one cell with its template value and height eliminated (eqs. 19, 20)."""
     sw, sq, sqq, se, sqe = 0.0, 0.0, 0.0, 0.0, 0.0
     sums[:] = 0.0
     for i in range(s.size):
@@ -81,17 +80,17 @@ def joint_normal_equations(
     samples: F32, weights: F32, mean: F32, owner: I64, centres: F64, pivots: F64, precision: F64,
     xs: F64, ys: F64, h: F32, about: F64, arm: float, kappa: F32, A: F64, b: F64,
 ) -> None:  # fmt: skip
-    """Fill, row of cells by row, the upper triangle of the normal equations of the map's plane and the poses.
+    """Fill the upper triangle of the normal equations of the map's plane and the poses, one system per row of cells.
 
     Args:
-        samples, weights: (N, R, C) of the views at the cells.
+        samples, weights: (N, R, C) samples of the views at the cells, and their weights.
         mean: (5, R, C) template at the cells and `arm` metres east, west, north and south of them.
-        owner: (N,) exposure of each view.
-        centres: (N, 3) of the cameras; pivots: (E, 3) about which the exposures turn.
-        precision: (N,) one over each view's variance.
-        xs, ys, h: place of the cells, metres; about: (2,) metres, to which the plane's offset refers.
+        owner: (N,) index of the exposure of each view.
+        centres: (N, 3) camera centres; pivots: (E, 3) positions about which the exposures turn; metres.
+        precision: (N,) one over the variance of each view.
+        xs, ys, h: position of the cells, metres; about: (2,) metres, where the plane's offset is taken.
         kappa: (R, C) one over the variance of a height about the map's plane.
-        A: (R, 3 + 6E, 3 + 6E); b: (R, 3 + 6E). Both are overwritten.
+        A, b: (R, 3 + 6E, 3 + 6E), (R, 3 + 6E) out.
     """
     n, rows, cols = samples.shape
     east, west, north, south = mean[1], mean[2], mean[3], mean[4]
