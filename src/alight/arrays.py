@@ -1,4 +1,4 @@
-"""Names of array types, defined once. Shapes, units and frames stand beside each field and argument."""
+"""Names of array types, defined once. Shapes, units and frames are given next to each field and argument."""
 
 from __future__ import annotations
 

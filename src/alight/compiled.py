@@ -1,7 +1,7 @@
 """The package's only import of Numba: cache location, threading layer and the `kernel` decorators.
 
-Numba keys its cache by each file's own time stamp, so a change in a helper of another file leaves stale callers. The
-cache folder is therefore named by a hash of every kernel source: `*kernels.py` beside the stages, and those of the
+Numba keys its cache by the time stamp of each file, so a changed helper in another file leaves stale callers. The cache
+folder is therefore named by a hash of all kernel sources: the files `*kernels.py` of the stages, and those of the
 simulator, which come in the same wheel.
 """
 
@@ -24,20 +24,20 @@ R = TypeVar("R")
 
 log = logging.getLogger(__name__)
 _DIGEST = hashlib.sha256().digest_size
-LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s to wait for a loop that another process compiles, and between two tries
+LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s: longest wait for another process, time between tries
 
 
 class _Compile(Protocol):
-    """A decorator that compiles a function; the compiler, not the annotations, decides which arguments fit."""
+    """Decorator that compiles a function; the compiler, not the annotations, decides which arguments it accepts."""
 
     def __call__(self, function: Callable[..., R]) -> Callable[..., R]: ...
 
 
-os.environ.setdefault("GOMP_SPINCOUNT", "0")  # a busy neighbour stretches p95 sixteenfold otherwise
+os.environ.setdefault("GOMP_SPINCOUNT", "0")  # spinning makes p95 sixteen times as long on a busy machine
 
 
 def kernel_sources() -> Iterator[Path]:
-    """The files that hold compiled loops, in a fixed order."""
+    """Yield the files that hold compiled loops, in a fixed order."""
     here = Path(__file__).parent
     yield from sorted(here.rglob("*kernels.py"))
     yield from sorted((here.parent / "alight_sim" / "kernels").glob("*.py"))
@@ -50,9 +50,9 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-CACHE = cache_folder(f"kernels-{_sources_digest()}")  # None: loops are kept in memory alone
+CACHE = cache_folder(f"kernels-{_sources_digest()}")  # None: loops are kept in memory only
 if CACHE is not None:
-    os.environ[NAMED] = str(CACHE)  # the children's as well
+    os.environ[NAMED] = str(CACHE)  # for child processes as well
 mend_threads()
 
 import numba  # noqa: E402  (the environment must be set first)
@@ -60,15 +60,15 @@ from numba.core import event  # noqa: E402
 from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
 from numba.core.registry import CPUDispatcher  # noqa: E402
 
-# if numba was imported before this module, it caches beside the sources, by each file's own time: stale callers again
+# needed if numba was imported before this module: it would cache next to the sources and leave stale callers
 numba.config.CACHE_DIR = str(CACHE or "")
-numba.config.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"  # nowhere else: not in the package
+numba.config.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"  # no fallback to a folder in the package
 if not numba.config.DISABLE_JIT:
     numba.config.THREADING_LAYER = "omp"  # two Python threads calling parallel kernels abort on `workqueue`
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Cache files of one loop, each compiled form with a digest; a damaged file counts as missing."""
+    """Cache files of one loop, each compiled form with a digest; a damaged file is treated as missing."""
 
     def _load_index(self) -> Any:
         try:
@@ -90,11 +90,11 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _Turns(event.Listener):  # type: ignore[misc]
-    """Locks of the loops that this process compiles now, innermost last; other processes wait instead of compiling too.
+    """Locks of the loops that this process is compiling, innermost last; other processes wait instead of compiling too.
 
-    A lock covers all forms of a loop: they share one index, and a write would lose the forms that another process wrote
-    meanwhile. Two processes never wait for each other: the holder of a loop waits only for the loops that it calls.
-    Numba's own lock lets one thread of a process compile at a time.
+    A lock covers all forms of a loop. The forms share one index file, so two writers would lose forms. Two processes
+    never wait for each other: the holder of a lock waits only for loops that its own loop calls. Numba's own lock lets
+    one thread of a process compile at a time.
     """
 
     def __init__(self) -> None:
@@ -102,9 +102,9 @@ class _Turns(event.Listener):  # type: ignore[misc]
         event.register("numba:compile", self)
 
     def take(self, path: Path) -> None:
-        """Wait for the lock of a loop, `LONGEST_TURN` at most; its last holder may have compiled the loop."""
+        """Wait for the lock of a loop, `LONGEST_TURN` at most; its previous holder may have compiled the loop."""
         file, end = None, time.monotonic() + LONGEST_TURN
-        with suppress(OSError):  # a folder that cannot be written
+        with suppress(OSError):  # the folder cannot be written
             file = path.open("wb")
             while not locked(file) and time.monotonic() < end:
                 time.sleep(_LOOK_AGAIN)
@@ -119,7 +119,7 @@ class _Turns(event.Listener):  # type: ignore[misc]
         """Do nothing: the lock was taken when the loop was not found in the cache."""
 
     def on_end(self, event: Any) -> None:
-        """Release the lock of a loop whose compilation failed: it will not be saved."""
+        """Release the lock of a loop whose compilation failed, as it will not be saved."""
         if any(getattr(event, "_exc_details", None) or ()):  # `is_failed` is False for every event that has ended
             self.leave()
 
@@ -128,7 +128,7 @@ _turns = _Turns()
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """The compiled forms of one loop on disk; a full or read-only disk costs time and raises nothing."""
+    """Compiled forms of one loop on disk; a full or read-only disk slows down later runs but raises nothing."""
 
     _cache_file: Any
 
@@ -138,7 +138,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _CheckedFile(own._cache_path, self._impl.filename_base, own._source_stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled form; None: this process has the lock and must compile it."""
+        """Return the compiled form; None: this process then holds the lock, and must compile the loop."""
         found = super().load_overload(sig, target_context)
         if found is None:
             _turns.take(Path(self._cache_file._index_path).with_suffix(".turn"))
@@ -148,7 +148,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled form, if that is possible."""
+        """Save a compiled form, if the disk allows it, and release the lock."""
         try:
             super().save_overload(sig, data)
         except OSError as e:
@@ -158,12 +158,12 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 
 def _compiler(**options: Any) -> _Compile:
-    """A decorator that compiles with these options and keeps the result in the cache."""
+    """Return a decorator that compiles with these options and keeps the result in the cache."""
 
     def decorate(function: Callable[..., R]) -> Callable[..., R]:
         loop: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
         if CACHE is not None and not numba.config.DISABLE_JIT:
-            with suppress(RuntimeError):  # the folder was taken away meanwhile
+            with suppress(RuntimeError):  # the folder was removed in the meantime
                 loop._cache = _Cache(function)
         return cast(Callable[..., R], loop)
 
@@ -172,29 +172,29 @@ def _compiler(**options: Any) -> _Compile:
 
 kernel: _Compile = _compiler()
 parallel_kernel: _Compile = _compiler(parallel=True)
-# for minima of numbers without NaN: any order gives the same bits
+# for minima of values without NaN: any order gives the same bits
 minimum_kernel: _Compile = _compiler(fastmath={"nnan", "nsz", "reassoc"})
-# for sums of numbers without NaN: their order, and so their last bits, depend on the machine. Inlined into the caller:
-# a separate copy, optimised once more or once less, made the compiling run differ from all later ones
+# for sums of values without NaN: their order, and so their last bits, depend on the machine. Inlined into the caller:
+# a separate copy, optimised once more or less, made the run that compiles differ from all later runs
 sum_kernel: _Compile = _compiler(fastmath={"nnan", "nsz", "reassoc", "contract"}, forceinline=True)
 inline: _Compile = _compiler(inline="always")
 prange = numba.prange
-# inside a loop over a row of pixels: inlined by LLVM before it vectorises (texture noise 27 -> 2.3 ns a sample)
+# inside a loop over a row of pixels: inlined by LLVM before it vectorises (texture noise 27 -> 2.3 ns per sample)
 pixelwise: _Compile = _compiler(forceinline=True)
 
 
 def most_threads() -> int:
-    """Number of threads that this process may use: the machine's, or the number that the user allows."""
+    """Return the number of threads that this process may use: all of the machine, or the user's limit."""
     return int(numba.config.NUMBA_NUM_THREADS)
 
 
 def use_threads(count: int) -> None:
-    """Set the number of threads for compiled loops that this thread calls, `most_threads()` at most."""
+    """Set the number of threads for compiled loops that this thread calls, limited to `most_threads()`."""
     numba.set_num_threads(min(count, most_threads()))
 
 
 def _stage_kernels() -> Iterator[Any]:
-    """The compiled functions of all stages."""
+    """Yield the compiled functions of all stages."""
     here = Path(__file__).parent
     for source in sorted(here.rglob("*kernels.py")):
         name = ".".join(("alight", *source.relative_to(here).with_suffix("").parts))
@@ -204,11 +204,11 @@ def _stage_kernels() -> Iterator[Any]:
 
 
 def load_cached(parallel: bool) -> int:
-    """Load all cached forms of the stages' loops; return the number of forms.
+    """Load all cached forms of the stages' loops; return the number of forms loaded.
 
     Args:
-        parallel: load the loops that use several threads, else the others. Parallel loops start threads, and a process
-            with threads may not fork.
+        parallel: whether to load the loops with several threads or the loops with one. Parallel loops start threads,
+            and a process with threads must not fork.
     """
     loaded = 0
     for loop in _stage_kernels():
@@ -225,32 +225,32 @@ def load_cached(parallel: bool) -> int:
 
 
 def _mark(folder: Path) -> Path:
-    """File that marks all loops as compiled, named by the sources and their place, as the cache depends on both."""
+    """Return the file that marks all loops as compiled; its name depends on the versions and the sources."""
     about = [sys.version, numba.__version__, *(f"{p.resolve()} {p.stat().st_mtime_ns}" for p in kernel_sources())]
     return folder / f"warm-{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
 
 
 def is_warm() -> bool:
-    """True if every loop of a run was compiled on this machine, from these sources."""
+    """Whether all loops of a run were already compiled on this machine, from these sources."""
     return CACHE is not None and _mark(CACHE).exists()
 
 
 def mark_warm() -> None:
-    """Record that every loop of a run was compiled on this machine, from these sources."""
+    """Record that all loops of a run were compiled on this machine, from these sources."""
     if CACHE is not None:
         with suppress(OSError):
             _mark(CACHE).touch()
 
 
 class CompilationListener(event.Listener):  # type: ignore[misc]
-    """Notes the loops that this process compiles from now on."""
+    """Recorder of the names of the loops that this process compiles from now on."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
         event.register("numba:compile", self)
 
     def on_start(self, event: Any) -> None:
-        """Note the name of the loop."""
+        """Record the name of the loop that is being compiled."""
         self.names.append(event.data["dispatcher"].py_func.__qualname__)
 
     def on_end(self, event: Any) -> None:

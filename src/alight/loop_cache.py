@@ -1,4 +1,4 @@
-"""Cache folder of compiled loops: the user's own, which nobody else can write, else a private temporary one.
+"""Cache folder of compiled loops: private to the user, else temporary.
 
 Code in the cache runs with the user's rights. A folder that another user owns or can write to is therefore never read.
 """
@@ -15,14 +15,14 @@ from pathlib import Path
 
 log = logging.getLogger(__name__)
 
-NAMED = "NUMBA_CACHE_DIR"  # names another folder; child processes find the one of their parent there
+NAMED = "NUMBA_CACHE_DIR"  # variable that names another folder; child processes inherit it
 COST = "loops are compiled anew by this command, about 4 minutes"
 THREADS = ("NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-MOST_THREADS = 16  # per processor; a larger number is a typing error, and the process could start no thread at all
+MOST_THREADS = 16  # per processor; a larger number is a typing error, and no thread could be started
 
 
 def is_private(folder: Path) -> bool:
-    """True if the folder is this user's, no link, and nobody else can write to it."""
+    """Whether the folder belongs to this user, is not a link, and no other user can write to it."""
     try:
         about = folder.lstat()
     except OSError:
@@ -32,7 +32,7 @@ def is_private(folder: Path) -> bool:
 
 
 def is_writable(folder: Path) -> bool:
-    """True if a file can be made and filled there."""
+    """Whether a file can be created and filled in the folder."""
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(4096))
@@ -43,11 +43,11 @@ def is_writable(folder: Path) -> bool:
 
 
 def _usual(name: str) -> Path | None:
-    """Folder of this name in the user's cache, created if possible; None without a home."""
+    """Return the folder of this name in the user's cache, created if possible; None without a home folder."""
     given = os.environ.get("XDG_CACHE_HOME") or ""
     try:
         root = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
-    except RuntimeError:  # no HOME, and a user whom the system does not know
+    except RuntimeError:  # no HOME, and the system has no entry for the user
         return None
     folder = root / "alight" / name
     with suppress(OSError):
@@ -58,7 +58,7 @@ def _usual(name: str) -> Path | None:
 
 
 def _temporary(source: Path | None) -> Path | None:
-    """A private folder for this process and its children, with a copy of `source`; None where none can be made."""
+    """Create a private folder for this process and its children, with a copy of `source`; None if that fails."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="alight-kernels-"))
     except OSError:
@@ -80,12 +80,12 @@ def _remove(folder: Path, maker: int) -> None:
 
 
 def cache_folder(name: str) -> Path | None:
-    """Folder that compiled loops are loaded from and saved in; None: they are kept in memory alone.
+    """Return the folder that compiled loops are loaded from and saved in; None: loops are kept in memory only.
 
-    A folder that may not be trusted or written is replaced, with a warning that names the cost.
+    A folder that is not private or not writable is replaced by a temporary folder. A warning names the cost.
 
     Args:
-        name: of the folder, of these sources.
+        name: name of the folder in the user's cache; it identifies the kernel sources.
     """
     named = os.environ.get(NAMED)
     folder = Path(named) if named else _usual(name)
@@ -106,7 +106,7 @@ def cache_folder(name: str) -> Path | None:
 
 
 def mend_threads() -> None:
-    """Remove thread counts from the environment that the compiler or OpenCV would refuse, or that no machine has.
+    """Remove thread counts from the environment that are not numbers or are too large for this machine.
 
     Also silence a warning: without a writable /dev/shm, numba warns of a lock that only concurrent imports need.
     """

@@ -1,4 +1,4 @@
-"""Operators on rasters that several stages share: blocks, discs, smoothing, morphology, distances, brightness."""
+"""Raster operators that several stages share: blocks, discs, smoothing, morphology, distances, brightness."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from alight.arrays import F32, I64, U8, Mask
 
 T = TypeVar("T", bound=np.generic)
 Float = TypeVar("Float", bound=np.floating[Any])
-RIM = 1e-6  # cells; a centre exactly on the rim belongs to the disc, however the radius is rounded
-LEAST_SHARE = np.float32(1e-3)  # of a Gaussian's weight on known cells: below, no mean is given
-_LOG_LEVELS = np.log(np.arange(256, dtype=np.float32) + np.float32(2.0))  # 2 added: noise in the dark is no contrast
+RIM = 1e-6  # cells, added to the radius: a centre exactly on the rim belongs to the disc in spite of rounding
+LEAST_SHARE = np.float32(1e-3)  # least share of a Gaussian's weight on known cells for a mean
+_LOG_LEVELS = np.log(np.arange(256, dtype=np.float32) + np.float32(2.0))  # + 2: noise in dark pixels gives no contrast
 
 
 def unreadable() -> tuple[type[Exception], ...]:
-    """What a raster file may raise when it is opened or read."""
-    from rasterio._err import CPLE_BaseError  # no public name; coordinates that cannot be converted raise it
+    """Return the exceptions that opening or reading a raster file may raise."""
+    from rasterio._err import CPLE_BaseError  # not public; raised for coordinates that cannot be converted
     from rasterio.errors import CRSError, RasterioError
 
-    return RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError  # the last: a name that is no text
+    return RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError  # the last: a file name that cannot be decoded
 
 
-# -- square blocks of cells: a coarser raster, and back
+# -- square blocks of cells: to a coarser raster, and back
 
 
 def cells_as_blocks(fine: NDArray[T], factor: int) -> NDArray[T]:
-    """Pixels by the cell that they lie in, (R, factor, C, factor), of (R factor, C factor)."""
+    """View (R * factor, C * factor) pixels as (R, factor, C, factor), grouped by cell."""
     rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
     return fine.reshape(rows, factor, cols, factor)
 
 
 def whole_blocks(values: NDArray[T], factor: int) -> NDArray[T]:
-    """Repeat the last row and column of (R, C) until all blocks of `factor` cells a side are whole."""
+    """Repeat the last row and column of (R, C) values until both sides are multiples of `factor`."""
     missing = [(0, -n % factor) for n in values.shape]
     return np.pad(values, missing, mode="edge") if any(n for _, n in missing) else values
 
 
 def block_mean(fine: F32, factor: int) -> F32:
-    """Mean of the pixels of each cell, (R, C) of (R factor, C factor)."""
+    """Compute the mean of `factor` x `factor` pixels per cell: (R * factor, C * factor) to (R, C)."""
     size = (fine.shape[1] // factor, fine.shape[0] // factor)
     return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def block_max(fine: F32, factor: int) -> F32:
-    """Largest of the pixels of each cell, (R, C) of (R factor, C factor)."""
+    """Compute the maximum of `factor` x `factor` pixels per cell: (R * factor, C * factor) to (R, C)."""
     pixels = (fine[r::factor, c::factor] for r in range(factor) for c in range(factor))
     return np.asarray(reduce(np.maximum, pixels), np.float32)
 
 
 def block_quantile(values: F32, factor: int, share: float) -> F32:
-    """Quantile of the known cells of each block; NaN where none is known.
+    """Compute the quantile of the known cells of each block; NaN for a block without a known cell.
 
     Args:
-        values: (R, C), NaN = unknown; the last row and column of blocks may be cut short.
-        factor: cells a side of a block.
-        share: 0 to 1; the cell of that rank, not interpolated.
+        values: (R, C), NaN = unknown; the last row and column of blocks may be incomplete.
+        factor: side of a block, cells.
+        share: quantile, 0 to 1; the value of that rank is returned without interpolation.
     """
     padded = np.pad(
         np.asarray(values, np.float32), [(0, -n % factor) for n in values.shape], constant_values=np.float32(np.nan)
@@ -75,23 +75,23 @@ def block_quantile(values: F32, factor: int, share: float) -> F32:
 
 
 def upsample(coarse: NDArray[T], factor: int, shape: tuple[int, int] | None = None) -> NDArray[T]:
-    """Each cell's value for all its pixels, (R factor, C factor, ...), cut to `shape` (rows, columns) where given."""
+    """Repeat each cell's value for its `factor` x `factor` pixels, and crop the result to `shape` if it is given."""
     fine = np.repeat(np.repeat(coarse, factor, axis=0), factor, axis=1)
     return fine if shape is None else fine[: shape[0], : shape[1]]
 
 
-# -- the disc of cells whose centres lie within a radius: the cells of a lander's footprint
+# -- the disc of cells whose centres lie within a radius, as under a lander's footprint
 
 
 def disc_spans(radius_cells: float) -> I64:
-    """Half widths in cells of the rows of a disc, (2 n + 1,), from the northernmost; `radius_cells`: over cell size."""
+    """Return the half width of each row of a disc, (2 n + 1,) cells, north first; `radius_cells`: radius in cells."""
     reach = math.floor(radius_cells + RIM)
     rows = np.arange(-reach, reach + 1, dtype=np.float64)
     return np.floor(np.sqrt(np.maximum((radius_cells + RIM) ** 2 - rows**2, 0.0)) + RIM).astype(np.int64)
 
 
 def disc_mask(spans: I64) -> U8:
-    """The disc as a (2 n + 1, 2 n + 1) array of ones and zeros, as OpenCV's filters take it."""
+    """Return the disc as a (2 n + 1, 2 n + 1) array of ones and zeros, the format of OpenCV's filters."""
     reach = spans.size // 2
     return (np.abs(np.arange(-reach, reach + 1)) <= spans[:, None]).astype(np.uint8)
 
@@ -101,21 +101,19 @@ def _disc(radius: float, cell: float) -> U8:
 
 
 def _disc_sums(values: F32 | Mask, radius: float, cell: float) -> F32:
-    """Sum over the disc about every cell; cells off the map count as 0."""
     disc = _disc(radius, cell).astype(np.float32)
     return np.asarray(cv2.filter2D(values.astype(np.float32), cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT))
 
 
 @lru_cache(maxsize=16)
 def _cells_in(shape: tuple[int, ...], radius: float, cell: float) -> F32:
-    """Cells of the map in the disc about every cell."""
     cells = _disc_sums(np.ones(shape, np.bool_), radius, cell)
     cells.flags.writeable = False
     return cells
 
 
 def disc_mean(values: F32, radius: float, cell: float) -> F32:
-    """Mean of the known values in the disc about every cell, NaN where none is known; radius and cell in metres."""
+    """Compute the mean of the known values in the disc about every cell, else NaN; `radius`, `cell`: metres."""
     known = np.isfinite(values)
     if known.all():
         return np.asarray(_disc_sums(values, radius, cell) / _cells_in(values.shape, radius, cell), np.float32)
@@ -126,26 +124,26 @@ def disc_mean(values: F32, radius: float, cell: float) -> F32:
 
 
 def disc_max(values: F32, radius: float, cell: float) -> F32:
-    """Largest value in the disc about every cell, at least one cell wide each way; radius and cell in metres."""
+    """Compute the largest value in the disc about every cell, at least one cell in radius; `radius`, `cell`: metres."""
     return np.asarray(cv2.dilate(values, _disc(max(radius, cell), cell), borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 def disc_share(mask: Mask, radius: float, cell: float) -> F32:
-    """Share of the disc about every cell where the mask holds; cells off the map do not count as holding it."""
+    """Compute the share of the disc about every cell where the mask is True; cells off the map are False."""
     disc = _disc(radius, cell).astype(np.float32)
     share: F32 = cv2.filter2D(mask.astype(np.float32), cv2.CV_32F, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT)
     return share
 
 
 def disc_any(mask: Mask, radius: float, cell: float) -> Mask:
-    """True where the mask holds anywhere in the disc about the cell."""
+    """Return the mask of cells with a True cell of `mask` in the disc about them; `radius`, `cell`: metres."""
     disc = _disc(radius, cell)
     near: Mask = cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     return near
 
 
 def disc_crosses_edge(shape: tuple[int, int], radius: float, cell: float) -> Mask:
-    """True for the cells whose disc leaves the map."""
+    """Return the mask of cells whose disc reaches beyond the map; `radius`, `cell`: metres."""
     reach = disc_spans(radius / cell).size // 2
     out = np.ones(shape, dtype=np.bool_)
     out[reach : shape[0] - reach, reach : shape[1] - reach] = False
@@ -153,15 +151,15 @@ def disc_crosses_edge(shape: tuple[int, int], radius: float, cell: float) -> Mas
 
 
 class DiscWindow(NamedTuple):
-    """The cells of a disc, cut at the map's edge."""
+    """Part of a map that a disc covers, cropped at the map's edge."""
 
     rows: slice
     cols: slice
-    inside: Mask  # (rows, cols) of the window
+    inside: Mask  # (rows, cols) of the window; True: in the disc
 
 
 def disc_window(shape: tuple[int, int], row: int, col: int, radius_cells: float) -> DiscWindow:
-    """The window of the disc about one cell of a map of `shape`, and the cells of the disc in it."""
+    """Return the window of the disc about cell (row, col) of a map of `shape`; `radius_cells`: radius in cells."""
     reach = math.floor(radius_cells + RIM)
     rows = slice(max(0, row - reach), min(shape[0], row + reach + 1))
     cols = slice(max(0, col - reach), min(shape[1], col + reach + 1))
@@ -169,18 +167,17 @@ def disc_window(shape: tuple[int, int], row: int, col: int, radius_cells: float)
     return DiscWindow(rows, cols, np.hypot(x, y) <= radius_cells + RIM)
 
 
-# -- Gaussian means, of all cells or of the known ones only (normalised convolution, Knutsson and Westin 1993)
+# -- Gaussian means of all cells, or of known cells only (normalised convolution, Knutsson and Westin 1993)
 
 
 class WeightedMean(NamedTuple):
-    """A weighted mean about every cell, (R, C) each."""
+    """Weighted mean about every cell, (R, C) arrays."""
 
     mean: F32  # not reliable where the share is below `LEAST_SHARE`
-    share: F32  # of the Gaussian's weight that lies on cells with weight, 0 to 1
+    share: F32  # share of the Gaussian's weight on cells with positive weight, 0 to 1
 
 
 def _blurred_small(values: F32, size: tuple[int, int], sigma: float) -> F32:
-    """Area means on a coarser raster of `size` (columns, rows), smoothed there."""
     return np.asarray(cv2.GaussianBlur(cv2.resize(values, size, interpolation=cv2.INTER_AREA), (0, 0), sigma))
 
 
@@ -189,28 +186,28 @@ def _enlarged(values: F32, shape: tuple[int, ...]) -> F32:
 
 
 def gaussian_mean(values: F32, sigma: float) -> F32:
-    """Gaussian mean of all cells, (R, C) without NaN; beyond 6 cells of 1-sigma on a coarser raster, interpolated."""
+    """Compute the Gaussian mean of all cells, (R, C) without NaN; `sigma`: 1-sigma in cells."""
     if sigma <= 6.0:
-        return np.asarray(cv2.GaussianBlur(values, (0, 0), max(sigma, 0.3)), np.float32)  # 0.3: the cell itself
-    n = int(2 * sigma / 6.0)
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), max(sigma, 0.3)), np.float32)  # 0.3: only the cell itself
+    n = int(2 * sigma / 6.0)  # wide Gaussians: on a coarser raster, then interpolated
     size = (max(1, values.shape[1] // n), max(1, values.shape[0] // n))
     return _enlarged(_blurred_small(values, size, sigma / n), values.shape)
 
 
 def difference_of_gaussians(values: F32, narrow: float, wide: float) -> F32:
-    """Detail wider than one Gaussian and narrower than another, (R, C); `narrow`, `wide`: 1-sigma, cells."""
+    """Subtract the Gaussian mean of 1-sigma `wide` from the mean of 1-sigma `narrow`, both in cells; (R, C)."""
     out = gaussian_mean(values, narrow)
     out -= gaussian_mean(values, wide)
     return out
 
 
 def weighted_gaussian(values: F32, weight: F32, sigma: float) -> WeightedMean:
-    """Gaussian mean of the cells with weight, and the share of the Gaussian on them.
+    """Compute the weighted Gaussian mean, and the share of the Gaussian that lies on cells with weight.
 
     Args:
-        values: (R, C); values where the weight is 0, NaN included, do not count.
-        weight: (R, C), at least 0.
-        sigma: cells, 1-sigma.
+        values: (R, C); ignored where the weight is 0, so they may be NaN there.
+        weight: (R, C), 0 or more.
+        sigma: 1-sigma of the Gaussian, cells.
     """
     total = cv2.GaussianBlur(_weighted(values, weight), (0, 0), sigma)
     share = np.asarray(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32)
@@ -218,10 +215,10 @@ def weighted_gaussian(values: F32, weight: F32, sigma: float) -> WeightedMean:
 
 
 def masked_gaussian(values: F32, weight: F32, sigma: float) -> F32:
-    """As `weighted_gaussian`, NaN where no cell with weight is near; beyond 8 cells of 1-sigma on a coarser raster."""
+    """Compute the mean of `weighted_gaussian`, (R, C), with NaN where no cell with weight is near."""
     if sigma <= 8.0:
         return _where_known(weighted_gaussian(values, weight, sigma))
-    n = int(sigma / 4.0)
+    n = int(sigma / 4.0)  # wide Gaussians: on a coarser raster, then interpolated
     size = (max(1, round(values.shape[1] / n)), max(1, round(values.shape[0] / n)))
     total, share = (_blurred_small(a, size, sigma / n) for a in (_weighted(values, weight), weight))
     mean = np.asarray(total / np.maximum(share, LEAST_SHARE), np.float32)
@@ -240,25 +237,25 @@ def _where_known(found: WeightedMean) -> F32:
 
 
 def ellipse(reach: int) -> U8:
-    """The structuring element (2 reach + 1, 2 reach + 1) of ones and zeros; `reach` in cells."""
+    """Return the elliptic structuring element, (2 reach + 1, 2 reach + 1), ones and zeros; `reach` in cells."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)), np.uint8)
 
 
 def close_mask(mask: Mask, reach: int) -> Mask:
-    """Binary closing: the mask with its gaps filled that are narrower than twice the reach, cells."""
+    """Close the mask (binary closing): fill gaps narrower than twice the reach; `reach` in cells."""
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, ellipse(reach), borderValue=0)
     return np.asarray(closed > 0)
 
 
 def grow(mask: Mask, reach: int) -> Mask:
-    """Binary dilation by `reach` cells."""
+    """Dilate the mask by `reach` cells."""
     return np.asarray(cv2.dilate(mask.astype(np.uint8), ellipse(reach)) > 0)
 
 
 def fill_pits(values: F32, width: int) -> F32:
-    """Grey-scale closing: raise low areas that are narrower than `width` cells.
+    """Raise low areas that are narrower than `width` cells (grey-scale closing).
 
-    An element of even width has no middle: it is anchored at opposite corners, so that nothing shifts.
+    A square element of even width has no middle cell. Its anchors at opposite corners keep the values in position.
     """
     if width % 2:
         return np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, ellipse(width // 2)), np.float32)
@@ -268,12 +265,12 @@ def fill_pits(values: F32, width: int) -> F32:
 
 
 def local_max(values: F32, reach: int) -> F32:
-    """Grey-scale dilation: the largest value within `reach` cells."""
+    """Return the largest value within `reach` cells of every cell (grey-scale dilation)."""
     return np.asarray(cv2.dilate(values, ellipse(reach)), np.float32)
 
 
 def without_specks(mask: Mask, cell: float, least: float, neighbours: int = 8) -> Mask:
-    """Drop connected patches of less than `least` square metres; `cell` in metres, `neighbours` of a cell: 4 or 8."""
+    """Remove connected patches smaller than `least` m^2; `cell` in metres, `neighbours`: connectivity, 4 or 8."""
     labels, stats = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=neighbours)[1:3]
     big = stats[:, cv2.CC_STAT_AREA] * cell**2 >= least
     big[0] = False
@@ -284,21 +281,21 @@ def without_specks(mask: Mask, cell: float, least: float, neighbours: int = 8) -
 
 
 def distance_to(mask: Mask) -> F32:
-    """Distance of every cell's centre to the nearest centre in the mask, (R, C) cells; infinite for an empty mask."""
+    """Compute the distance of every cell's centre to the nearest True centre, (R, C) cells; inf if no cell is True."""
     if not mask.any():
         return np.full(mask.shape, np.inf, dtype=np.float32)
-    # not OpenCV's: the last bits of its distances change with the number of free threads
+    # not OpenCV: the last bits of its distances depend on the number of free threads
     return np.asarray(distance_transform_edt(~mask), np.float32)
 
 
 def clearance_of(free: Mask, cell: float) -> F32:
-    """Distance of every cell's centre to the rim of the nearest cell that is not free, (R, C) metres; 0 on these."""
+    """Compute the distance of cell centres to the edge of the nearest cell outside `free`, (R, C) metres; 0 there."""
     out: F32 = np.maximum(distance_to(~free) - np.float32(0.5), np.float32(0)) * np.float32(cell)
     return out
 
 
 def nearest_known(values: NDArray[T], known: Mask) -> NDArray[T]:
-    """Give unknown cells of (R, C, ...) the value of the nearest known one; unchanged if none is known."""
+    """Replace unknown cells of (R, C, ...) by the nearest known cell; `values` is unchanged if no cell is known."""
     if known.all() or not known.any():
         return values
     at = distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -306,21 +303,21 @@ def nearest_known(values: NDArray[T], known: Mask) -> NDArray[T]:
 
 
 def filled_surface(height: F32) -> F32:
-    """Heights (R, C) about their median, where float32 keeps its digits; NaN becomes the nearest known one, or 0."""
+    """Subtract the median from heights (R, C), to keep float32 digits, and fill NaN by the nearest value, or by 0."""
     known = np.isfinite(height)
     middle = np.float32(np.median(height[known])) if known.any() else np.float32(0)
     return np.asarray(np.nan_to_num(nearest_known(height - middle, known)))
 
 
 class Rise(NamedTuple):
-    """Central differences, (R, C) each, a unit of the spacing."""
+    """Central differences per unit of the spacing, (R, C) arrays."""
 
     down: NDArray[Any]  # towards the next row
     right: NDArray[Any]  # towards the next column
 
 
 def gradient(values: NDArray[Float], spacing: float = 1.0) -> Rise:
-    """As `numpy.gradient`, but 0 along a side of one cell, where that raises."""
+    """Compute central differences like `numpy.gradient`, but 0 along a side of one cell, where NumPy raises."""
     sides = [np.gradient(values, spacing, axis=k) if values.shape[k] > 1 else np.zeros_like(values) for k in range(2)]
     return Rise(*sides)
 
@@ -329,60 +326,60 @@ def gradient(values: NDArray[Float], spacing: float = 1.0) -> Rise:
 
 
 def linear_ramp(values: F32, low: float, high: float) -> F32:
-    """0 below `low`, 1 above `high`, linear between; NaN gives 0."""
+    """Map values to 0 below `low`, 1 above `high` and linearly in between; NaN gives 0."""
     scaled = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
     return np.asarray(np.nan_to_num(scaled), np.float32)
 
 
 def log_at_least(values: F32, floor: float) -> F32:
-    """Natural logarithm of max(values, floor); NaN gives log(1) = 0."""
+    """Compute the natural logarithm of max(values, floor); NaN is treated as 1."""
     return np.asarray(np.log(np.maximum(np.nan_to_num(values, nan=1.0), np.float32(floor))), np.float32)
 
 
 def log_offset(values: F32, offset: float) -> F32:
-    """Natural logarithm of values + offset; NaN counts as 0."""
+    """Compute the natural logarithm of values + offset; NaN is treated as 0."""
     return np.asarray(np.log(np.nan_to_num(values) + np.float32(offset)), np.float32)
 
 
-# -- log brightness and excess green of a picture: contrasts in them do not depend on the exposure
+# -- log brightness and excess green of a picture: their contrasts do not depend on the exposure
 
 
 def grey_levels(picture: ArrayLike) -> U8:
-    """Grey levels (R, C) of a picture of 8 bits, (R, C) grey or (R, C, 3) RGB."""
+    """Convert an 8-bit picture, (R, C) grey or (R, C, 3) RGB, to grey levels (R, C)."""
     levels = np.asarray(picture)
     return levels if levels.ndim == 2 else np.asarray(cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def log_levels(levels: U8) -> F32:
-    """Natural logarithm of grey levels, of any shape."""
+    """Compute the natural logarithm of 8-bit grey levels + 2; any shape."""
     return np.asarray(_LOG_LEVELS[levels])
 
 
 def log_brightness(rgb: U8) -> F32:
-    """Natural logarithm of the brightness of a picture, (R, C) of (R, C, 3)."""
+    """Compute the natural logarithm of an RGB picture's brightness: (R, C, 3) to (R, C)."""
     return log_levels(grey_levels(rgb))
 
 
 class BlockLight(NamedTuple):
-    """Log brightness of square blocks of pixels, (R, C) each."""
+    """Log brightness of square blocks of pixels, (R, C) arrays."""
 
     mean: F32
-    seen: F32  # share of the block that was seen: black counts as unseen
-    within: F32  # variance of the pixels of a block; zeros unless `within` is set
+    seen: F32  # share of the block's pixels that are not black: black means unseen
+    within: F32  # variance of the pixels of a block; 0 unless it was requested
 
 
 def _strips(rgb: U8, inner: int) -> Iterator[tuple[slice, U8, F32]]:
-    """Rows of blocks with their pixels and the share of every block that is not black, 256 rows at once.
-
-    Pictures have tens of megapixels.
-    """
+    """Yield strips of 256 rows of blocks, to save memory: rows, pixels, share of each block that is not black."""
     for top in range(0, rgb.shape[0] // inner, 256):
         part = rgb[top * inner : (top + 256) * inner]
         yield slice(top, top + 256), part, block_mean((part[..., 1] > 0).astype(np.float32), inner)
 
 
 def block_light(rgb: U8, inner: int, within: bool = False) -> BlockLight:
-    """Log brightness of blocks of `inner` x `inner` pixels of a picture (R inner, C inner, 3)."""
+    """Compute the log brightness of `inner` x `inner` blocks of an RGB picture (R * inner, C * inner, 3).
+
+    `within`: whether to compute the variance within each block.
+    """
     out = BlockLight(*np.zeros((3, rgb.shape[0] // inner, rgb.shape[1] // inner), np.float32))
     for at, part, seen in _strips(rgb, inner):
         light = log_brightness(part)
@@ -393,15 +390,15 @@ def block_light(rgb: U8, inner: int, within: bool = False) -> BlockLight:
 
 
 class BlockGreen(NamedTuple):
-    """Excess green, (2 G - R - B) / (R + G + B), of square blocks of pixels, (R, C)."""
+    """Excess green, (2 G - R - B) / (R + G + B), of square blocks of pixels, (R, C) arrays."""
 
-    mean: F32  # of the mean colour
-    seen: F32  # as `BlockLight.seen`
-    coloured: bool  # some pixel is not grey
+    mean: F32  # excess green of the block's mean colour
+    seen: F32  # share of the block's pixels that are not black
+    coloured: bool  # whether any pixel of the picture is not grey
 
 
 def block_green(rgb: U8, inner: int) -> BlockGreen:
-    """Excess green of blocks of `inner` x `inner` pixels of a picture (R inner, C inner, 3)."""
+    """Compute the excess green of `inner` x `inner` blocks of an RGB picture (R * inner, C * inner, 3)."""
     mean, seen = np.zeros((2, rgb.shape[0] // inner, rgb.shape[1] // inner), np.float32)
     coloured = False
     for at, part, share in _strips(rgb, inner):

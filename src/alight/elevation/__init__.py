@@ -1,4 +1,4 @@
-"""The elevation map: heights of many grids and cell sizes fused into one, in tiles that roll with the vehicle."""
+"""The elevation map: heights from grids of many cell sizes, fused into one map whose tiles follow the vehicle."""
 
 from alight.elevation.levels import doublings_up_to, on_cells_up_to
 from alight.elevation.map import TiledElevation

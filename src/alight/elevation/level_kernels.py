@@ -16,9 +16,9 @@ def halve(
 ) -> None:  # fmt: skip
     """Fill (R / 2, C / 2) arrays, initialised as `unseen`, with means over 2 x 2 cells of (R, C) arrays.
 
-    Cells with the flag `unseen` do not count. Cells with a bit of `refused` count only if fewer than `enough` of the
-    four have no such bit. Fewer than `whole` seen cells leave the coarse cell unseen. Variances are averaged, not
-    divided; the coarsest sampling is kept.
+    Cells with the flag `unseen` are ignored. Cells with a bit of `refused` are used only if fewer than `enough` of the
+    four cells are free of these bits. A coarse cell with fewer than `whole` seen cells stays unseen. Variances are
+    averaged but not divided. The coarse cell gets the largest sampling and number of views, and the union of the flags.
     """
     for r in range(height2.shape[0]):
         for c in range(height2.shape[1]):

@@ -1,4 +1,4 @@
-"""Resample the map between levels: 2 x 2 means downwards (eq. 16b), bilinear upwards (eq. 16c)."""
+"""Resample the map between levels: 2 x 2 means to coarser levels (eq. 16b), bilinear to finer ones (eq. 16c)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
 from alight.raster import upsample
 from alight.records import REFUSED, ElevationMap, Flag, is_trusted
 
-MIN_SEEN = 3  # of four cells that make the coarse cell seen
-MIN_TRUSTED = 2  # of four cells that make the coarse cell trusted
+MIN_SEEN = 3  # of 4 cells, for a seen coarse cell
+MIN_TRUSTED = 2  # of 4 cells, for a trusted coarse cell
 
 
 def halve_fields(fine: Fields) -> Fields:
-    """Means of 2 x 2 cells (eq. 16b); of the trusted cells alone, if two or more of the four are trusted.
+    """Compute fields at twice the cell size: means of 2 x 2 cells (eq. 16b), of trusted cells only if two are trusted.
 
-    Sigma is not divided: neighbours share their windows, and so their errors.
+    Variances are averaged but not divided: neighbouring cells share matching windows, and so errors.
     """
     rows, cols = fine["flags"].shape
     out = nothing((rows // 2, cols // 2))
@@ -30,9 +30,9 @@ def halve_fields(fine: Fields) -> Fields:
 
 
 def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
-    """Fields at half the cell size (eq. 16c): bilinear between trusted cells; elsewhere the value of the coarse cell.
+    """Compute fields at half the cell size (eq. 16c): bilinear between trusted cells, elsewhere nearest neighbour.
 
-    Sigma grows by a factor.
+    Sigma is multiplied by `inflation`.
     """
     near = {k: upsample(v, 2) for k, v in coarse.items()}
     shape = near["flags"].shape[::-1]
@@ -48,7 +48,7 @@ def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
 
 
 def doublings_up_to(cell: float, most: float) -> int:
-    """Number of times that a cell size can be doubled and is not above `most`, metres both; rounding does not count."""
+    """Return how often `cell` can be doubled without exceeding `most`, both in metres; rounding errors are ignored."""
     number = 0
     while math.ldexp(cell, number + 1) <= most * (1 + 1e-6):
         number += 1
@@ -56,9 +56,9 @@ def doublings_up_to(cell: float, most: float) -> int:
 
 
 def on_cells_up_to(elevation: ElevationMap, cell: float) -> ElevationMap:
-    """Resample a map to the largest cells that are not above `cell` metres, by doubling its own cells.
+    """Double the cell size of a map as often as it stays at most `cell` metres, and resample the map.
 
-    The last row and column may reach beyond the map. The finest picture stays as it is.
+    The last row and column may reach beyond the map. The finest picture is not resampled.
     """
     for _ in range(doublings_up_to(elevation.grid.cell, cell)):
         rows, cols = elevation.grid.shape

@@ -1,7 +1,7 @@
-"""One map of the ground with cells of `cell * 2**level` metres, at each place as fine as the finest heights there.
+"""One map of the ground in levels with cells of `cell * 2**level` metres.
 
-A coarse layer holds the means of the finer layers, where these have heights; a finer layer starts from the coarser
-one. So each layer is the best map at its cell size, except at places that were only seen coarsely.
+A coarse level holds the means of the finer levels where these have heights. A finer level is initialised from the
+coarser one. So each level is the best map at its cell size, except where the ground was only seen coarsely.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from alight.settings.tuning import ElevationTuning
 
 
 def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
-    """True where a new height replaces an old one: trusted before refused, then the smaller sigma; unseen never."""
+    """Return the mask of cells whose new height replaces the old one.
+
+    A seen height replaces an unseen one, and a trusted height replaces a refused one. Otherwise the smaller sigma wins.
+    """
     new_ok, old_ok = is_trusted(new["flags"]), is_trusted(old["flags"])
     smaller = ~(np.nan_to_num(new["sigma"], nan=np.inf) >= np.nan_to_num(old["sigma"], nan=np.inf))
     fresh = ~is_seen(old["flags"])
@@ -27,13 +30,13 @@ def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
 
 
 class TiledElevation:
-    """Elevation map of several levels; a level is opened when it is first used.
+    """Elevation map of several levels; a level is created when it is first used.
 
     Args:
-        cell: metres, of level 0.
-        side: cells of a tile.
-        far: store for the tiles that the vehicle has left behind; None: a dict.
-        tuning: constants for the fusion of heights of different cell sizes.
+        cell: cell size of level 0, metres.
+        side: side of a tile, cells.
+        far: store for packed tiles far from the vehicle; None: a dict.
+        tuning: constants for the fusion of heights of different cell sizes; None: the defaults.
     """
 
     def __init__(
@@ -46,11 +49,11 @@ class TiledElevation:
     # -- rasters
 
     def cell_at(self, level: int) -> float:
-        """Cell size of a level, metres."""
+        """Return the cell size of a level, metres."""
         return math.ldexp(self.cell, level)
 
     def layer(self, level: int = 0) -> TileLayer:
-        """Return the layer of a level; open it, and those between it and the existing layers, if they are missing."""
+        """Return the layer of a level; create it, and the layers between it and the existing ones, if missing."""
         while level < (finest := min(self.layers)):
             self._open(finest - 1)
         while level > (coarsest := max(self.layers)):
@@ -69,7 +72,7 @@ class TiledElevation:
     # -- content
 
     def add(self, heights: Heights, replace_all: bool = False) -> None:
-        """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new height wherever seen)."""
+        """Fuse one step: each cell keeps the better height (see `better`), with `replace_all` every new seen height."""
         layer, new = self._layer_of(heights.grid), {k: getattr(heights, k) for k in FIELDS}
         seen = is_seen(new["flags"])
         take = seen if replace_all else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
@@ -82,7 +85,7 @@ class TiledElevation:
                 layer = self.layers[layer.level + 1]
 
     def _pass_on(self, layer: TileLayer, grid: Grid) -> Grid:
-        """Write the means of a grid into the next coarser layer; return the grid of these coarse cells."""
+        """Write the 2 x 2 means of a grid's cells into the next coarser layer; return the grid of the coarse cells."""
         south, north, west, east = (n // 2 for n in layer.numbers(grid))
         means = halve_fields(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
         coarser = self.layers[layer.level + 1]
@@ -91,7 +94,7 @@ class TiledElevation:
         return above
 
     def _known(self, layer: TileLayer, grid: Grid, inflation: float) -> Fields:
-        """Return the layer's cells; where it has none, those of the next coarser layer, interpolated."""
+        """Return the layer's fields on a grid; unseen cells are interpolated from the next coarser layer."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
         coarser = self.layers.get(layer.level + 1)
@@ -108,7 +111,7 @@ class TiledElevation:
         return out
 
     def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
-        """Add a plane (3,), `plane[0]` metres up at `about` (2,), rising east and north, to the near tiles."""
+        """Add a plane to the heights of all tiles in memory; see `plane_on` for `plane` (3,) and `about` (2,)."""
         for layer in self.layers.values():
             layer.add_plane(plane, about)
 
@@ -117,20 +120,20 @@ class TiledElevation:
         return ElevationMap(grid, **self._known(self._layer_of(grid), grid, 1.0))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
-        """Return the start of a step: as `read`, with sigma inflated where only coarser levels have seen a cell."""
+        """Return the heights that a parallax step starts from: like `read`, with sigma inflated on coarser levels."""
         inflated = self._known(self._layer_of(grid), grid, self._tuning.less_sure)
         return ElevationMap(grid, **inflated)  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
-        """Pack the tiles farther than `radius` metres from the vehicle: memory does not grow with the flight."""
+        """Pack the tiles farther than `radius` metres from `centre` (east, north), so that memory stays bounded."""
         for layer in self.layers.values():
             layer.roll(centre, radius)
 
     def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
-        """Return the map of all seen ground, cropped to whole cells of twice the size; None if nothing was seen.
+        """Return the map of all seen ground, with even numbers of rows and columns; None if nothing was seen.
 
-        The level is the finest one with at least `least_share` of the largest seen area; a coarser one if the map would
-        have more than `most_cells` cells.
+        The level is the finest one with at least `least_share` of the largest seen area. It is a coarser level if the
+        map would otherwise have more than `most_cells` cells.
         """
         boxes = {level: box for level, layer in self.layers.items() if (box := layer.box())}
         if not boxes:
@@ -143,9 +146,9 @@ class TiledElevation:
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:
-    """Return the cells of a level that hold the boxes of several levels, extended to whole cells of twice the size.
+    """Return the cell numbers of a level around the boxes of several levels, with even numbers of rows and columns.
 
-    The land cover is estimated on cells of twice the size; so it needs no copy of the finest picture with another row.
+    Land cover is estimated on cells of twice the size, which then needs no padded copy of the finest picture.
     """
     scale = {k: 2.0 ** (k - level) for k in boxes}
     south, west = (min(math.floor(b[i] * scale[k]) for k, b in boxes.items()) for i in (0, 2))

@@ -1,4 +1,4 @@
-"""Square tiles of one cell size; only those near the vehicle are held as arrays, the others are packed."""
+"""Square tiles of one cell size. Tiles near the vehicle are held as arrays, all other tiles are packed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _shape(name: str, shape: tuple[int, int]) -> tuple[int, ...]:
 
 
 def nothing(shape: tuple[int, int]) -> Fields:
-    """Return fields of cells that were never seen."""
+    """Return fields of unseen cells."""
     return {k: np.full(_shape(k, shape), v, t) for k, (t, v) in FIELDS.items()}
 
 
@@ -44,7 +44,7 @@ def pack_tile(tile: Fields) -> bytes:
 
 
 def unpack_tile(packed: bytes, side: int) -> Fields:
-    """Inverse of `pack_tile`."""
+    """Decompress a tile of `side` x `side` cells: the inverse of `pack_tile`."""
     raw, at, out = lz4.frame.decompress(packed), 0, {}
     for k, (t, _) in FIELDS.items():
         shape = _shape(k, (side, side))
@@ -55,42 +55,41 @@ def unpack_tile(packed: bytes, side: int) -> Fields:
 
 
 def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """True for cells that were seen."""
+    """Return the mask of seen cells."""
     return ~is_flagged(flags, Flag.UNSEEN)
 
 
 def _extent(tile: Fields) -> tuple[Box, int]:
-    """Bounding box and number of the seen cells."""
     seen = is_seen(tile["flags"])
     return box_of(seen), int(seen.sum())
 
 
 class NullStore(dict[Name, bytes]):
-    """A tile store that keeps nothing: the map ends where the vehicle cannot see."""
+    """Tile store that discards all tiles: the map forgets ground that the vehicle has left."""
 
     def __setitem__(self, name: Name, packed: bytes) -> None:
         """Discard the tile."""
 
 
 class TileLayer:
-    """The map at one cell size. Cell centres lie at (k + 1/2) cells east and north of the origin."""
+    """The map at one cell size; cell centres lie at (k + 1/2) cells east and north of the origin."""
 
     def __init__(self, level: int, cell: float, side: int, far: TileStore) -> None:
         self.level, self.cell, self.side = level, cell, side
         self.near: dict[Key, Fields] = {}  # tiles in memory
         self._far = far
-        self.packed: dict[Key, tuple[Box, int]] = {}  # extent and number of seen cells of each packed tile
+        self.packed: dict[Key, tuple[Box, int]] = {}  # bounding box and number of seen cells
 
     # -- the raster
 
     def tile_grid(self, key: Key, margin: int = 0) -> Grid:
-        """Return the grid of one tile, `margin` cells wider on every side."""
+        """Return the grid of one tile, extended by `margin` cells on every side."""
         south, west = key[0] * self.side, key[1] * self.side
         n = self.side + 2 * margin
         return Grid((west - margin + 0.5) * self.cell, (south + self.side + margin - 0.5) * self.cell, self.cell, n, n)
 
     def cover(self, east: tuple[float, float], north: tuple[float, float]) -> Iterator[Key]:
-        """Yield the tiles that a rectangle (metres) touches, southern rows first."""
+        """Yield the tiles that touch a rectangle, southern rows first; `east` and `north`: its limits, metres."""
         span = self.side * self.cell
         rows, cols = np.floor(np.array(north) / span).astype(int), np.floor(np.array(east) / span).astype(int)
         for r in range(rows[0], rows[1] + 1):
@@ -98,22 +97,22 @@ class TileLayer:
                 yield r, c
 
     def window(self, east: tuple[float, float], north: tuple[float, float]) -> Grid:
-        """Return the smallest grid of whole cells over a rectangle (metres)."""
+        """Return the smallest grid of whole cells over a rectangle; `east` and `north`: its limits, metres."""
         c0, c1 = (int(np.floor(e / self.cell)) for e in east)
         r0, r1 = (int(np.floor(n / self.cell)) for n in north)
         return self.cells(r0, r1, c0, c1)
 
     def cells(self, south: int, north: int, west: int, east: int) -> Grid:
-        """Return the grid of the cells between these numbers, all included."""
+        """Return the grid of the cells between these cell numbers, first and last included."""
         return Grid((west + 0.5) * self.cell, (north + 0.5) * self.cell, self.cell, north - south + 1, east - west + 1)
 
     def numbers(self, grid: Grid) -> tuple[int, int, int, int]:
-        """Return the first and last cell number of a grid, south to north and west to east: the inverse of `cells`."""
+        """Return the first and last cell numbers (south, north, west, east) of a grid: the inverse of `cells`."""
         north, west = round(grid.north / self.cell - 0.5), round(grid.east / self.cell - 0.5)
         return north - grid.rows + 1, north, west, west + grid.cols - 1
 
     def _overlaps(self, grid: Grid) -> Iterator[tuple[Key, Box, Box]]:
-        """Yield the tiles under a grid: (key, slices in the tile, slices in the grid)."""
+        """Yield each tile under a grid: its key, its slices in the tile, its slices in the grid."""
         south, north, west, east = self.numbers(grid)
         for r in range(south // self.side, north // self.side + 1):
             for c in range(west // self.side, east // self.side + 1):
@@ -126,13 +125,13 @@ class TileLayer:
     # -- content
 
     def write(self, grid: Grid, fields: Fields, take: NDArray[np.bool_]) -> None:
-        """Replace the cells of a grid that `take` (R, C) marks."""
+        """Replace the cells of a grid where `take` (R, C) is True by `fields`."""
         for key, at, here in self._overlaps(grid):
             if (some := take[here]).any():
                 tile = self._tile(key)
                 mask = np.ascontiguousarray(some).view(np.uint8)
                 for k in FIELDS:
-                    cv2.copyTo(fields[k][here], mask, tile[k][at])  # 20 times as fast as NumPy's for the colours
+                    cv2.copyTo(fields[k][here], mask, tile[k][at])  # 20 times as fast as NumPy for the colours
 
     def _tile(self, key: Key) -> Fields:
         if key not in self.near:
@@ -141,9 +140,9 @@ class TileLayer:
         return self.near[key]
 
     def read(self, grid: Grid) -> Fields:
-        """Return a copy of the cells of a grid."""
+        """Return a copy of the fields on a grid; unseen where the layer has no tile."""
         out = {k: np.empty(_shape(k, grid.shape), t) for k, (t, _) in FIELDS.items()}
-        for key, at, here in self._overlaps(grid):  # all cells, each once
+        for key, at, here in self._overlaps(grid):  # covers every cell once
             tile = self.near.get(key)
             if tile is None and key in self.packed:
                 tile = unpack_tile(self._far[self.level, *key], self.side)
@@ -152,12 +151,12 @@ class TileLayer:
         return out
 
     def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
-        """Add a plane to the tiles that are near."""
+        """Add a plane to the heights of the tiles in memory; see `plane_on` for `plane` (3,) and `about` (2,)."""
         for key, tile in self.near.items():
             tile["height"] += plane_on(*self.tile_grid(key).xy(), plane, about)
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
-        """Pack the tiles farther than `radius` metres from the vehicle."""
+        """Pack the tiles farther than `radius` metres from `centre` (east, north)."""
         for key in list(self.near):
             middle = (np.array(key)[::-1] + 0.5) * self.side * self.cell
             if np.hypot(*(middle - centre)) > radius + self.side * self.cell:
@@ -170,11 +169,11 @@ class TileLayer:
         return self.packed | {k: _extent(t) for k, t in self.near.items()}
 
     def count(self) -> int:
-        """Number of cells that were seen."""
+        """Return the number of seen cells."""
         return sum(n for _, n in self._extents().values())
 
     def box(self) -> tuple[int, int, int, int] | None:
-        """Bounding rectangle of all seen cells, in the order of `numbers`; None if there are none."""
+        """Return the bounding rectangle of all seen cells, in the order of `numbers`; None if no cell was seen."""
         found = [
             ((k[0] + 1) * self.side - r.stop, (k[0] + 1) * self.side - 1 - r.start,
              k[1] * self.side + c.start, k[1] * self.side + c.stop - 1)

@@ -14,10 +14,10 @@ __all__ = ["Evaluation", "evaluate"]
 
 
 def evaluate(out: Path, truth: Path) -> Evaluation:
-    """Compare the run in the folder `out` with a flight with `truth/`, or with a folder with `sfm_reference.npz`.
+    """Compare the run in the folder `out` with `truth`: a flight with `truth/`, or a folder with `sfm_reference.npz`.
 
     Raises:
-        InputError: `out` is no run, or `truth` holds neither.
+        InputError: `out` is not a run, or `truth` contains neither.
     """
     run = read_run(out)
     if (truth / "truth").is_dir():

@@ -1,4 +1,4 @@
-"""Compare a run with a flight with truth: `truth/dem.tif`, `truth/class.tif`, `state_groundtruth_estimate0`."""
+"""Compare a run with a flight's truth: `truth/dem.tif`, `truth/class.tif`, `state_groundtruth_estimate0`."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from alight_sim.truth import safe_mask
 
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE)
-BAD = 0.5  # metres: a height with a larger error must be flagged
-ROOM = 1.0  # metres of clearance: such truly safe ground should not be refused
-NEAR = 0.3  # metres: a claim this near to truly safe ground is an inexact edge, not a mistake
+BAD = 0.5  # metres; a height with a larger error must be flagged
+ROOM = 1.0  # metres of clearance with which truly safe ground should not be refused
+NEAR = 0.3  # metres; a cell this close to truly safe ground is an inexact edge, not a mistake
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +42,19 @@ class FlightTruth:
     dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
     label: NDArray[np.uint8]  # (R, C) Terrain codes
     grid: Grid
-    settled: str = ""  # unit and vertical datum of the heights as they are stored
+    settled: str = ""  # unit and vertical datum of the stored heights
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
-        """Return the cells on which a touchdown is truly safe, by brute force."""
+        """Compute the cells on which a touchdown is truly safe, by brute force; (R, C) of 0 and 1."""
         foot = TrueFootprint(lander.radius, lander.max_slope, lander.max_roughness)
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
 
 def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTruth:
-    """Read the rasters in `truth/`, which must lie in the flight's world `local`, where that is given.
+    """Read the rasters in `truth/`; they must use the coordinates of the flight's world `local`, if it is given.
 
     Raises:
-        InputError: one is missing or unreadable, lies in other coordinates, or the two are not on one grid.
+        InputError: a raster is missing, unreadable or in other coordinates, or the two grids differ.
     """
     paths = [folder / "truth" / f"{name}.tif" for name in ("dem", "class")]
     for path in paths:
@@ -77,25 +77,25 @@ def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTr
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
-    """A run beside the truth, its map and places first moved back by an offset."""
+    """Comparison of a run with the truth, after the run's map and sites are moved back by an offset."""
 
     run: Run
     truth: FlightTruth
-    safe: NDArray[np.uint8]  # cells of the truth on which a touchdown is safe
+    safe: NDArray[np.uint8]  # cells of the truth where a touchdown is safe
     out: Evaluation
-    offset: F64  # (3,) metres
-    suffix: str = ""  # of the names of all numbers
+    offset: F64  # (3,) metres, of the run from the truth
+    suffix: str = ""  # suffix of the names of all numbers
 
     def put(self, name: str, value: float | str) -> None:
         self.out.put(name + self.suffix, value)
 
     def at(self, raster: NDArray[Any], grid: Grid) -> NDArray[Any]:
-        """A raster of the truth at the cells of the run's map."""
+        """Return the values of a truth raster at the cells of the run's map."""
         east, north = np.meshgrid(*grid.xy())
         return self.truth.grid.nearest_at(raster, east - self.offset[0], north - self.offset[1])
 
     def heights(self) -> None:
-        """Compare heights, sigma and acceptance by class."""
+        """Compare heights, sigma and acceptance with the truth, by class."""
         run = self.run
         if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
             self.put("heights", "the run has no dem.tif")
@@ -131,7 +131,7 @@ class _Comparison:
             self.put(name, value)
 
     def decision(self) -> None:
-        """Compare the listed places and the cells that are claimed safe with the truly safe cells."""
+        """Compare the listed sites and the cells declared safe with the truly safe cells."""
         run, grid = self.run, self.truth.grid
         sites, candidates = (places_of(run, kind) - self.offset[:2] for kind in ("sites", "candidates"))
         good, maybe = (grid.nearest_at(self.safe, *p.T).astype(bool).tolist() for p in (sites, candidates))
@@ -161,7 +161,7 @@ class _Comparison:
 
 
 def tilted(run: Run, east: F64, north: F64) -> F64:
-    """1-sigma of the height from the common tilt of the map at each place, metres; 0 without covariance."""
+    """Compute the 1-sigma of the height at each position due to the map's common tilt, metres; 0 without covariance."""
     common = run.info.get("common_error")
     if common is None:
         return np.zeros(np.shape(east))
@@ -173,8 +173,9 @@ def tilted(run: Run, east: F64, north: F64) -> F64:
 def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
     """Estimate the constant offset of the map from its heights, (3,) metres east, north and up.
 
-    Robust least squares of the height error on the slope of the map and a constant (Nuth and Kaab 2011, eqs. 1 to 3,
-    solved directly), from the offset of the path on. A map of a flight in progress is not where the smoothed path is.
+    The height error is fitted to the slope of the map and a constant by robust least squares (Nuth and Kaab 2011, eqs.
+    1 to 3, solved directly), starting from the path's `offset`. A map made in flight is not aligned with the smoothed
+    path.
     """
     if run.height is None or run.grid is None or run.flags is None:
         return offset
@@ -192,7 +193,7 @@ def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
 
 
 def robust(A: F64, y: F64) -> F64:
-    """Solve A x = y by least squares with Cauchy weights at twice the NMAD."""
+    """Solve A x = y by least squares with Cauchy weights at twice the NMAD; return x."""
     x: F64 = np.zeros(A.shape[1])
     weight: F64 = np.ones(len(y))
     for _ in range(8):
@@ -203,23 +204,23 @@ def robust(A: F64, y: F64) -> F64:
 
 
 def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
-    """Number of cells of `part` in percent of the number of cells of `whole`."""
+    """Return the number of cells of `part` as a percentage of the number of cells of `whole`."""
     return 100 * float(part.sum() / max(whole.sum(), 1))
 
 
 def places_of(run: Run, kind: str) -> F64:
-    """East and north of the sites or of the candidates, (N, 2) metres."""
+    """Return east and north of the run's sites or candidates (`kind`), (N, 2) metres."""
     places = run.info["answer"][kind]
     return np.array([[s["east_m"], s["north_m"]] for s in places], dtype=np.float64).reshape(-1, 2)
 
 
 def dilated(mask: NDArray[np.bool_], cells: float) -> NDArray[np.bool_]:
-    """Grow a mask by a radius in cells."""
+    """Dilate a mask by a radius in cells."""
     return np.asarray(distance_transform_edt(~mask) <= cells) if mask.any() else mask
 
 
 def position_errors(run: Run, truth: Trajectory) -> tuple[F64, F64]:
-    """Estimated minus true body poses at the same times: (N, 3) metres in the world, (N, 3) rotation vectors in rad."""
+    """Compute estimated minus true poses at equal times: positions (N, 3), metres, rotation vectors (N, 3), rad."""
     path = run.folder / "trajectory.tum"
     if run.local is None or not path.exists():
         return np.empty((0, 3)), np.empty((0, 3))
@@ -231,7 +232,7 @@ def position_errors(run: Run, truth: Trajectory) -> tuple[F64, F64]:
 
 
 def trajectory(d: F64, r: F64, out: Evaluation) -> None:
-    """Report the errors of the poses."""
+    """Add the statistics of position errors `d` and rotation errors `r` to the evaluation."""
     out.put("position RMSE, m", rms(np.linalg.norm(d, axis=1)))
     out.put("position mean error (east, north, up), m", " ".join(f"{v:.3f}" for v in d.mean(0)))
     out.put("position RMSE less a constant, m", rms(np.linalg.norm(d - d.mean(0), axis=1)))
@@ -242,10 +243,10 @@ def trajectory(d: F64, r: F64, out: Evaluation) -> None:
 def against_flight(run: Run, folder: Path) -> Evaluation:
     """Compare a run with a flight that has truth: the map as it is, and registered.
 
-    Estimated poses carry the drift of the GPS. If the path is off by a metre, the map is off by the same metre, and
-    its heights as they are compare different places. In rows that end in `, registered`, the constant offset of the
-    path (mean position error, three numbers) is subtracted from map and sites, and nothing else. In rows that end in
-    `, registered by its heights`, the constant offset is subtracted that is estimated from the heights themselves.
+    Estimated poses carry the drift of the GPS. If the path is off by a metre, so is the map, and its heights are
+    compared at wrong positions. In rows that end in `, registered`, the constant offset of the path (mean position
+    error) is subtracted from map and sites. In rows that end in `, registered by its heights`, the offset that is
+    estimated from the heights is subtracted instead.
 
     Raises:
         InputError: the flight has no truth, or is not the flight of the run.

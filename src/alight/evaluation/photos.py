@@ -1,4 +1,4 @@
-"""Compare a run over photos with a structure-from-motion reference: `sfm_reference.npz`, perhaps `slab_plane.npz`."""
+"""Compare a run over photos with a structure-from-motion reference: `sfm_reference.npz`, optional `slab_plane.npz`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from alight.records import Flag, InputError, is_flagged
 from alight.sources.tum import read_tum
 from alight.spread import nmad
 
-# names and shapes: -1 is the number of points, -2 that of the photos
+# shapes by name; -1: number of points, -2: number of photos
 REFERENCE = {
     "origin_llh": (3,),
     "points_enu": (-1, 3),
@@ -34,7 +34,7 @@ SLAB = {"points": (-1, 3), "inlier": (-1,)}
 
 
 def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
-    """Interpolate heights between cell centres, bilinear; the nearest cell where a neighbour is missing."""
+    """Interpolate heights bilinearly at positions, metres; the nearest cell if a neighbouring cell is missing."""
     r, c = (i.astype(np.float32) for i in grid.index(east, north))
     source = height.astype(np.float64)
     linear = cv2.remap(source, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan).ravel()
@@ -43,7 +43,7 @@ def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64)
 
 
 def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
-    """Fit a plane (a, b, c) to errors over east and north, outliers left out twice; return it and the residuals."""
+    """Fit a plane a east + b north + c to errors, without outliers; return (a, b, c) and all residuals."""
     X = np.c_[points[:, :2], np.ones(len(points))]
     use = np.abs(errors - np.median(errors)) < max(5 * nmad(errors), 0.05)
     for _ in range(2):
@@ -54,7 +54,7 @@ def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
 
 
 def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
-    """Return the cells of a flat slab: the cells with its points, closed over 1 m gaps."""
+    """Return the mask of a flat slab, (R, C): the cells with its points, with gaps up to 1 m closed."""
     r, c = (np.rint(i).astype(int) for i in grid.index(points[inlier, 0], points[inlier, 1]))
     inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
     mask = np.zeros(grid.shape, np.uint8)
@@ -64,7 +64,7 @@ def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bo
 
 
 def high_pass(height: F64, cell: float) -> F64:
-    """Heights minus their mean over 1 m."""
+    """Subtract the mean over 1 m from heights."""
     known = np.isfinite(height)
     k = (round(1.0 / cell) | 1,) * 2
     weight = cv2.blur(known.astype(np.float64), k)
@@ -72,10 +72,10 @@ def high_pass(height: F64, cell: float) -> F64:
 
 
 def against_photos(run: Run, folder: Path) -> Evaluation:
-    """Compare heights and camera centres with a reference.
+    """Compare heights and camera centres with a structure-from-motion reference.
 
     Raises:
-        InputError: the run has no place on Earth, or the reference cannot be read or is of another place.
+        InputError: the run has no absolute position, or the reference is unreadable or of another location.
     """
     if run.local is None:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the reference")
@@ -84,7 +84,7 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
     if np.linalg.norm(run.local.to_enu(frame.latitude, frame.longitude, frame.height)) > 20_000.0:
         raise InputError(f"{folder}: the reference of another place; name the one of the photos that were run")
     out = Evaluation(f"{run.folder} against the reference of {folder}")
-    used = (ref["points_track"] >= 3) & (ref["points_err"] < 1.0)  # photos, px
+    used = (ref["points_track"] >= 3) & (ref["points_err"] < 1.0)  # seen in 3 photos; reprojection error, px
     points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][used]))
     _heights(run, points, out)
     if (folder / "slab_plane.npz").exists():
@@ -95,10 +95,10 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
 
 
 def read_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray[Any]]:
-    """Read named arrays of an .npz file.
+    """Read named arrays of an .npz file, and check their shapes.
 
     Raises:
-        InputError: the file cannot be read or lacks one of the arrays, or an array has another shape or is not numeric.
+        InputError: the file is unreadable, an array is missing or not numeric, or its shape is wrong.
     """
     try:
         largest = 4_000_000_000  # bytes
@@ -162,7 +162,7 @@ def _centres(run: Run, centres: F64, out: Evaluation) -> None:
     path = run.folder / "trajectory.tum"
     if not path.exists() or run.local is None:
         return
-    own = np.array([p.translation for p in read_tum(path, run.local)[1]])  # a photo's body is its camera
+    own = np.array([p.translation for p in read_tum(path, run.local)[1]])  # the body of a photo is its camera
     distance, index = cKDTree(centres).query(own)
     if len(set(index.tolist())) < len(own):
         out.put("camera centres", "cannot be distinguished: two are nearest to the same reference")

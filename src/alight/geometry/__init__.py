@@ -1,4 +1,4 @@
-"""Rotations, rigid poses, cameras, the world grid, geodetic <-> local. Ground floor: imports nothing of ours."""
+"""Rotations, rigid poses, cameras, the world grid and geodetic conversion; imports no other package of the project."""
 
 from alight.geometry.cameras import Camera
 from alight.geometry.geodesy import LOCAL_WKT, LocalFrame, ellipsoid_fall, world_up

@@ -1,4 +1,4 @@
-"""Cameras: pinhole with no, radial-tangential or equidistant distortion.
+"""Camera models: pinhole with no, radial-tangential or equidistant distortion.
 
 Optical frame: x right, y down, z forward. Pixels: the centre of the top-left pixel is (0, 0).
 """
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from alight.arrays import F64
 
-_MODELS = ("none", "radial-tangential", "equidistant")  # in the order of the kernels' codes
+_MODELS = ("none", "radial-tangential", "equidistant")  # the position is the model's code in the kernels
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,8 @@ class Camera:
     """Intrinsics of one camera, after Brown-Conrady (radial-tangential) or Kannala-Brandt (equidistant).
 
     Raises:
-        ValueError: the numbers are no camera (focal length not positive, unknown model, wrong count).
+        ValueError: a focal length or size is not positive, the model is unknown, or its number of coefficients is
+            wrong.
     """
 
     width: int
@@ -29,8 +30,8 @@ class Camera:
     fv: float
     cu: float
     cv: float
-    model: str = "none"  # none | radial-tangential | equidistant
-    distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3] or k1..k4
+    model: str = "none"  # none, radial-tangential or equidistant
+    distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3] (radial-tangential) or k1 k2 k3 k4 (equidistant)
 
     def __post_init__(self) -> None:
         allowed = dict(zip(_MODELS, ((0,), (4, 5), (4,)), strict=True))
@@ -44,21 +45,21 @@ class Camera:
 
     @property
     def K(self) -> F64:
-        """The (3, 3) calibration matrix, pixels."""
+        """Calibration matrix, (3, 3), pixels."""
         return np.array([[self.fu, 0.0, self.cu], [0.0, self.fv, self.cv], [0.0, 0.0, 1.0]])
 
     @property
     def code(self) -> int:
-        """The model's number in the kernels."""
+        """Code of the distortion model in the compiled loops."""
         return _MODELS.index(self.model)
 
     @property
     def coefficients(self) -> F64:
-        """The distortion as the (5,) numbers of the kernels, zero where the model has none."""
+        """Distortion coefficients for the compiled loops, (5,), padded with zeros."""
         return np.array([*self.distortion, *([0.0] * (5 - len(self.distortion)))])
 
     def scaled(self, factor: float) -> Camera:
-        """Return the same lens for an image resized by `factor`; pixel centres are at integers in both images."""
+        """Return the camera of an image resized by `factor`; integer coordinates are pixel centres in both images."""
         return replace(
             self,
             width=round(self.width * factor),
@@ -70,7 +71,7 @@ class Camera:
         )
 
     def distort(self, normalised: ArrayLike) -> F64:
-        """Convert (..., 2) ideal coordinates x/z, y/z to distorted ones."""
+        """Convert (..., 2) ideal normalised coordinates x/z, y/z to distorted normalised coordinates."""
         xy = np.asarray(normalised, dtype=np.float64)
         if self.model == "none":
             return xy
@@ -91,7 +92,7 @@ class Camera:
         )
 
     def undistort(self, distorted: ArrayLike, iterations: int = 20) -> F64:
-        """Convert (..., 2) distorted coordinates to ideal ones (Newton with the numerical Jacobian)."""
+        """Convert (..., 2) distorted normalised coordinates to ideal ones by Newton steps with a numerical Jacobian."""
         target = np.asarray(distorted, dtype=np.float64)
         if self.model == "none":
             return target
@@ -120,6 +121,6 @@ class Camera:
         return xy * [self.fu, self.fv] + [self.cu, self.cv]
 
     def rays(self, pixels: ArrayLike) -> F64:
-        """Convert (..., 2) pixels to (..., 3) directions in the optical frame with z = 1."""
+        """Convert (..., 2) pixels to (..., 3) ray directions in the optical frame, scaled to z = 1."""
         xy = self.undistort((np.asarray(pixels, dtype=np.float64) - [self.cu, self.cv]) / [self.fu, self.fv])
         return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)

@@ -1,4 +1,4 @@
-"""Geodetic <-> local: ENU tangent plane at an origin on the WGS84 ellipsoid, heights above both, the CRS of rasters."""
+"""Geodetic and local coordinates: the ENU tangent plane at an origin, heights above the ellipsoid, CRS of rasters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _A = 6378137.0  # semi-major axis, metres
 _F = 1 / 298.257223563  # flattening
 _E2 = _F * (2 - _F)
 _MEAN_RADIUS = 6371008.8  # metres
-# CRS of rasters that have no place on Earth
+# CRS of rasters that are not georeferenced
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
 
@@ -34,10 +34,10 @@ def _ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) 
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """The world: East-North-Up about an origin (degrees; metres above the WGS84 ellipsoid).
+    """World frame: East-North-Up about an origin given in degrees and metres above the WGS84 ellipsoid.
 
     Raises:
-        ValueError: the origin is no place on Earth.
+        ValueError: the origin is not a position on Earth.
     """
 
     latitude: float
@@ -65,17 +65,17 @@ class LocalFrame:
         )
 
     def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> F64:
-        """Convert geodetic coordinates (degrees, metres) to (..., 3) ENU metres."""
+        """Convert geodetic coordinates (degrees, metres above the ellipsoid) to (..., 3) ENU metres."""
         d = _ecef(latitude_deg, longitude_deg, height) - self._origin
         return np.asarray(d @ self._enu_from_ecef.T)
 
     def to_geodetic(self, enu: ArrayLike) -> tuple[F64, F64, F64]:
-        """Convert (..., 3) ENU metres to latitude, longitude (degrees) and ellipsoidal height (metres)."""
+        """Convert (..., 3) ENU metres to latitude and longitude (degrees) and height above the ellipsoid (metres)."""
         p = np.asarray(enu, dtype=np.float64) @ self._enu_from_ecef + self._origin
         x, y, z = p[..., 0], p[..., 1], p[..., 2]
         r = np.hypot(x, y)
         lat = np.arctan2(z, r * (1 - _E2))
-        for _ in range(6):  # fixed point; converges by 1/150 a turn
+        for _ in range(6):  # fixed point: each iteration divides the error by 150
             n = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
             lat = np.arctan2(z + _E2 * n * np.sin(lat), r)
         n = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
@@ -92,14 +92,14 @@ class LocalFrame:
 
 
 def ellipsoid_fall(grid: Grid) -> F64:
-    """Height of the origin's tangent plane above the ellipsoid's surface through the origin, (R, C) metres.
+    """Compute how far the ellipsoid falls below the tangent plane at the origin, (R, C) metres.
 
-    It is d^2 / 2R at the distance d from the origin: 7 mm at 300 m.
+    The fall is d^2 / 2R at the distance d from the origin, with the mean Earth radius R: 7 mm at 300 m.
     """
     east, north = grid.xy()
     return np.asarray((east[None, :] ** 2 + north[:, None] ** 2) / (2 * _MEAN_RADIUS))
 
 
 def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -> F32:
-    """Convert heights above the ellipsoid, (R, C) metres, to metres above the origin's tangent plane."""
+    """Convert heights above the ellipsoid, (R, C) metres, to heights above the tangent plane at the origin `local`."""
     return (height.astype(np.float64) - local.height - ellipsoid_fall(grid)).astype(np.float32)

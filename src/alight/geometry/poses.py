@@ -21,9 +21,9 @@ def _readonly(a: ArrayLike, shape: tuple[int, ...]) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A rigid motion: `x_dst = rotation @ x_src + translation`."""
+    """Rigid transform: `x_dst = rotation @ x_src + translation`."""
 
-    rotation: F64 = field(default_factory=lambda: np.eye(3))  # (3, 3) dst from src
+    rotation: F64 = field(default_factory=lambda: np.eye(3))  # (3, 3), from src to dst
     translation: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) origin of src in dst, metres
 
     def __post_init__(self) -> None:
@@ -31,17 +31,17 @@ class Pose:
         object.__setattr__(self, "translation", _readonly(self.translation, (3,)))
 
     def __setstate__(self, state: dict[str, F64]) -> None:
-        """Set the arrays read-only again after pickling: loops are compiled for read-only arrays."""
+        """Restore a pickled pose with read-only arrays, as the compiled loops expect."""
         for name, value in state.items():
             value.flags.writeable = False
             object.__setattr__(self, name, value)
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, tolerance: float = 1e-3) -> Pose:
-        """Make a pose of a (4, 4) homogeneous matrix, its rotation made orthonormal.
+        """Build a pose from a (4, 4) homogeneous matrix; its rotation is made exactly orthonormal.
 
         Raises:
-            ValueError: the matrix is not a rigid motion to within `tolerance`.
+            ValueError: the matrix is not a rigid transform to within `tolerance`.
         """
         M = np.asarray(matrix, dtype=np.float64)
         if M.shape != (4, 4) or not np.isfinite(M).all():
@@ -56,24 +56,24 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, quaternion_wxyz: ArrayLike, translation: ArrayLike) -> Pose:
-        """Make a pose of a quaternion (w, x, y, z) and a translation in metres."""
+        """Build a pose from a quaternion (w, x, y, z) and a translation in metres."""
         return cls(matrix_from_quaternion(quaternion_wxyz), np.asarray(translation))
 
     @property
     def matrix(self) -> F64:
-        """The (4, 4) homogeneous matrix."""
+        """Homogeneous matrix, (4, 4)."""
         M = np.eye(4)
         M[:3, :3], M[:3, 3] = self.rotation, self.translation
         return M
 
     @property
     def quaternion(self) -> F64:
-        """The rotation as (w, x, y, z)."""
+        """Rotation as a unit quaternion (w, x, y, z), w >= 0."""
         return quaternion_from_matrix(self.rotation)
 
     @property
     def inverse(self) -> Pose:
-        """The inverse transform, `src_from_dst`."""
+        """Inverse pose, `src_from_dst`."""
         return Pose(self.rotation.T, -self.rotation.T @ self.translation)
 
     def __matmul__(self, other: Pose) -> Pose:
@@ -84,5 +84,5 @@ class Pose:
         return np.asarray(points) @ self.rotation.T + self.translation
 
     def interpolate(self, other: Pose, t: float) -> Pose:
-        """Return the pose a fraction `t` of the way to `other`: straight line, shortest rotation."""
+        """Interpolate to `other`, from `t` = 0 (this pose) to 1 (`other`): straight line, shortest rotation."""
         return Pose(slerp(self.rotation, other.rotation, t), (1 - t) * self.translation + t * other.translation)

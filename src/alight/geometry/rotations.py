@@ -1,7 +1,7 @@
 """Rotations: SO(3) exponential and logarithm, quaternions (w, x, y, z; Hamilton), yaw-pitch-roll.
 
-A rotation matrix is named `dst_from_src` and takes coordinates in `src` to coordinates in `dst`. Batches are SciPy's;
-single rotations have formulas of their own: SciPy's logarithm of one takes twenty times as long.
+A rotation matrix is named `dst_from_src` and converts coordinates in `src` to coordinates in `dst`. Batches use SciPy.
+Single rotations use the formulas here: SciPy's logarithm of a single rotation takes twenty times as long.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from alight.arrays import F64
 
 
 def skew(v: ArrayLike) -> F64:
-    """Return the (..., 3, 3) matrices with `skew(a) @ b == cross(a, b)` of (..., 3) vectors."""
+    """Return the (..., 3, 3) cross-product matrices of (..., 3) vectors: `skew(a) @ b == cross(a, b)`."""
     a = np.asarray(v, dtype=np.float64)
     if a.ndim == 1:
         x, y, z = a
@@ -24,7 +24,7 @@ def skew(v: ArrayLike) -> F64:
 
 
 def so3_exp(rotation_vector: ArrayLike) -> F64:
-    """Return the (3, 3) or (N, 3, 3) rotations of rotation vectors (3,) or (N, 3) in radians (Rodrigues)."""
+    """Convert rotation vectors (3,) or (N, 3), radians, to rotation matrices (3, 3) or (N, 3, 3) (Rodrigues)."""
     w = np.asarray(rotation_vector, dtype=np.float64)
     if w.ndim > 1:
         return np.asarray(Rotation.from_rotvec(w).as_matrix())
@@ -39,7 +39,7 @@ def so3_exp(rotation_vector: ArrayLike) -> F64:
 
 
 def so3_log(rotation: ArrayLike) -> F64:
-    """Return the rotation vectors (3,) or (N, 3) in radians, of length at most pi, of rotations (3, 3) or (N, 3, 3)."""
+    """Convert rotation matrices (3, 3) or (N, 3, 3) to rotation vectors (3,) or (N, 3), radians; length at most pi."""
     R = np.asarray(rotation, dtype=np.float64)
     if R.ndim > 2:
         return np.asarray(Rotation.from_matrix(R).as_rotvec())
@@ -52,7 +52,7 @@ def so3_log(rotation: ArrayLike) -> F64:
 
 
 def quaternion_from_matrix(rotation: ArrayLike) -> F64:
-    """Return the unit quaternion (w, x, y, z) with w >= 0 of a (3, 3) rotation (largest-pivot method)."""
+    """Convert a (3, 3) rotation matrix to a unit quaternion (w, x, y, z) with w >= 0 (largest-pivot method)."""
     R = np.asarray(rotation, dtype=np.float64)
     t = float(np.trace(R))
     pivots = np.array([t, R[0, 0], R[1, 1], R[2, 2]])
@@ -71,7 +71,7 @@ def quaternion_from_matrix(rotation: ArrayLike) -> F64:
 
 
 def matrix_from_quaternion(quaternion: ArrayLike) -> F64:
-    """Return the (3, 3) rotation of a quaternion (w, x, y, z), normalised first.
+    """Convert a quaternion (w, x, y, z) to a (3, 3) rotation matrix; the quaternion is normalised first.
 
     Raises:
         ValueError: the quaternion is zero or not finite.
@@ -91,7 +91,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> F64:
 
 
 def slerp(a: ArrayLike, b: ArrayLike, t: float) -> F64:
-    """Return the rotation a fraction `t` of the way along the shortest arc from `a` to `b`, both (3, 3)."""
+    """Interpolate from rotation `a` (`t` = 0) to `b` (`t` = 1) along the shortest arc; all (3, 3)."""
     A = np.asarray(a, dtype=np.float64)
     return A @ so3_exp(t * so3_log(A.T @ np.asarray(b, dtype=np.float64)))
 
@@ -101,9 +101,9 @@ FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 def enu_from_flu(yaw: float, pitch: float, roll: float) -> F64:
-    """Return ENU-from-FLU of aeronautical angles in radians: yaw clockwise from north, pitch nose up, roll right.
+    """Return the (3, 3) ENU-from-FLU rotation of yaw (clockwise from north), pitch (nose up) and roll (right down).
 
-    The angles are the usual Z-Y-X sequence of NED/FRD; the result is in our own ENU/FLU.
+    The angles, in radians, are the usual aeronautical Z-Y-X sequence between the frames NED and FRD.
     """
     cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
     ned_from_frd = np.array(

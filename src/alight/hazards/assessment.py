@@ -1,4 +1,4 @@
-"""Hazard assessment: every cell of a map judged as the centre of a touchdown."""
+"""Hazard assessment: judge a touchdown centred on each cell of a map."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from alight.settings import HazardsSettings, Lander
 
 
 def _reasons(t: Touchdowns, on: Inputs) -> U16:
-    """Every limit that a touchdown would break, as bits of `Hazard`.
+    """Return every limit that a touchdown would break, as bits of `Hazard`.
 
-    The largest of hundreds of noisy heights is mostly noise: where heights are noisy (`smoothed`), a small excess over
-    the roughness limit lowers P(safe) instead of refusing.
+    The largest of hundreds of noisy heights is mostly noise. If heights are noisy (`smoothed`), a small excess over the
+    roughness limit therefore lowers P(safe) instead of refusing.
     """
     lander, settings = on.lander, on.settings
     single, averaged = settings.surely_sigmas * settings.smoothed, settings.clearly_sigmas * settings.smoothed
     rough = t.footprint.roughness > lander.max_roughness + np.float32(single) * t.sigma
     rough |= t.smooth_roughness > lander.max_roughness + np.float32(averaged) * t.sigma
     rough |= t.trend_roughness > lander.max_roughness
-    belly = lander.has_gear and lander.belly_clearance is not None  # its limit replaces that of roughness
+    belly = lander.has_gear and lander.belly_clearance is not None  # the belly limit replaces the roughness limit
     broken = {
         Hazard.EDGE: t.edge,
-        Hazard.UNKNOWN: t.unknown & ~t.edge,  # ground beyond the map is no unknown ground of it
+        Hazard.UNKNOWN: t.unknown & ~t.edge,  # ground beyond the map is EDGE, not UNKNOWN
         Hazard.SLOPE: t.slope > lander.max_slope,
         Hazard.ROUGHNESS: rough & (not belly),
         Hazard.STEP: t.step > (np.inf if lander.max_step is None else lander.max_step),
@@ -41,12 +41,11 @@ def _reasons(t: Touchdowns, on: Inputs) -> U16:
 
 
 def _refuse(reasons: U16, where: Mask, bit: Hazard) -> None:
-    """Set a reason where the mask holds, in place."""
     reasons |= np.where(where, np.uint16(bit), np.uint16(0))
 
 
 def _contrast(on: Inputs) -> F32:
-    """Contrast of log brightness between patches within twice the lander's radius: one puddle is enough."""
+    """Compute the largest contrast of log brightness between patches within twice the lander's radius."""
     light = np.where(on.elevation.rgb.any(axis=2), log_brightness(on.elevation.rgb), np.float32(np.nan))
     light = disc_mean(light, on.settings.patch_length, on.cell)
     ends = (disc_max(np.nan_to_num(v, nan=-np.inf), 2 * on.lander.radius, on.cell) for v in (light, -light))
@@ -54,7 +53,7 @@ def _contrast(on: Inputs) -> F32:
 
 
 def _quality(t: Touchdowns, on: Inputs) -> F32:
-    """Q of the paper's eq. 5 (G10): F from slope and roughness, G from land cover, appearance and sigma."""
+    """Compute Q of the paper's eq. 5 (G10): F from slope and roughness, G from land cover, appearance and sigma."""
     lander, settings = on.lander, on.settings
     flatness = (t.slope / lander.max_slope) ** 2 + (t.footprint.roughness / lander.max_roughness) ** 2
     uncertainty = (t.sigma / np.float32(lander.max_roughness)) ** 2
@@ -66,7 +65,7 @@ def _quality(t: Touchdowns, on: Inputs) -> F32:
 
 
 def evidence(on: Inputs) -> tuple[Evidence, U16]:
-    """Evidence of P(safe), and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
+    """Return the evidence of P(safe) and the broken limits as bits of `Hazard`, (R, C), for fitting the tables."""
     found = measure(on)
     return evidence_of(found, margins_over_sigma(found, on).tilt, on), _reasons(found, on)
 
@@ -80,22 +79,22 @@ def assess(
     passed: Mask | None = None,
     came: Mask | None = None,
 ) -> HazardMap:
-    """Judge each cell as the centre of a touchdown, at the worst heading.
+    """Judge a touchdown centred on each cell, at the worst heading.
 
-    The footprint is every cell whose centre lies within the lander's radius. Gear and rotors may reach beyond it, and
-    the ground there counts as well (G6, G6a). Unknown ground is never safe.
+    The footprint is every cell whose centre lies within the lander's radius. Gear and rotors may reach beyond it; the
+    ground there is judged as well (G6, G6a). Unknown ground is never safe.
 
     Args:
-        elevation: heights; cells that a flag refuses count as unknown.
-        land_cover: classes, which may refuse and never permit; None for none.
-        lander: its shape and its limits.
+        elevation: heights; cells that a flag refuses are treated as unknown.
+        land_cover: classes, which can refuse a touchdown but never permit one; None: unknown.
+        lander: shape and limits of the vehicle.
         settings: limits of the judgement.
-        missing: vetoes that could have refused ground and were missing.
-        passed: (R, C), cells that something moved across a moment ago; None: nothing did.
-        came: (R, C), cells on which somebody came to stand a moment ago; None: nobody did.
+        missing: vetoes that could not be applied for want of data.
+        passed: (R, C) mask of cells that a moving object crossed recently; None: no cell.
+        came: (R, C) mask of cells where a person or object recently came to stand; None: no cell.
 
     Raises:
-        ValueError: the two maps do not share a grid.
+        ValueError: the two maps have different grids.
     """
     if land_cover is not None and land_cover.grid != elevation.grid:
         raise ValueError("land cover and elevation must share one grid")
@@ -107,7 +106,7 @@ def assess(
             _refuse(reasons, disc_any(where, lander.reach + margin, on.cell), Hazard.TRAFFIC)
     quality, f = _quality(found, on), factors_of(found, on, missing)
     judged, slope, roughness, step = ~(found.edge | found.unknown), found.slope, found.footprint.roughness, found.step
-    del found  # a third of the memory that judging a large map takes
+    del found  # a third of the memory needed to judge a large map
     for factor in (f.relief, f.obstacle, f.ground):
         factor[~judged] = np.nan
     p = f.relief * f.obstacle * f.ground

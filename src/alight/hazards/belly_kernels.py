@@ -1,4 +1,4 @@
-"""Compiled loops that seek the contact of a lander's belly: the highest ground above the plane it rests on."""
+"""Compiled loops that search for the contact of a lander's belly: the highest ground above its contact plane."""
 
 import math
 
@@ -7,12 +7,12 @@ import numpy as np
 from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel
 
-BLOCK = 4  # cells a side of the blocks that the search opens
+BLOCK = 4  # side of the blocks that the search opens, cells
 
 
 @kernel
 def raise_to(top: F32, line: F32) -> None:
-    """Keep the larger of the two, cell by cell; slices without offsets vectorise."""
+    """Replace `top` by the larger of `top` and `line`, cell by cell; slices without offsets vectorise."""
     for c in range(top.size):
         v, t = line[c], top[c]
         top[c] = v if v > t else t
@@ -22,7 +22,7 @@ def raise_to(top: F32, line: F32) -> None:
 def _rise_in_block(
     body: F32, pad: int, r: int, c: int, br: int, bc: int, spans: I64, a: float, gx: float, gy: float, top: float
 ) -> float:
-    """Largest rise in those cells of one block that belong to the disc, or `top` if none is higher."""
+    """Return the largest rise of the ground above the plane (a, gx, gy) in one block of the disc, or `top`."""
     reach = spans.size // 2
     for dr in range(br, min(br + BLOCK, reach + 1)):
         half = spans[dr + reach]
@@ -46,10 +46,10 @@ def _rise(
     least: float,
     most: float,
 ) -> float:
-    """Largest rise of known ground in the disc above a plane (level, x, y), where it is between `least` and `most`.
+    """Return the largest rise of known ground in the disc above a plane (level, x, y), or `least` if that is larger.
 
-    Below `least` that is returned; the search ends above `most`. A block of cells is opened only where its highest
-    cell, above the block's lowest corner of the plane, would raise the answer.
+    The search ends above `most`. A block of cells is opened only if its highest cell could increase the result: it is
+    compared with the lowest corner of the plane over the block.
     """
     a, gx, gy = plane
     fall = (BLOCK - 1) * (min(gx, 0.0) + min(gy, 0.0))
@@ -65,10 +65,10 @@ def _rise(
 
 @kernel
 def may_rise(own: F64, level: F64, across: F64, along: F64, reach: float, least: F32, out: F64) -> None:
-    """Fill `out` with an upper bound of the ground's rise above a contact plane, less `least`, cell by cell.
+    """Fill `out` with an upper bound of the ground's rise above a contact plane, minus `least`, cell by cell.
 
-    The ground lies no higher than `own[3]` above the footprint's own plane (level, x, y). The two planes differ by no
-    more than their difference at the centre plus that of their gradients times the reach.
+    The ground is at most `own[3]` above the footprint's own plane (level, x, y). The two planes differ by at most their
+    difference at the centre plus the difference of their gradients times the reach.
     """
     for c in range(out.size):
         gx, gy = own[1, c] - across[c], own[2, c] - along[c]
@@ -89,7 +89,7 @@ def search(
     along: F64,
     rise: F32,
 ) -> None:
-    """Raise `rise` (C,) to the rise above one contact plane where that may be higher, cell by cell of row `r`."""
+    """Raise `rise` (C,) to the largest rise of the ground above one contact plane in row `r`, where `may` > 0."""
     pad = spans.size // 2 + BLOCK
     for c in range(rise.size):
         if may[c] > 0.0 and rise[c] <= most:
@@ -99,7 +99,7 @@ def search(
 
 @kernel
 def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
-    """Fill out (4, C) with the footprints of row `r`; cells that are not judged have no ground that could rise."""
+    """Fill `out` (4, C) with the footprints of row `r`; skipped cells get -inf as highest ground."""
     for i in range(4):
         out[i] = own[i, r]
     for c in range(out.shape[1]):
@@ -108,7 +108,7 @@ def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
 
 @kernel
 def keep(skip: Mask, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
-    """Take tangents from squared tangents; NaN where the cell is skipped or a contact is unknown."""
+    """Fill `tilt` with the square root of `steep`; set tilt and rise to NaN if skipped or if a contact is unknown."""
     for c in range(tilt.size):
         tilt[c] = math.sqrt(steep[c])
         if skip[c] or known[c] == np.inf:

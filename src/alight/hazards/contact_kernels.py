@@ -6,7 +6,7 @@ from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel, parallel_kernel, prange
 from alight.hazards.belly_kernels import gather, keep, may_rise, raise_to, search
 
-HAIR = 1e-5  # cells; two diagonals equally high carry both ways
+HAIR = 1e-5  # cells, tolerance: two equally high diagonals both carry
 
 
 @kernel
@@ -17,7 +17,7 @@ def _add_to(total: F32, line: F32) -> None:
 
 @kernel
 def _touch_row(ground: F32, r: int, offsets: I64, first: int, last: int, mean: bool, out: F32) -> None:
-    """Ground that carries one foot for every cell of row `r`: highest or mean; +inf where any of it is unknown."""
+    """Fill `out` with the height that carries a foot in row `r`, maximum or mean; +inf if any cell is unknown."""
     rows, cols = ground.shape
     out[:] = np.float32(0.0) if mean else np.float32(-np.inf)
     for i in range(first, last):
@@ -38,7 +38,7 @@ def _touch_row(ground: F32, r: int, offsets: I64, first: int, last: int, mean: b
 
 @kernel
 def _planes_of(first: F64, second: F64, third: F64, solve: F64, level: F64, across: F64, along: F64) -> None:
-    """Plane (level, per column, per row) through three contacts, cell by cell; `solve` (3, 3) takes heights to it."""
+    """Compute the plane (level, per column, per row) through three heights by `solve` (3, 3), cell by cell."""
     for c in range(level.size):
         a, b, d = first[c], second[c], third[c]
         level[c] = solve[0, 0] * a + solve[0, 1] * b + solve[0, 2] * d
@@ -48,7 +48,7 @@ def _planes_of(first: F64, second: F64, third: F64, solve: F64, level: F64, acro
 
 @kernel
 def _raise_above(over: F64, touch: F64, level: F64, across: F64, along: F64, x: float, y: float) -> None:
-    """Keep the larger of `over` and the rise of a foot's ground above the plane, cell by cell."""
+    """Replace `over` by the larger of `over` and the rise of a foot's ground above the plane, cell by cell."""
     for c in range(over.size):
         e = touch[c] - (level[c] + x * across[c] + y * along[c])
         t = over[c]
@@ -57,7 +57,7 @@ def _raise_above(over: F64, touch: F64, level: F64, across: F64, along: F64, x: 
 
 @kernel
 def _steepen(steep: F64, over: F64, across: F64, along: F64) -> None:
-    """Keep the larger squared tangent, cell by cell, of planes that no foot's ground rises above."""
+    """Raise `steep` to the squared tangent of each plane, unless a foot's ground rises above the plane."""
     for c in range(steep.size):
         g = across[c] * across[c] + along[c] * along[c]
         t = steep[c]
@@ -66,7 +66,7 @@ def _steepen(steep: F64, over: F64, across: F64, along: F64) -> None:
 
 @kernel
 def _unless(may: F64, over: F64) -> None:
-    """Seek no rise above planes that a foot's ground rises above."""
+    """Set `may` to -inf for planes that a foot's ground rises above, to exclude them from the search."""
     for c in range(may.size):
         may[c] = may[c] if over[c] <= HAIR else -np.inf
 
@@ -91,25 +91,27 @@ def feet_contact(
     tilt: F32,
     rise: F32,
 ) -> None:
-    """Judge a lander that rests on feet, over every heading and every three feet that can carry it (G4).
+    """Compute tilt and rise of a lander on feet, over all headings and triples of feet that can carry it (G4).
 
-    Heights are in *cells* (height over cell size), so that gradients are tangents.
+    Heights are in *cells* (height divided by cell size), so that gradients are tangents.
 
     Args:
         ground: (R, C) heights, +inf where unknown.
         body: (R + 2 pad, C + 2 pad) heights, -inf where unknown and off the map.
-        tops: like `body`, highest of the BLOCK x BLOCK cells that start there.
-        skip: (R, C) bool, cells not judged.
+        tops: like `body`, maximum of the BLOCK x BLOCK cells that start at each cell.
+        skip: (R, C) bool, cells that are not judged.
         own: (4, R, C) the footprint's plane (level, per column, per row) and the highest ground above it.
         xy: (headings, feet, 2) offset (column, row) of each foot's centre, cells.
         solve: (headings, t, 3, 3) from the heights of three feet to their plane (level, per column, per row).
-        offsets: (n, 2) (row, column) of the cells under each foot; starts: (headings, feet + 1) where they begin.
-        triples: (t, 3) feet.
-        spans: half widths of the body's disc; blocks: (b, 2) (row, column) where the blocks that cover it start.
-        limits: the rise above the contact plane is wanted between these, cells.
-        mean: a foot stands on the mean of its cells, not on the highest.
-        any_three: judge every three feet, also where another foot would sink into the ground.
-        tilt, rise: (R, C) filled with the worst tangent of the tilt and the worst rise, NaN where a foot is unknown.
+        offsets: (n, 2) (row, column) offsets of the cells under all feet.
+        starts: (headings, feet + 1) first index of each foot's cells in `offsets`.
+        triples: (t, 3) indices of three feet.
+        spans: half widths of the body's disc.
+        blocks: (b, 2) (row, column) offsets of the blocks that cover the disc.
+        limits: range within which the rise above the contact plane must be exact, cells.
+        mean: whether a foot rests on the mean of its cells; False: on the highest.
+        any_three: whether triples are judged even if another foot would sink into the ground.
+        tilt, rise: (R, C) filled with the worst tangent of the tilt and the worst rise; NaN where a foot is unknown.
     """
     rows, cols = ground.shape
     headings, feet = xy.shape[0], xy.shape[1]
@@ -141,7 +143,7 @@ def feet_contact(
 
 @kernel
 def _rail(ground: F32, r: int, offsets: I64, base: F32, profile: F32) -> None:
-    """Fill profile (n, C) with the ground under a rail in row `r`, less `base`; +inf where unknown or off the map."""
+    """Fill `profile` (n, C) with the ground under a rail in row `r` minus `base`; +inf where unknown or off the map."""
     rows, cols = ground.shape
     for i in range(profile.shape[0]):
         q, dc = r + offsets[i, 0], offsets[i, 1]
@@ -159,7 +161,7 @@ def _less(values: F32, base: F32, out: F32) -> None:
 
 @kernel
 def _raise_to_sums(top: F32, left: F32, right: F32, other_left: F32, other_right: F32) -> None:
-    """Keep the largest of `top` and two sums, cell by cell; two at a time, because reading is most of it."""
+    """Raise `top` to the larger of two sums, cell by cell; two sums at once save memory reads."""
     for c in range(top.size):
         e, d, t = left[c] + right[c], other_left[c] + other_right[c], top[c]
         e = e if e > d else d
@@ -168,7 +170,7 @@ def _raise_to_sums(top: F32, left: F32, right: F32, other_left: F32, other_right
 
 @kernel
 def _raise_to_lines(top: F32, behind: F32, ahead: F32, further: F32, i: int, j: int) -> None:
-    """Keep the largest of `top` and the lines to two points, j and j + 1 ahead, where they pass the middle."""
+    """Raise `top` to the lines from `behind` (i before the middle) to points j and j + 1 after it, at the middle."""
     near, far = np.float32(j / (i + j)), np.float32(i / (i + j))
     near_too, far_too = np.float32((j + 1) / (i + j + 1)), np.float32(i / (i + j + 1))
     for c in range(top.size):
@@ -192,16 +194,16 @@ def _narrow(low: F32, high: F32, behind: F32, ahead: F32, rest: F32, lever: F32)
 def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, low: F32, high: F32) -> None:
     """Rest both rails on their profiles at a common pitch (G5), cell by cell.
 
-    `joint(t)` is the highest sum of two places, one of each rail, whose positions add up to `t`. Twice the height over
-    the middle is the highest of `joint(t) - pitch t`. Its least value is where the upper hull of `joint` passes t = 0.
-    Where a point at 0 is a corner of that hull, the lander rocks: a range of pitches has this least value.
+    `joint(t)` is the highest sum of two heights, one per rail, at positions that add up to `t`. Twice the height over
+    the middle is the highest `joint(t) - pitch t`. Its minimum over pitch is where the upper hull of `joint` passes t =
+    0. If the hull has a corner at t = 0, the lander rocks: a range of pitches gives this minimum.
 
     Args:
-        left, right: (n, C) ground heights at n (odd) evenly spread places of the rails, +inf where unknown.
-        apart: between those places.
-        joint: (2 n - 1, C) to work in.
-        rest: (C,) filled with twice the lowest height over the middle; +inf where any of the ground is unknown.
-        low, high: (C,) filled with the range of pitches at which it lies lowest.
+        left, right: (n, C) ground heights at n (odd) evenly spaced positions of the rails, +inf where unknown.
+        apart: distance between these positions.
+        joint: (2 n - 1, C) work space.
+        rest: (C,) filled with twice the lowest height over the middle; +inf where any ground is unknown.
+        low, high: (C,) filled with the range of pitches at that height.
     """
     n = left.shape[0]
     joint[:] = np.float32(-np.inf)
@@ -218,14 +220,14 @@ def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, 
     high[:] = np.float32(np.inf)
     for i in range(1, n):
         _narrow(low, high, joint[n - 1 - i], joint[n - 1 + i], rest, np.float32(1.0 / (i * apart)))
-    for c in range(rest.size):  # equal pitches may differ in the last digit
+    for c in range(rest.size):  # equal pitches may differ by rounding
         a, b = low[c], high[c]
         high[c] = b if b > a else a
 
 
 @kernel
 def _raise_to_sloped(top: F32, line: F32, pitch: F32, s: F32) -> None:
-    """Keep the larger of `top` and `line - s pitch`, cell by cell: the rail's middle if that place carries it."""
+    """Raise `top` to `line - s pitch`, cell by cell: the height of the rail's middle if it rests at position `s`."""
     for c in range(top.size):
         e, t = line[c] - s * pitch[c], top[c]
         top[c] = e if e > t else t
@@ -244,7 +246,7 @@ def _plane_on(
     roll: F32,
     plane: F32,
 ) -> None:
-    """Fill roll (C,) and plane (3, C) (level, per column, per row) of a lander on its rails at a pitch."""
+    """Fill `roll` (C,) and `plane` (3, C) (level, per column, per row) for a lander on its rails at a pitch."""
     over[:] = np.float32(-np.inf)
     roll[:] = np.float32(-np.inf)  # the right rail's height, until both are known
     for i in range(along.size):
@@ -261,7 +263,7 @@ def _plane_on(
 
 @kernel
 def _steepen_both(steep: F32, pitch: F32, roll: F32) -> None:
-    """Keep the larger squared tangent, cell by cell, of the steeper pitch with the steeper roll of two (2, C)."""
+    """Raise `steep` to the squared tangent of the steeper pitch with the steeper roll, each of two (2, C)."""
     for c in range(steep.size):
         a, b = max(abs(pitch[0, c]), abs(pitch[1, c])), max(abs(roll[0, c]), abs(roll[1, c]))
         g, t = a * a + b * b, steep[c]
@@ -285,13 +287,13 @@ def skid_contact(
     tilt: F32,
     rise: F32,
 ) -> None:
-    """Judge a lander that rests on two skids, over every heading (G5).
+    """Compute tilt and rise of a lander on two skids, over all headings (G5).
 
     Args:
-        ground, body, tops, skip, own, spans, blocks, limits, tilt, rise: as in `feet_contact`.
-        axes: (headings, 2) unit (column, row) of the forward direction.
-        offsets: (headings, 2, n, 2) (row, column) of the cells under the left and the right rail.
-        along: (headings, n) evenly spread positions of those cells along the rail, cells.
+        ground, body, tops, skip, own, spans, blocks, limits, tilt, rise: see `feet_contact`.
+        axes: (headings, 2) forward unit vector (column, row).
+        offsets: (headings, 2, n, 2) (row, column) offsets of the cells under the left and the right rail.
+        along: (headings, n) evenly spaced positions of these cells along the rail, cells.
         gauge: (headings,) distance between the rails, cells.
     """
     rows, cols = ground.shape

@@ -1,7 +1,7 @@
-"""Probability that heights or pixels show an obstacle of a size (G7d).
+"""Probability that heights or pixels show an obstacle of a given size (G7d).
 
-The curves are measured (`learned/detection.md`): the share of obstacles found, by their width over the width of
-a sample of the match, or of a pixel of the picture, on the ground.
+The curves are measured (`learned/detection.md`). They give the share of obstacles found over the obstacle's width,
+divided by the width on the ground of a match sample or of a picture's pixel.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ import numpy as np
 from alight.arrays import F32, F64
 from alight.learned import arrays_of, table_path
 
-WIDE = 2.0  # width of an obstacle over its height: half a ball
-STEEP = 3.0  # exponent of the number of obstacles by width: twice as wide ones are an eighth as many
-LARGEST = 4.0  # widths of the smallest that matters, up to which obstacles count
-RATIOS = np.geomspace(0.02, 4.0, 60)  # sample over the height of the smallest that matters
+WIDE = 2.0  # width over height of an obstacle: a half ball
+STEEP = 3.0  # exponent of the decreasing density of obstacles over width: an eighth at twice the width
+LARGEST = 4.0  # largest width that is considered, over the width of the smallest relevant obstacle
+RATIOS = np.geomspace(0.02, 4.0, 60)  # width of a sample or pixel over the height of the smallest relevant obstacle
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Share of obstacles found, by their width over a sample of the heights or a pixel of the picture."""
+    """Share of obstacles found, by the ratio of their width to the ground width of a match sample or pixel."""
 
-    sizes: F64  # (N,) ascending
-    heights: F64  # (N,) 0 to 1
-    pixels: F64  # (N,) 0 to 1
+    sizes: F64  # (N,) ratios of widths, ascending
+    heights: F64  # (N,) share found by heights, over `width / sampling`
+    pixels: F64  # (N,) share found in pictures, over `width / pixel`
 
     def missed(self, width: F64, sampling: F64, pixel: F64) -> F64:
-        """Share of the obstacles of a width that neither shows; arguments in metres, of shapes that broadcast."""
+        """Return the share of obstacles that heights and pictures both miss; all lengths in metres, broadcast."""
         seen = [
             np.interp(np.log(width / at), np.log(self.sizes), curve)
             for at, curve in ((sampling, self.heights), (pixel, self.pixels))
@@ -37,21 +37,21 @@ class Detection:
         return np.asarray((1 - seen[0]) * (1 - seen[1]))
 
     def unseen_share(self, limit: float, sampling: F32, pixel: F32) -> F32:
-        """Unseen share of the obstacles higher than `limit`, of the shape of `sampling`; all arguments in metres."""
+        """Return the unseen share of obstacles higher than `limit`, shaped as `sampling`; arguments in metres."""
         at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
         return _bilinear(self._unseen, at[0], at[1])
 
     @cached_property
     def _unseen(self) -> F64:
-        """Unseen share at the `RATIOS` of the sampling (rows) and of the pixel (columns): lengths over the limit."""
+        """Unseen share of obstacles above a limit, over sampling / limit (rows) and pixel / limit (columns)."""
         width = WIDE * np.geomspace(1, LARGEST, 24)
         missed = self.missed(width[None, None], RATIOS[:, None, None], RATIOS[None, :, None])
         return np.asarray(np.average(missed, axis=-1, weights=width ** (1 - STEEP)))
 
     def smallest_found(self, share: float, sampling: F32, pixel: F32) -> F32:
-        """Height of the smallest obstacle that is found with a probability of `share`, metres."""
-        ratios = np.geomspace(0.25, 32.0, 43)  # a sample of the heights over a pixel
-        widest = 60.0  # over a pixel: wider obstacles are found in any case
+        """Return the height of the smallest obstacle found with probability `share`; all lengths in metres."""
+        ratios = np.geomspace(0.25, 32.0, 43)  # width of a match sample over the width of a pixel
+        widest = 60.0  # in pixels; wider obstacles are always found
         widths = np.geomspace(0.5, widest, 200)[:, None]
         missed = self.missed(widths, ratios, np.ones_like(ratios))
         first = np.argmax(missed <= 1 - share, axis=0)
@@ -61,7 +61,7 @@ class Detection:
 
 
 def _position(ratio: F32) -> F64:
-    """Index of ratios among the `RATIOS`, 0 to their number less 1, with fractions; unknown ones at the end."""
+    """Return the fractional index of each ratio in `RATIOS`; values that are not finite give the last index."""
     known = np.where(np.isfinite(ratio), ratio, RATIOS[-1]).clip(RATIOS[0], RATIOS[-1])
     return np.asarray(np.log(known / RATIOS[0]) / np.log(RATIOS[1] / RATIOS[0]))
 
@@ -79,7 +79,7 @@ def read_detection() -> Detection:
     """Read the measured curves of the package.
 
     Raises:
-        ValueError: the file holds curves that fall, or shares beyond 0 to 1.
+        ValueError: a curve decreases or leaves the range 0 to 1.
     """
     arrays = arrays_of(table_path("detection").read_bytes())
     sizes, heights, pixels = (arrays[k].astype(np.float64) for k in ("sizes", "heights", "pixels"))

@@ -1,7 +1,7 @@
-"""Evidence against a footprint: terms that are larger where it is less likely safe (docs/method/p-safe.md, G7b).
+"""Evidence against a footprint: features that increase where it is less likely safe (docs/method/p-safe.md, G7b).
 
-Lengths are in units of the height that the lander just stands. So a fit with one lander, one camera and one height
-above ground is valid for others: it depends on visibility, not on metres.
+Lengths are divided by the height of the tallest obstacle that the lander tolerates. A fit for one lander, one camera
+and one height above ground is therefore valid for others: it depends on visibility, not on metres.
 """
 
 from __future__ import annotations
@@ -37,41 +37,41 @@ from alight.raster import (
 )
 from alight.records import ElevationMap, TerrainMap
 
-BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are more
-SPOTS = 0.45, 2.3  # heights of the obstacle, 1-sigma, of spots of the picture: it is about twice as wide as high
-GREY = 0.02  # excess green that the greenest spot of a grey picture counts as: ground with a few plants
-BAND = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
-NEAR_SAMPLES = 0.5, 0.9  # limits, ground that a sample covers: fully near by, not near by at all
-NEAR_PIXELS = 0.3, 0.5  # limits, ground that a pixel covers: likewise
-COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
+BEYOND = 1.0  # metres beyond the rim that are included, as tufts come in groups
+SPOTS = 0.45, 2.3  # 1-sigma of the two Gaussians for picture spots, in heights of an obstacle twice as wide as high
+GREY = 0.02  # excess green assumed for the greenest spot of a grey picture: ground with a few plants
+BAND = 0.4, 2.7  # 1-sigma of the two Gaussians for relief, in heights of the obstacle
+NEAR_SAMPLES = 0.5, 0.9  # width of a match sample over the obstacle's height: for nearness 1 and 0
+NEAR_PIXELS = 0.3, 0.5  # width of a pixel over the obstacle's height: for nearness 1 and 0
+COARSER = 2  # side of a coarse cell, cells: the features vary only over a footprint
 
 
 class Discs:
-    """Statistics over the footprint and beyond, on cells of twice the size; `radius` in metres."""
+    """Statistics over the footprint and its surroundings, on cells of twice the size; `radius` in metres."""
 
     def __init__(self, grid: Grid, radius: float) -> None:
         self._shape, self._cell, self._radius = grid.shape, grid.cell * COARSER, radius
-        self._inner = radius - min(0.25, radius / 4)  # an object as near to the rim may as well lie outside
+        self._inner = radius - min(0.25, radius / 4)  # an object this close to the rim may lie outside
         self.grid = grid.coarser(COARSER)
 
     def coarse(self, values: F32) -> F32:
-        """Means of the coarse cells."""
+        """Average values (R, C) over the coarse cells."""
         return block_mean(whole_blocks(values, COARSER), COARSER)
 
     def largest(self, values: F32) -> F32:
-        """Maxima of the coarse cells."""
+        """Return the maxima of values (R, C) over the coarse cells."""
         return block_max(whole_blocks(values, COARSER), COARSER)
 
     def worst(self, coarse: F32, beyond: float | None = None) -> F32:
-        """Largest value of the footprint less its rim, or of the footprint and `beyond` metres about it."""
+        """Return the largest value in the footprint without its rim, or with `beyond` metres around it if given."""
         return disc_max(coarse, self._inner if beyond is None else self._radius + beyond, self._cell)
 
     def mean(self, coarse: F32, beyond: float = 0.0) -> F32:
-        """Mean over the footprint and `beyond` metres about it."""
+        """Return the mean over the footprint and `beyond` metres around it."""
         return disc_mean(coarse, self._radius + beyond, self._cell)
 
     def around(self, coarse: F32) -> F32:
-        """Mean of the surroundings, 4 m 1-sigma: ground with obstacles has more of them."""
+        """Return the Gaussian mean of the surroundings, 4 m 1-sigma, as obstacles come in groups."""
         return gaussian_mean(coarse, 4.0 / self._cell)
 
     def fine(self, coarse: F32) -> F32:
@@ -83,19 +83,19 @@ class Discs:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence of P(safe) where image matching may have smoothed obstacles away, on the cells of `discs`."""
+    """Evidence of P(safe) if image matching may have smoothed obstacles away, on the grid of `discs`."""
 
-    tilt: F32  # (R, C) of the map, margin of the tilt to its limit, sigmas
+    tilt: F32  # (R, C) on the map's grid, margin of the tilt to its limit, sigmas
     discs: Discs
-    terms: dict[str, F32]  # of the rates and floors, by identifier (`alight.learned.terms`)
-    hidden: F32  # share of the obstacles above the limit that the heights would not show
-    unseen: F32  # share of them that neither heights nor pictures would show
-    near: F32  # 0 to 1: degree to which a footprint was seen from near by
-    near_by_heights: F32  # 0 to 1: degree to which its heights show an obstacle, whatever the pictures show
+    terms: dict[str, F32]  # features of the rates and floors, by identifier (`alight.learned.terms`)
+    hidden: F32  # share of obstacles above the limit that heights would not show
+    unseen: F32  # share of these obstacles that neither heights nor pictures would show
+    near: F32  # nearness of the view, 0 (far) to 1 (near)
+    near_by_heights: F32  # nearness by the heights only, 0 to 1
 
 
 def evidence_of(t: Touchdowns, tilt: F32, on: Inputs) -> Evidence:
-    """Gather the evidence; `tilt`: margin of the tilt in sigmas, (R, C)."""
+    """Compute the evidence of P(safe) from the measured touchdowns; `tilt`: margin of the tilt, (R, C) sigmas."""
     e, limit, discs = on.elevation, on.lander.tallest_obstacle, Discs(on.elevation.grid, on.lander.ground_reach)
     sampling, pixel = (discs.mean(discs.coarse(widths(v, on.cell))) for v in (e.sampling, e.picture_sampling))
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
@@ -116,34 +116,34 @@ def evidence_of(t: Touchdowns, tilt: F32, on: Inputs) -> Evidence:
 
 
 def widths(metres: F32, cell: float) -> F32:
-    """Metres of ground that a sample or a pixel covers, (R, C); where there is none, ten cells."""
+    """Replace unknown widths (NaN) of samples or pixels on the ground, (R, C) metres, by ten cells."""
     return np.asarray(np.nan_to_num(metres, nan=10.0 * cell), np.float32)
 
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
-    """Degree to which a footprint was seen from near by, 0 to 1: by its samples and its pixels; all in metres."""
+    """Compute the nearness of each view, 0 (far) to 1 (near), from widths of samples and pixels; all in metres."""
     return np.minimum(_fineness(sampling, limit, NEAR_SAMPLES), _fineness(pixel, limit, NEAR_PIXELS))
 
 
 def _fineness(width: F32, limit: float, between: tuple[float, float]) -> F32:
-    """From 1 at a width of so many limits to 0 at so many, by its logarithm."""
+    """Return 1 where width / limit is at most `between[0]`, 0 where at least `between[1]`, log-linear in between."""
     near, far = between
     return np.asarray((np.log(far * limit / width) / np.log(far / near)).clip(0, 1), np.float32)
 
 
 def relief_power(elevation: ElevationMap, limit: float) -> F32:
-    """Mean square relief as wide as an obstacle of height `limit` (metres), over that height, (R, C)."""
+    """Compute the mean square relief at the width of an obstacle of height `limit` (metres), over limit^2, (R, C)."""
     return power_of_bumps(filled_surface(elevation.height), elevation.grid.cell, limit)
 
 
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
-    """Mean square relief of any surface, (R, C) metres, all known, as wide as an obstacle of `limit` metres."""
+    """Compute `relief_power` of any surface of heights, (R, C) metres without NaN."""
     bumps = difference_of_gaussians(height / np.float32(limit), *(s * limit / cell for s in BAND))
     return patch_mean(bumps * bumps, cell, limit)
 
 
 def patch_mean(power: F32, cell: float, limit: float) -> F32:
-    """Mean over the area of an obstacle of height `limit` (metres), 1.5 heights 1-sigma, (R, C)."""
+    """Compute the Gaussian mean with a 1-sigma of 1.5 obstacle heights, (R, C); `cell` and height `limit` in metres."""
     return gaussian_mean(power, 1.5 * limit / cell)
 
 
@@ -152,7 +152,6 @@ def _log_rms(power: F32, floor: float) -> F32:
 
 
 def _relief_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
-    """Evidence of the heights against an even footprint."""
     e, limit = on.elevation, on.lander.tallest_obstacle
     relief, residual = discs.coarse(relief_power(e, limit)), np.nan_to_num(e.residual)
     deviations = {
@@ -172,7 +171,6 @@ def _relief_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
 
 
 def _picture_terms(elevation: ElevationMap, limit: float, discs: Discs) -> dict[str, F32]:
-    """Evidence of the picture for obstacles near by."""
     spots = picture_spots(elevation, limit)
     spot = discs.coarse(patch_mean(spots.power, elevation.grid.cell, limit))
     return {
@@ -185,9 +183,8 @@ def _picture_terms(elevation: ElevationMap, limit: float, discs: Discs) -> dict[
 
 
 def _near_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
-    """Evidence of all measured heights against a footprint that was seen from near by."""
     limit = on.lander.tallest_obstacle
-    measured = np.nan_to_num(t.measured_roughness, nan=60.0 * limit)  # a footprint without heights
+    measured = np.nan_to_num(t.measured_roughness, nan=60.0 * limit)  # for a footprint without heights
     rise, smooth = (log_at_least(v / np.float32(limit), 0.03) for v in (measured, t.smooth_roughness))
     return {
         NearTerm.RISE: discs.largest(rise),
@@ -197,9 +194,9 @@ def _near_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
 
 
 def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
-    """Log odds (R, C) against ground that bears and is dry, rock counted as such: stones are obstacles.
+    """Compute the log odds, (R, C), against firm, dry ground; rock is firm ground, as stones are judged as obstacles.
 
-    A cell without a class counts as landable.
+    Cells without a class are treated as firm and dry.
     """
     if land_cover is None:
         return np.full(shape, -9.2, np.float32)
@@ -208,7 +205,7 @@ def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
 
 
 def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: Discs) -> dict[str, F32]:
-    """Evidence against ground that bears and is dry, on the cells of `discs`."""
+    """Compute the features that contradict firm, dry ground, on the grid of `discs`."""
     odds = ground_odds(land_cover, elevation.grid.shape)
     smooth = discs.coarse(gaussian_mean(odds, 0.2 / elevation.grid.cell))
     mean = discs.coarse(odds)
@@ -228,21 +225,21 @@ def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: 
 
 
 def unlike_ground(terms: Mapping[str, F32]) -> F32:
-    """Log odds of the softest 0.2 m of a footprint over those of the ground about it, by the terms of the ground."""
+    """Return the log odds of the softest patch of 0.2 m in a footprint minus the log odds of its surroundings."""
     about = np.minimum(terms[GroundTerm.MEAN], terms[GroundTerm.MEAN_BEYOND])
     return np.asarray(terms[GroundTerm.WORST_SMOOTH] - about)
 
 
 class PictureSpots(NamedTuple):
-    """Contrast of spots against their surroundings, natural logarithms of brightness, (R, C) each."""
+    """Contrast of spots with their surroundings, in natural logarithms of brightness, (R, C) arrays."""
 
-    power: F32  # mean square of the contrast in the cell
-    dark: F32  # the darkest pixel
-    bright: F32  # the brightest pixel
+    power: F32  # mean square contrast in the cell
+    dark: F32  # contrast of the darkest pixel, positive
+    bright: F32  # contrast of the brightest pixel
 
 
 def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
-    """Contrast of the spots of the finest picture, as wide as an obstacle of `height` metres; unseen ground is even."""
+    """Compute the contrast of picture spots as wide as an obstacle of `height` metres; 0 where unseen."""
     rgb, factor = elevation.finest
     halves = min(factor, 2)
     spot = _seen_spots(block_light(rgb, factor // halves), height * halves / elevation.grid.cell)
@@ -250,9 +247,10 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
 
 
 def green_spots(elevation: ElevationMap, height: float) -> F32:
-    """The greenest spot of every cell against its surroundings, (R, C) of excess green (2 G - R - B) / (R + G + B).
+    """Compute the excess green of each cell's greenest spot over its surroundings, (R, C); see `BlockGreen`.
 
-    A tuft on bare ground is a plant, however flat matching makes it. Arguments as of `picture_spots`.
+    Spots are as wide as an obstacle of `height` metres. A green spot on bare ground is a plant, even if matching has
+    flattened it.
     """
     rgb, factor = elevation.finest
     halves = min(factor, 2)
@@ -263,10 +261,10 @@ def green_spots(elevation: ElevationMap, height: float) -> F32:
 
 
 def _seen_spots(found: BlockLight | BlockGreen, height: float) -> F32:
-    """Spots as wide as an obstacle of a height in pixels; unseen pixels are 0. Overwrites what was found."""
+    """Compute spots as wide as an obstacle of `height` pixels; 0 where unseen. Overwrites `found`."""
     measure, seen = found.mean, found.seen > 0.999
     del found  # pictures have tens of megapixels
-    if not seen.all():  # these are filled with the mean about them
+    if not seen.all():  # unseen pixels are filled with the mean around them
         measure *= seen
         share = gaussian_mean(seen.astype(np.float32), SPOTS[1] * height)
         np.maximum(share, np.float32(1e-3), out=share)

@@ -1,6 +1,6 @@
-"""P(safe) as a product of three factors, each with evidence of its own (docs/method/p-safe.md, G7 to G9).
+"""P(safe) as a product of three factors with separate evidence (docs/method/p-safe.md, G7 to G9).
 
-Relief rests on the margins of a touchdown to its limits, in sigmas, for normal errors.
+The relief factor is computed from the margins of a touchdown to its limits, in sigmas, for normal errors.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from alight.raster import log_at_least
 from alight.records import MissingVeto, Terrain
 from alight.settings import HazardsSettings, Lander
 
-FOUND = 0.95  # probability with which an obstacle of `resolved` height would have been found
-SETTLED = 0.3  # share of the doubt allowed by the least P(safe) that unseen obstacles may take
-FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
-PIXELS_A_SAMPLE = 2.0  # pixels that a sample of the match covers: cells are 1.8 pixels wide
+FOUND = 0.95  # probability that an obstacle of height `resolved` would have been found
+SETTLED = 0.3  # share of the allowed doubt, 1 - least P(safe), that unseen obstacles may cause
+FINEST = 1 / 40  # finest useful pixel over the height of an obstacle
+PIXELS_A_SAMPLE = 2.0  # width of a match sample in pixels; cells are 1.8 pixels wide
 
 
 @dataclass(frozen=True, eq=False)
 class SafetyFactors:
-    """Factors of P(safe), and the resolution behind them, (R, C) each."""
+    """Factors of P(safe) and the resolution behind them, (R, C) arrays."""
 
     relief: F32
     obstacle: F32
     ground: F32
-    resolved: F32  # metres, height of the smallest obstacle that would have been found with `FOUND`
-    settles_at: F32  # metres, pixel on the ground that would settle the doubt; NaN: none
+    resolved: F32  # metres, height of the smallest obstacle found with probability `FOUND`
+    settles_at: F32  # metres, width of a pixel on the ground that would settle the doubt; NaN: none
 
 
 def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors:
-    """Factors from the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
+    """Compute the factors from all evidence if matching may have smoothed obstacles away, else from the margins."""
     margins = margins_over_sigma(t, on)
     if on.settings.smoothed:
         return _of_matched_heights(t, margins, on, missing)
@@ -63,10 +63,10 @@ def _of_matched_heights(t: Touchdowns, margins: Margins, on: Inputs, missing: Mi
 
 
 def _beyond_cells(on: Inputs) -> F32:
-    """(R, C) probability that the footprint has no obstacle that cells of surveyed heights are too wide to show (G7j).
+    """Compute the probability, (R, C), that wide cells of surveyed heights hide no obstacle in the footprint (G7j).
 
-    The mean height of a wide cell flattens what stands in it. The share of half balls above the limit that cells do not
-    show as such is within 0.1 of that taken here (docs/lab/p-safe.md).
+    The mean height of a wide cell flattens an obstacle. The share of half balls above the limit that cells hide is
+    within 0.1 of the share computed here (docs/lab/p-safe.md).
     """
     fine, reach = on.lander.judging_cell, on.lander.ground_reach
     if on.cell <= fine:
@@ -76,7 +76,7 @@ def _beyond_cells(on: Inputs) -> F32:
 
 
 def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F32]:
-    """(R, C) probabilities that no unseen obstacle lies in the footprint, and that the ground bears and is dry."""
+    """Compute the probabilities, (R, C), of no unseen obstacle in the footprint, and of firm, dry ground."""
     usual = np.float32(math.pi * on.lander.ground_reach**2) * _density(on, found.discs)
     shown, about, wet = (np.exp(read_rate(f"{k}_rate").log_rate(found.terms)) for k in ("relief", "density", "ground"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
@@ -91,7 +91,7 @@ def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F3
 
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
-    """Expected hazards from a rate from afar and one from near by, the logarithms weighted by the nearness (G7f)."""
+    """Blend the expected hazards for far and near views, with the nearness as weight of the logarithms (G7f)."""
     log = (1 - found.near) * log_at_least(afar, 1e-9) + found.near * read_rate(name).log_rate(found.terms)
     return np.asarray(np.exp(log), np.float32)
 
@@ -99,12 +99,12 @@ def _blended(afar: F32, name: str, found: Evidence) -> F32:
 def with_floors(
     expected: Mapping[str, F32], terms: Mapping[str, F32], nearness: Mapping[str, F32 | float]
 ) -> dict[str, F32]:
-    """Expected hazards of each factor, at least what one kind of evidence alone lets expect (G7g to G7i).
+    """Raise the expected hazards of each factor to the floors, each from one kind of evidence (G7g to G7i).
 
     Args:
-        expected: hazards by factor, of any one shape.
-        terms: by identifier.
-        nearness: 0 to 1, by all evidence (`all`) and by the heights alone (`heights`).
+        expected: expected hazards by factor, in any common shape.
+        terms: features by identifier.
+        nearness: nearness 0 to 1, by all evidence (`all`) and by the heights only (`heights`).
     """
     out = dict(expected)
     for floor in read_floors().values():
@@ -113,7 +113,7 @@ def with_floors(
 
 
 def _unrefused(on: Inputs, missing: MissingVeto) -> float:
-    """Hazards expected of every footprint because a veto is missing."""
+    """Return the expected hazards of every footprint due to missing vetoes."""
     settings, cover = on.settings, on.land_cover
     grey = settings.grey_hazard if cover is not None and not cover.coloured else 0.0
     alone = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
@@ -121,21 +121,21 @@ def _unrefused(on: Inputs, missing: MissingVeto) -> float:
 
 
 def _density(on: Inputs, discs: Discs) -> F32:
-    """Prior density of obstacles on the kind of ground, 1/m^2, before anything was seen of them."""
+    """Return the prior density of obstacles by land-cover class, 1/m^2, before any observation."""
     settings, cover = on.settings, on.land_cover
     usual = {
         Terrain.BARE: settings.unseen_bare, Terrain.SHORT_GRASS: settings.unseen_grass,
         Terrain.PAVED: settings.unseen_paved,
     }  # fmt: skip
     out = np.full(on.elevation.grid.shape, settings.unseen_unknown, np.float32)
-    if cover is not None and cover.coloured:  # grey pictures do not show the kind of open ground
+    if cover is not None and cover.coloured:  # grey pictures do not distinguish classes of open ground
         for kind, density in usual.items():
             out = np.where(cover.label == kind, np.float32(density), out)
     return discs.mean(discs.coarse(out))
 
 
 def _unlike_dry_ground(on: Inputs, discs: Discs) -> F32:
-    """Expected hazards from level surfaces below their banks, and from ground unlike all known ground."""
+    """Return the expected hazards due to level surfaces below their banks, and to ground unlike the training data."""
     settings, cover = on.settings, on.land_cover
     if cover is None:
         return np.zeros(discs.grid.shape, np.float32)
@@ -147,7 +147,7 @@ def _unlike_dry_ground(on: Inputs, discs: Discs) -> F32:
 
 
 def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSettings) -> float:
-    """The largest pixel, metres, with which bare ground that shows no obstacle is sure enough for a site."""
+    """Return the largest pixel, metres, at which bare ground without visible obstacles is safe enough for a site."""
     pixels = np.geomspace(FINEST, 2.0, 60) * lander.tallest_obstacle
     at = [np.asarray(k * pixels, np.float32) for k in (PIXELS_A_SAMPLE, 1.0)]
     unseen = curves.unseen_share(lander.tallest_obstacle, *at)
@@ -157,10 +157,11 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
 
 
 def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: float, on: Inputs) -> F32:
-    """Pixel that would settle the doubt of the smallest factor, metres; NaN where a closer look would not help.
+    """Return the pixel width that would settle the doubt, metres; NaN where a closer look would not help.
 
-    An obstacle: the pixel that `shows` it, or half of the present one where that is fine enough already. Relief, by its
-    `least` margin, sigmas: sigma shrinks with the pixel. Ground: half of the present one.
+    The smallest factor decides. Obstacle: `shows`, the width that shows obstacles, or half the present width if that is
+    already finer. Relief: a width in proportion to `least`, the least margin in sigmas, as sigma shrinks with the
+    pixel. Ground: half the present width.
     """
     (relief, obstacle, ground), fine = factors, np.float32(shows)
     half = np.float32(0.5) * pixel
@@ -173,19 +174,19 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
 
 
 class Margins(NamedTuple):
-    """Margins to the limits of every touchdown, (R, C) sigmas each."""
+    """Margins of every touchdown to its limits, (R, C) sigmas each."""
 
     tilt: F32
-    vehicle: list[F32]  # its tilt, the belly where it is judged, and rotors that reach beyond the footprint
-    deviation: list[F32]  # of the ground from the plane; empty: the margin of the belly replaces it
+    vehicle: list[F32]  # tilt, belly if it is judged, rotors if they reach beyond the footprint
+    deviation: list[F32]  # deviation of the ground from the plane; empty if the belly is judged instead
 
 
 def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
-    """Margins to the limits of tilt, of rise or deviation, and of the rotors, in sigmas (G7 to G9)."""
+    """Compute the margins to the limits of tilt, of rise or deviation, and of the rotors, in sigmas (G7 to G9)."""
     lander, settings, cell = on.lander, on.settings, on.cell
-    local = np.fmin(t.sigma, t.footprint.scatter)  # the part of the noise that the footprint does not share
+    local = np.fmin(t.sigma, t.footprint.scatter)  # noise that is not common to the whole footprint
     if lander.has_gear:
-        variance = (np.float32(_gear_lever(lander, cell, settings)) * local) ** 2  # of the tilt (G8b)
+        variance = (np.float32(_gear_lever(lander, cell, settings)) * local) ** 2  # variance of the tilt (G8b)
     else:  # noise shared over `noise_length` (G8)
         independent = np.maximum(t.footprint.count / max(1.0, (settings.noise_length / cell) ** 2), 3.0)
         spread = t.footprint.count * np.float32(cell**2) / np.float32(4 * math.pi)  # mean x^2 of a disc: area / 4 pi
@@ -201,16 +202,15 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
 
 
 def _over(margin: F32, sigma: F32) -> F32:
-    """The margin in sigmas; +-`CERTAIN` without noise."""
     sure = np.where(margin >= 0, CERTAIN, -CERTAIN)
     out = np.where(sigma > NO_NOISE, margin / np.maximum(sigma, np.float32(NO_NOISE)), sure)
     return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
 
 def _gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
-    """Tilt of a lander on feet or skids from 1 m of noise at each contact, worst heading, 1/m (G8b).
+    """Return the worst tilt of a lander on feet or skids per 1 m of noise at each contact, 1/m (G8b).
 
-    The noise of a foot that stands on the mean of its cells is shared by those that are independent.
+    A foot rests on the mean of its cells, so its noise is averaged over the independent heights among them.
     """
     if lander.skids is not None:
         return math.sqrt(2.0) / min(lander.skids)
@@ -222,14 +222,14 @@ def _gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float
 
 
 def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings) -> float:
-    """Independent heights that one contact is the mean of."""
+    """Return the number of independent heights that are averaged under one contact."""
     if lander.foot_contact == "highest":
         return 1.0
     return max(1.0, math.pi * lander.foot_radius**2 / max(settings.noise_length, cell) ** 2)
 
 
 def kept(margins: Sequence[F32]) -> F32:
-    """(R, C) probability that all of some limits are kept; their margins in sigmas."""
+    """Compute the probability, (R, C), that all limits are kept, from their margins in sigmas."""
     p = ndtr(margins[0])
     for margin in margins[1:]:
         p = p * ndtr(margin)

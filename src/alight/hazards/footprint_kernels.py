@@ -1,7 +1,7 @@
-"""Compiled loops that judge the ground under a lander (docs/method/hazards.md).
+"""Compiled loops that measure the ground under a lander (docs/method/hazards.md).
 
-Loops run over whole rows of cells, offset by offset, so that they vectorise; an unknown height is NaN and loses every
-`>` comparison, so no maximum contains it.
+Loops run over whole rows of cells, offset by offset, so that they vectorise. An unknown height is NaN and fails every
+`>` comparison, so it never enters a maximum.
 """
 
 import math
@@ -14,9 +14,10 @@ from alight.compiled import kernel, parallel_kernel, prange
 
 @parallel_kernel
 def row_sums(height: F32, reach: int, sums: F64) -> None:
-    """Fill sums (R, 6, C + 1 + 2 reach) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2.
+    """Fill `sums` (R, 6, C + 1 + 2 reach) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2.
 
-    k is 1 where the height is known, else 0. The first `reach` + 1 columns are 0, the last `reach` repeat the total.
+    k is 1 where the height h is known, else 0; c is the column. The first `reach` + 1 columns are 0, the last `reach`
+    columns repeat the total.
     """
     rows, cols = height.shape
     for r in prange(rows):
@@ -46,7 +47,7 @@ def _between(first: F64, last: F64, out: F64) -> None:
 
 @kernel
 def _add_moments(span: F64, y: float, moments: F64) -> None:
-    """Add one row of every footprint to moments (9, C) about its centre; span (6, C) of `row_sums`."""
+    """Add one row of every footprint to its moments (9, C) about its centre; `span` (6, C): sums of `row_sums`."""
     for c in range(span.shape[1]):
         x = float(c)
         k, kc, kh = span[0, c], span[1, c], span[3, c]
@@ -66,10 +67,10 @@ def _add_moments(span: F64, y: float, moments: F64) -> None:
 def _solve(
     n: float, sx: float, sy: float, sxx: float, sxy: float, syy: float, sh: float, sxh: float, syh: float
 ) -> tuple[float, float, float, float]:
-    """Solve the plane of G1 from its sums about the centre.
+    """Solve the least-squares plane of G1 from sums about the centre.
 
     Returns:
-        Level, gradient x, gradient y and the height variance that they explain times n; NaN if there is none.
+        Level, gradient x, gradient y, and n times the height variance that they explain; all NaN without a plane.
     """
     mx, my, mh = sx / n, sy / n, sh / n
     cxx, cxy, cyy = sxx - n * mx * mx, sxy - n * mx * my, syy - n * my * my
@@ -84,14 +85,14 @@ def _solve(
 
 @parallel_kernel
 def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_r: F32, squares: F32) -> None:
-    """Fit the least-squares plane of the footprint about every cell (G1).
+    """Fit the least-squares plane of the footprint around every cell (G1).
 
     Args:
-        sums: (R, 6, C + 1 + 2 n) of `row_sums`.
+        sums: (R, 6, C + 1 + 2 n) from `row_sums`.
         spans: (2 n + 1,) half widths in cells of the rows of the disc.
-        count: (R, C) filled with the known cells in the footprint.
+        count: (R, C) filled with the number of known cells in the footprint.
         level, grad_c, grad_r: (R, C) filled with the plane at the centre and its rise per column and per row.
-        squares: (R, C) filled with the sum of the squared deviations from it.
+        squares: (R, C) filled with the sum of the squared deviations from the plane.
     """
     rows, cols = count.shape
     reach = spans.size // 2
@@ -119,7 +120,7 @@ def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_
 
 @kernel
 def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> None:
-    """Keep the extremes of line - plane, cell by cell; slices without offsets vectorise (12 times faster)."""
+    """Extend the extremes `top` and `low` by line - plane, cell by cell; slices without offsets are 12 times faster."""
     for c in range(top.size):
         d = line[c] - base[c] - x * grad[c]
         t, b = top[c], low[c]
@@ -129,7 +130,7 @@ def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> Non
 
 @kernel
 def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: float, y: float) -> None:
-    """As `_widen`, for two lines at once: reading and writing take most of the time."""
+    """Extend the extremes by two lines at once, which halves reading and writing; see `_widen`."""
     for c in range(top.size):
         level, slope, t, b = base[c], grad[c], top[c], low[c]
         d, e = line[c] - level - x * slope, after[c] - level - y * slope
@@ -141,7 +142,7 @@ def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F3
 
 @kernel
 def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x: float) -> None:
-    """Keep the smaller of `least` and the weighted margin below the plane, cell by cell."""
+    """Lower `least` to the weighted margin of the heights `line` below the plane, cell by cell."""
     for c in range(least.size):
         e = (base[c] + x * grad[c] - line[c]) * weight[c]
         t = least[c]
@@ -150,7 +151,7 @@ def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x
 
 @parallel_kernel
 def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
-    """Fill above and below (R, C) with the extremes of h - plane in the footprint (G2); 0 where there is no plane.
+    """Fill `above` and `below` (R, C) with the extremes of h - plane in the footprint (G2); 0 without a plane.
 
     `padded` (R, C + 2 n) are the heights with n = len(spans) // 2 unknown columns on both sides.
     """
@@ -178,7 +179,7 @@ def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, ab
 
 @parallel_kernel
 def neighbour_steps(height: F32, step: F32) -> None:
-    """Fill step (R, C) with the largest |difference| to the four known neighbours; NaN where h is unknown."""
+    """Fill `step` (R, C) with the largest |difference| to the four known neighbours; NaN where h is unknown."""
     rows, cols = height.shape
     for r in prange(rows):
         for c in range(cols):
@@ -199,11 +200,7 @@ def neighbour_steps(height: F32, step: F32) -> None:
 def least_margin(
     height: F32, weight: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64, outer: I64, out: F32
 ) -> None:
-    """Fill out (R, C) with the least of (plane - height) weight in the ring between two discs; inf if none is known.
-
-    `weight` (R, C) 1/m is that of each height. `inner` has the length of `outer`, -1 in rows that the inner disc does
-    not reach.
-    """
+    """Fill `out` (R, C) with the least (plane - height) * weight in the ring between two discs; inf without heights."""
     rows, cols = height.shape
     reach = outer.size // 2
     for r in prange(rows):
@@ -229,13 +226,13 @@ def least_margin(
 
 @parallel_kernel
 def cast_shadows(height: F32, towards_r: float, towards_c: float, climb: float, longest: int, out: Mask) -> None:
-    """Fill out (R, C): something towards the sun stands above the ray to it, followed cell by cell.
+    """Fill `out` (R, C) with True where an obstacle towards the sun is above the ray to it.
 
     Args:
         height: (R, C) metres, no NaN.
         towards_r, towards_c: unit vector (row, column) towards the sun.
-        climb: rise of the ray a cell, metres.
-        longest: cells after which a ray is taken to be free.
+        climb: rise of the ray per cell, metres.
+        longest: length of the search along a ray, cells.
     """
     rows, cols = height.shape
     top = height.max()

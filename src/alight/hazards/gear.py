@@ -1,4 +1,4 @@
-"""Feet or skids on the ground at every cell: the cells that they touch, their contact, and the belly (G4, G5)."""
+"""Rest feet or skids on the ground at every cell: cells under the gear, contact planes, belly (G4, G5)."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from alight.hazards.touchdown import Footprint
 from alight.raster import RIM, disc_spans
 from alight.settings import Lander
 
-COARSE = 3.0  # cells between the rails, or the ends of one, below which rounding to cells spoils the tilt
+COARSE = 3.0  # least gauge or length of skids, cells: below, rounding to cells spoils the tilt
 
 
 def directions(headings: int) -> F64:
-    """Unit vectors (column, row) forward, of evenly spread headings from north, clockwise; (headings, 2)."""
+    """Return forward unit vectors (column, row), (headings, 2), for evenly spaced headings clockwise from north."""
     angle = 2 * math.pi * np.arange(headings) / headings
     return np.stack([np.sin(angle), -np.cos(angle)], axis=1)
 
 
 def unlike_directions(headings: int, points: F64) -> F64:
-    """`directions`, without those that only exchange the points (n, 2) (forward, left), metres, of an earlier one.
+    """Return `directions` without headings whose contacts coincide with the contacts of an earlier heading.
 
-    A lander that looks the same after a turn, as a square one does after a quarter, need not be judged twice.
+    `points`: (n, 2) contacts (forward, left), metres.
     """
     kept: dict[bytes, F64] = {}
     for ahead in directions(headings):
@@ -38,7 +38,7 @@ def unlike_directions(headings: int, points: F64) -> F64:
 
 
 def block_starts(spans: I64, side: int) -> I64:
-    """(b, 2) (row, column) offsets of the blocks of `side` cells a side that cover the disc, the middle ones first."""
+    """Return (row, column) offsets, (b, 2), of the blocks of `side` x `side` cells over the disc, middle ones first."""
     reach = spans.size // 2
     rows = range(-reach, reach + 1, side)
     widest = [max(int(spans[i + reach]) for i in range(r, min(r + side, reach + 1))) for r in rows]
@@ -49,28 +49,28 @@ def block_starts(spans: I64, side: int) -> I64:
 
 @dataclass(frozen=True, eq=False)
 class Feet:
-    """The cells under each foot at each heading."""
+    """Cells under each foot at each heading."""
 
-    xy: F64  # (headings, feet, 2) contact of a foot: (column, row) offset in cells, the centroid of those under it
-    offsets: I64  # (n, 2) (row, column) of all those cells
-    starts: I64  # (headings, feet + 1) index at which each foot's cells begin
-    triples: I64  # (t, 3) feet that can carry the lander together
-    solve: F64  # (headings, t, 3, 3) from the heights of those three to their plane (level, per column, per row)
-    coarse: bool  # at some heading the cells do not separate three of them
+    xy: F64  # (headings, feet, 2) contact of each foot: (column, row) offset in cells, centroid of its cells
+    offsets: I64  # (n, 2) (row, column) offsets of the cells under all feet
+    starts: I64  # (headings, feet + 1) first index of each foot's cells in `offsets`
+    triples: I64  # (t, 3) indices of three feet that can carry the lander
+    solve: F64  # (headings, t, 3, 3) from the heights of three feet to their plane (level, per column, per row)
+    coarse: bool  # whether the cells do not separate three feet at some heading
 
 
 @dataclass(frozen=True, eq=False)
 class Skids:
-    """The cells under each rail at each heading."""
+    """Cells under each rail at each heading."""
 
-    axes: F64  # (headings, 2) forward, unit (column, row)
-    offsets: I64  # (headings, 2, n, 2) (row, column) under the left and the right rail
-    along: F64  # (headings, n) position along the rail, cells, evenly spread over the length of those cells
-    gauge: F64  # (headings,) between those cells, cells
+    axes: F64  # (headings, 2) forward unit vector (column, row)
+    offsets: I64  # (headings, 2, n, 2) (row, column) offsets under the left and the right rail
+    along: F64  # (headings, n) position along the rail, cells, evenly spaced over the length of its cells
+    gauge: F64  # (headings,) distance between the cells of both rails, cells
 
 
 def _cells_within(centre: F64, radius_cells: float) -> I64:
-    """Return (n, 2) (row, column) of the cells with centres within the radius of (column, row); the nearest if none."""
+    """Return (row, column), (n, 2), of the cells centred within the radius of (column, row), or the nearest cell."""
     near = np.round(centre)
     reach = math.ceil(radius_cells) + 1
     grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2) + near
@@ -79,19 +79,19 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
 
 
 def _holds_centre(corners: F64) -> bool:
-    """True if the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
+    """Whether the origin lies in the triangle (3, 2) or on its edge; otherwise the lander would tip over."""
     weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
     return bool((weights >= -1e-6).all())
 
 
 def _double_areas(points: F64, triples: I64) -> F64:
-    """(..., t) twice the areas between every three of the points (..., n, 2)."""
+    """Return twice the area of every triangle `triples` (t, 3) of points (..., n, 2); (..., t)."""
     u, v = (points[..., triples[:, k], :] - points[..., triples[:, 0], :] for k in (1, 2))
     return np.asarray(np.abs(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]))
 
 
 def _triples(feet: F64, any_three: bool) -> I64:
-    """Every three feet that can carry: no thinner than a tenth of the largest triangle, the lander's centre within."""
+    """Return triples of feet that can carry: of at least a tenth of the largest area, with the centre inside."""
     every = list(combinations(range(len(feet)), 3))
     area = _double_areas(feet, np.array(every))
     thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
@@ -100,22 +100,22 @@ def _triples(feet: F64, any_three: bool) -> I64:
 
 
 def _solves(xy: F64, triples: I64) -> F64:
-    """(headings, t, 3, 3): matrices from three heights to the plane through them."""
+    """Return matrices from three heights to the plane through them, (headings, t, 3, 3)."""
     corners = xy[:, triples]  # (headings, t, 3, 2)
     return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
 
 
 def is_coarse(lander: Lander, cell: float) -> bool:
-    """True if cells of this size (metres) are too coarse to separate the contacts of the gear (G5a)."""
+    """Whether cells of this size (metres) are too coarse to separate the contacts of the gear (G5a)."""
     if lander.skids is not None:
         return min(lander.skids) < COARSE * cell
     return lander.feet is not None and feet_of(lander, cell).coarse
 
 
 def feet_of(lander: Lander, cell: float) -> Feet:
-    """Lay the lander's feet on the grid, every heading.
+    """Compute the cells under the lander's feet at every heading.
 
-    Where the cells under three feet lie nearly in a line, all feet count at their exact place: so there is a plane.
+    Where the cells under three feet lie almost on a line, all feet get their exact positions, so that a plane exists.
     """
     assert lander.feet is not None
     body = np.array(lander.feet) / cell  # forward, left
@@ -135,10 +135,10 @@ def feet_of(lander: Lander, cell: float) -> Feet:
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:
-    """Lay the lander's skids on the grid, every heading, one sample a cell of length and both ends.
+    """Compute the cells under the lander's skids at every heading, two samples per cell of length.
 
-    Length and gauge are those of the cells under the rails: so a plane gives its own tilt to 3 %, or more. On cells too
-    coarse for that (G5a) they are the lander's.
+    Length and gauge are measured between the cells under the rails, so that a plane gives its own tilt to 3 %. On cells
+    that are too coarse (G5a), they are the lander's length and gauge.
     """
     assert lander.skids is not None
     length, gauge = lander.skids[0] / cell, lander.skids[1] / cell
@@ -159,20 +159,20 @@ def skids_of(lander: Lander, cell: float) -> Skids:
 def gear_contact(
     height: F32, footprint: Footprint, skip: Mask, lander: Lander, cell: float, spare: float = 0.0
 ) -> tuple[F32, F32]:
-    """Rest feet or skids on the ground at every heading (G4, G5).
+    """Compute the worst tilt and rise of a lander that rests on feet or skids, over all headings (G4, G5).
 
     Args:
         height: (R, C) metres, NaN = unknown.
-        footprint: its planes.
-        skip: (R, C) cells that are not judged.
-        lander: its gear.
-        cell: metres.
-        spare: metres about the belly clearance within which the rise is computed exactly.
+        footprint: planes of the footprint.
+        skip: (R, C) mask of cells that are not judged.
+        lander: the gear.
+        cell: cell size, metres.
+        spare: range around the belly clearance, metres, within which the rise is exact.
 
     Returns:
-        The worst tilt (R, C) rad, and the worst rise of the ground above the contact plane under the body, metres
-        (exact within `spare` of the belly clearance, elsewhere only on which side). NaN where a foot or rail would
-        stand on unknown ground, and where `skip` holds.
+        The worst tilt (R, C) in rad, and the worst rise of the ground under the body above the contact plane in metres.
+        Farther than `spare` from the belly clearance, only the side of the rise is reliable. NaN where a foot or rail
+        would rest on unknown ground, and where `skip` is True.
     """
     scale, known, spans = np.float32(1 / cell), np.isfinite(height), disc_spans(lander.radius / cell)
     ground, low = (np.where(known, height * scale, np.float32(unknown)) for unknown in (np.inf, -np.inf))

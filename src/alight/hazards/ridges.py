@@ -12,20 +12,20 @@ import numpy as np
 from alight.arrays import F32, F64
 from alight.raster import block_mean, difference_of_gaussians, filled_surface, upsample, whole_blocks
 
-BAND = 0.1, 0.45  # metres, 1-sigma of the Gaussians between which the relief of a kerb lies
-CELL = 0.12  # metres, about the cells on which lines are sought: the narrower Gaussian leaves no finer relief
+BAND = 0.1, 0.45  # metres, 1-sigma of the two Gaussians that isolate the relief of a kerb
+CELL = 0.12  # metres, approximate cell size of the search for lines
 PART = 0.7  # metres, length of each of the three parts of a line
 DIRECTIONS = 24
 
 
 def straight_ridges(height: F32, cell: float) -> F32:
-    """Relief of the straight ridge through every cell, (R, C) metres.
+    """Compute the relief of the straight ridge through every cell, (R, C) metres.
 
-    Ground that people made has straight ridges, and nature has few. The relief is the difference of two Gaussians of
-    the heights, and its mean is taken over three parts of a line, one after the other. The least of the three counts,
-    in the direction in which it is largest. So a stone, which raises one part, is no ridge, and noise averages out.
+    Artificial objects have straight ridges; natural ground has few. The relief is a difference of Gaussians of the
+    heights, averaged over each of three consecutive parts of a line. The result is the smallest of the three means, in
+    the direction where it is largest. So a stone, which raises one part only, is no ridge, and noise averages out.
 
-    A kerb of 0.1 m has a relief of about 0.045 m. An unknown height (NaN) counts as the nearest known one.
+    A kerb of 0.1 m has a relief of about 0.045 m. An unknown height (NaN) is replaced by the nearest known height.
     """
     n = max(round(CELL / cell), 1)
     coarse = block_mean(whole_blocks(filled_surface(height), n), n)
@@ -37,7 +37,7 @@ def straight_ridges(height: F32, cell: float) -> F32:
 
 
 class _Part(NamedTuple):
-    """One part of a line: cells from the middle of the line, and weights about there."""
+    """One part of a line: offset in cells from the middle of the line, and weights around that offset."""
 
     rows: int
     columns: int
@@ -46,14 +46,14 @@ class _Part(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _directions(length: float) -> tuple[tuple[_Part, ...], ...]:
-    """The three parts of a line in every direction; `length` of a part in cells."""
+    """Return the three parts of a line for every direction; `length` of a part in cells."""
     angles = np.arange(DIRECTIONS) * math.pi / DIRECTIONS
     alongs = length * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return tuple(tuple(_part(along, k) for k in (-1, 0, 1)) for along in alongs)
 
 
 def _part(along: F64, place: int) -> _Part:
-    """One part of a line; `along`: (2,) columns and rows of its length, `place`: -1, 0 or 1, counted along the line."""
+    """Build one part of a line; `along`: its (column, row) length vector, `place`: -1, 0 or 1 along the line."""
     columns, rows = (round(float(v)) for v in place * along)
     rest = place * along - (columns, rows)
     reach = math.ceil(0.5 * float(np.abs(along).max()) + 0.5) + 1
@@ -67,7 +67,6 @@ def _part(along: F64, place: int) -> _Part:
 
 
 def _mean(relief: F32, part: _Part) -> F32:
-    """Mean relief of one part of the line through every cell, (R, C)."""
     (r, c), (rows, cols) = (abs(part.rows), abs(part.columns)), relief.shape
     wide = np.pad(relief, ((r, r), (c, c)), mode="edge")
     moved = wide[r + part.rows : r + part.rows + rows, c + part.columns : c + part.columns + cols]

@@ -1,6 +1,6 @@
-"""Heights on an image's finer pixels: the height field that agrees with the coarse heights and with the shading.
+"""Refine heights to an image's finer pixels, so that they agree with the coarse heights and with the shading.
 
-Rocks below the cell size show by their lit and their shadowed side (docs/method/hazards.md).
+Rocks smaller than a cell are visible by their lit and shadowed sides (docs/method/hazards.md).
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from alight.spread import SIGMA_OF_MAD
 log = logging.getLogger(__name__)
 
 DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
-HEIGHT_FLOOR = 0.001  # metres; least sigma of a cell
-ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
-UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes alternation from pixel to pixel
+HEIGHT_FLOOR = 0.001  # metres, least sigma of a cell
+ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps per light
+UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # preserves cubics, removes alternation of pixels
 
 Operator = Callable[[F32], F32]
 
 
 def cell_weights(factor: int) -> F32:
-    """Weights (2 factor,) of the pixels in a cell that was made by linear resampling: a tent two cells wide (S2).
+    """Return the weights (2 factor,) of the pixels in a cell made by linear resampling: a tent two cells wide (S2).
 
-    Half of the factor lies before the cell's own pixels: only tents of even factors are centred.
+    The tent starts `factor` / 2 pixels before the cell's own pixels; it is centred only for even factors.
     """
     tent = 1 - np.abs((np.arange(2 * factor) + 0.5) / factor - 1.0)
     return np.asarray(tent / tent.sum(), np.float32)
 
 
 def coarsen(fine: F32, factor: int) -> F32:
-    """Heights of the cells (S2) from those of the pixels; beyond the rim its heights are repeated."""
+    """Compute the heights of the cells from the heights of the pixels (S2); border heights are repeated."""
     weights, before = cell_weights(factor), factor // 2
     padded = cv2.copyMakeBorder(fine, before, factor, before, factor, cv2.BORDER_REPLICATE)
     rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
@@ -51,7 +51,7 @@ def coarsen(fine: F32, factor: int) -> F32:
 
 
 def coarsen_transposed(cells: F32, factor: int) -> F32:
-    """Transpose of `coarsen`, except at the rim, where it leaves out the repeated pixels."""
+    """Apply the transpose of `coarsen`, except at the border, where the repeated pixels are left out."""
     weights, before = cell_weights(factor), factor // 2
     rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
     wide = np.zeros((cells.shape[0], cols + before + factor), np.float32)
@@ -70,7 +70,7 @@ def _laplacian(z: F32) -> F32:
 
 
 def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int) -> F32:
-    """Solve normal(x) = right, symmetric and positive, preconditioned by its diagonal; at most `steps` iterations."""
+    """Solve normal(x) = right, symmetric and positive, with a Jacobi preconditioner; at most `steps` iterations."""
     shape, size = right.shape, right.size
     matrix = LinearOperator((size, size), lambda x: normal(x.reshape(shape)).ravel(), dtype=np.float32)
     jacobi = LinearOperator((size, size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
@@ -78,7 +78,7 @@ def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int
 
 
 def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
-    """Sobel gradients along columns and rows, metres a metre: similar to those of a renderer and of a camera's blur."""
+    """Compute Sobel gradients along columns and rows, metres per metre, close to those of a blurred camera image."""
     scale = np.float32(1 / (8 * pixel))
     along = cv2.sepFilter2D(height, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING)
     across = cv2.sepFilter2D(height, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale)
@@ -86,26 +86,25 @@ def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
 
 
 def _up(along: F32, across: F32) -> F32:
-    """Upward part of the unit normal."""
     return np.asarray(1 / np.sqrt(1 + along * along + across * across), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Sunlight:
-    """Brightness = sun . normal + ambient, of one kind of ground (Lambert) seen from above (S1)."""
+    """Brightness = sun . normal + ambient, for Lambertian ground of one class seen from above (S1)."""
 
     sun: F64  # (3,) grey levels along columns, rows and up
     ambient: float  # grey levels
     spread: float  # grey levels, 1-sigma of the residual
-    explained: float  # share of the image's variance that it explains
+    explained: float  # share of the image's variance that the model explains
 
     @property
     def elevation(self) -> float:
-        """Height of the sun above the horizon, rad."""
+        """Elevation of the sun above the horizon, rad."""
         return math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1]))
 
     def brightness(self, along: F32, across: F32) -> tuple[F32, F32, F32]:
-        """Brightness (R, C) at these gradients, and its derivatives along columns and rows."""
+        """Compute the brightness (R, C) at gradients along columns and across rows, and its derivatives by both."""
         ax, ay, az = (np.float32(v) for v in self.sun)
         n = _up(along, across)
         facing = (az - ax * along - ay * across) * n
@@ -121,7 +120,7 @@ def _fitted(terms: F32, image: F32) -> F64:
 
 
 def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
-    """Fit the light to the `lit` pixels of an image of ground with known heights, without outliers (S1)."""
+    """Fit the light robustly to the `lit` pixels of an image of ground with known heights (S1)."""
     along, across = gradients(height, pixel)
     n = _up(along, across)
     use = lit.copy()
@@ -141,7 +140,7 @@ def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
 
 
 def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) -> Mask:
-    """Pixels that the sun does not reach: turned away from it, or behind an object up to `longest` cells away."""
+    """Return the mask of pixels in shadow: turned away from the sun, or behind an object within `longest` pixels."""
     level = math.hypot(light.sun[0], light.sun[1])
     if level < 1e-6:
         return np.zeros(height.shape, dtype=np.bool_)
@@ -153,7 +152,7 @@ def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) ->
 
 
 def shadow_level(image: F32, shadow: Mask) -> float:
-    """Grey level up to which a pixel may lie in shadow; -inf where fewer than 50 pixels should lie in one."""
+    """Return the grey level up to which a pixel may lie in shadow; -inf if fewer than 50 pixels should be in shadow."""
     core = cv2.erode(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if core.sum() < 50:
         return -math.inf
@@ -162,18 +161,16 @@ def shadow_level(image: F32, shadow: Mask) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """Heights of the cells and the image that the fine heights must agree with."""
-
     cells: F32  # (R, C) metres, no NaN
-    cell_weight: F32  # (R, C) 1 / sigma^2, 0 where unknown
-    image: F32  # (f R, f C) grey levels
+    cell_weight: F32  # (R, C) 1 / sigma^2; 0 where unknown
+    image: F32  # (f * R, f * C) grey levels
     factor: int
     pixel: float  # metres
     tuning: SharpenTuning
 
 
 def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) -> F32:
-    """One Gauss-Newton step of S3: cells, shading of the lit pixels, and curvature of the ground."""
+    """Return one Gauss-Newton step of the fine heights (S3): fit to cells, shading of lit pixels, curvature."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
     noise = np.float32(max(light.spread, scene.tuning.shade_floor * float(np.linalg.norm(light.sun))))
@@ -204,7 +201,7 @@ def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) ->
 
 
 def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
-    """The fine heights, the lit pixels and the light; None where shading does not explain the image."""
+    """Return fine heights, mask of lit pixels and light; None if shading does not explain the image."""
     z = np.asarray(cv2.resize(scene.cells, scene.image.shape[::-1], interpolation=cv2.INTER_CUBIC))
     small = np.asarray(cv2.resize(scene.image, scene.cells.shape[::-1], interpolation=cv2.INTER_AREA))
     known = scene.cell_weight > 0
@@ -227,7 +224,7 @@ def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
 
 
 def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
-    """1-sigma of the fine heights (S4): the cell's own, and a share of the detail, larger in shadow."""
+    """Return the 1-sigma of the fine heights (S4): the cell's sigma, and a share of the detail, larger in shadow."""
     detail = z - cv2.GaussianBlur(z, (0, 0), 0.5 * factor)
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
     unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near
@@ -240,13 +237,14 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
 
     Args:
         elevation: heights and sigma of the cells; cells that are not trusted stay unknown.
-        image: (f R, f C) or (f R, f C, 3), f = 2, 4, ... pixels a cell, the same north and extent.
+        image: (f * R, f * C) or (f * R, f * C, 3), f = 2, 4, ... pixels per cell, with the same north and extent.
+        tuning: constants of the refinement.
 
     Returns:
-        The map on the image's pixels, or None where shading explains too little of the image: paint, not shape.
+        The map on the image's pixels; None if shading explains too little of the image, as on painted ground.
 
     Raises:
-        ValueError: the image is not a whole even number of times finer.
+        ValueError: f is not an even whole number.
     """
     factor = image.shape[0] // elevation.grid.rows
     if factor < 2 or factor % 2 or image.shape[:2] != (factor * elevation.grid.rows, factor * elevation.grid.cols):

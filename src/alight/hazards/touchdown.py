@@ -1,4 +1,4 @@
-"""Measure a touchdown at every cell: the ground under the lander and beside it (docs/method/hazards.md, G0 to G6a)."""
+"""Measure a touchdown at every cell: ground under and beside the lander (docs/method/hazards.md, G0 to G6a)."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from alight.raster import (
 from alight.records import ElevationMap, Flag, Terrain, TerrainMap, is_flagged, is_measured
 from alight.settings import HazardsSettings, Lander
 
-ROUNDING = 1e-4  # of a share, or of a number of cells
-CERTAIN = np.float32(40.0)  # sigmas; a limit is kept, or broken, for sure
-NO_NOISE = 1e-9  # metres, or rad; a smaller sigma is none
+ROUNDING = 1e-4  # tolerance of a share, or of a number of cells
+CERTAIN = np.float32(40.0)  # sigmas; a limit is certainly kept or broken
+NO_NOISE = 1e-9  # metres or rad; a smaller sigma is treated as 0
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The ground under the footprint disc about every cell, all (R, C) float32."""
+    """Ground under the footprint disc around every cell, (R, C) float32 arrays."""
 
     unknown: F32  # share of the footprint that is unknown
-    level: F32  # metres, the plane at the centre
-    grad_c: F32  # metres a column
-    grad_r: F32  # metres a row
+    level: F32  # metres, height of the plane at the centre
+    grad_c: F32  # metres per column
+    grad_r: F32  # metres per row
     slope: F32  # rad
     roughness: F32  # metres, largest deviation (G2)
-    rise: F32  # metres, the highest ground over the plane
-    scatter: F32  # metres, 1-sigma of the deviations
-    count: F32  # known cells
+    rise: F32  # metres, highest ground above the plane
+    scatter: F32  # metres, 1-sigma of the deviations from the plane
+    count: F32  # number of known cells
 
 
 def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
-    """Lay the least-squares plane of the footprint about every cell (G1, G2)."""
+    """Fit the least-squares plane of the footprint around every cell (G1, G2); `height`, `radius`, `cell`: metres."""
     spans = disc_spans(radius / cell)
     reach = spans.size // 2
     count, level, grad_c, grad_r, squares = _planes(height, spans)
@@ -63,9 +63,9 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
 
 
 def _planes(height: F32, spans: I64, strip: int = 512) -> list[F32]:
-    """Known cells, the plane's level and rise per column and per row, and the squared deviations from it; (R, C) each.
+    """Return known cells, the plane's level and gradients per column and row, and squared deviations, (R, C) each.
 
-    By strips of rows, as the running sums take twelve times the memory of the heights.
+    Rows are processed in strips, as the running sums need twelve times the memory of the heights.
     """
     rows, cols = height.shape
     reach, out = spans.size // 2, [np.empty_like(height) for _ in range(5)]
@@ -81,7 +81,7 @@ def _planes(height: F32, spans: I64, strip: int = 512) -> list[F32]:
 
 
 def step_of(height: F32, radius: float, cell: float) -> F32:
-    """Largest height difference between neighbouring known cells in the footprint, metres; NaN where none is known."""
+    """Compute the largest height difference between neighbouring cells in the footprint, metres; NaN if unknown."""
     step = np.empty_like(height)
     kernels.neighbour_steps(height, step)
     disc = disc_mask(disc_spans(radius / cell))
@@ -93,10 +93,10 @@ def step_of(height: F32, radius: float, cell: float) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """The map to assess, and for whom."""
+    """Map to assess, lander and settings."""
 
     elevation: ElevationMap
-    land_cover: TerrainMap | None  # None: not known
+    land_cover: TerrainMap | None  # None: unknown
     lander: Lander
     settings: HazardsSettings
 
@@ -107,38 +107,38 @@ class Inputs:
 
     @property
     def common_tilt(self) -> float:
-        """1-sigma of the tilt that all cells share, rad: from the poses of the map, and the user's setting besides."""
+        """1-sigma of the tilt common to all cells, rad: from the map's poses and from the user's setting."""
         poses = 0.0 if self.elevation.datum is None else self.elevation.datum.tilt_sigma
         return float(np.hypot(poses, self.settings.tilt_sigma))
 
 
 @dataclass(frozen=True, eq=False)
 class Touchdowns:
-    """A touchdown centred on every cell, (R, C) each."""
+    """Measurements of a touchdown centred on every cell, (R, C) arrays."""
 
     footprint: Footprint
-    sigma: F32  # metres, root mean square of the heights under the lander
-    slope: F32  # rad, of the footprint, or the worst tilt of feet or skids
-    rise: F32 | None  # metres, of the ground under the belly above the worst contact plane; None: not judged
-    rotor: F32 | None  # sigmas, the least margin of the ground beside the footprint below the rotors; None: none there
-    step: F32  # metres
-    smooth_roughness: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
-    trend_roughness: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
-    measured: F32  # metres, the measured heights of the cells, doubtful ones as well
-    measured_roughness: F32  # metres, largest deviation of these
-    unmeasured: F32  # share of the footprint without any
-    edge: Mask  # the footprint, gear or rotors leave the map
+    sigma: F32  # metres, root mean square sigma of the heights under the lander
+    slope: F32  # rad, slope of the footprint, or worst tilt of feet or skids
+    rise: F32 | None  # metres, ground under the belly above the worst contact plane; None: not judged
+    rotor: F32 | None  # sigmas, least margin below rotors beyond the footprint; None: no such rotors
+    step: F32  # metres, largest step in the footprint
+    smooth_roughness: F32  # metres, largest deviation of heights smoothed by 0.2 m, to reduce noise
+    trend_roughness: F32  # metres, largest deviation of heights smoothed by 0.45 m: curvature of the ground
+    measured: F32  # metres, all measured heights, doubtful ones included
+    measured_roughness: F32  # metres, largest deviation of the measured heights
+    unmeasured: F32  # share of the footprint without a measured height
+    edge: Mask  # footprint, gear or rotors leave the map
     unknown: Mask
-    blocked: Mask  # the ground reaches into the belly's or the rotor's clearance
-    vetoed: Mask  # the land cover may not be landed on, or rises into the rotors
+    blocked: Mask  # the ground reaches into the clearance of the belly or rotors
+    vetoed: Mask  # the land cover is not landable, or rises into the rotors
 
 
 def measure(on: Inputs) -> Touchdowns:
-    """Measure a touchdown centred on every cell."""
+    """Measure slope, roughness, clearances and vetoes of a touchdown centred on every cell."""
     e, lander, settings, cell = on.elevation, on.lander, on.settings, on.cell
     height, measured = (of(e, lander, settings) for of in (usable_height, measured_height))
     footprint, beyond = footprint_of(height, lander.radius, cell), lander.ground_reach > lander.radius
-    if beyond:  # gear stands on the noise beside the footprint
+    if beyond:  # the gear also rests on noisy heights beside the footprint
         footprint = replace(footprint, scatter=footprint_of(height, lander.ground_reach, cell).scatter)
     variance = np.where(np.isfinite(height), e.sigma**2, np.float32(np.nan))
     sigma = np.sqrt(disc_mean(variance, lander.ground_reach, cell))
@@ -149,7 +149,7 @@ def measure(on: Inputs) -> Touchdowns:
         from alight.hazards.gear import gear_contact, is_coarse
 
         known = sigma[np.isfinite(sigma)]
-        exact = 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0  # 5 sigma about the belly's clearance
+        exact = 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0  # 5 sigma around the belly's clearance
         slope, above = gear_contact(height, footprint, edge | unknown, lander, cell, exact)
         unknown |= np.isnan(slope) & ~edge
         if lander.belly_clearance is not None:
@@ -170,16 +170,19 @@ def measure(on: Inputs) -> Touchdowns:
 
 
 def smoothed_roughness(height: F32, radius: float, cell: float, length: float) -> F32:
-    """Largest deviation of heights smoothed by `length`, metres; on wider cells if that and the radius allow it."""
+    """Compute the largest deviation from the plane of heights smoothed by `length` (1-sigma), all in metres.
+
+    Cells of twice the size are used if `length` and `radius` are wide enough.
+    """
     smooth = smoothed_height(height, cell, length)
-    if length / cell + ROUNDING < 2 or radius < 4 * cell:  # a smaller footprint holds too few blocks for a plane
+    if length / cell + ROUNDING < 2 or radius < 4 * cell:  # a smaller footprint has too few blocks for a plane
         return footprint_of(smooth, radius, cell).roughness
     wide = block_quantile(smooth, 2, 0.5)
     return upsample(footprint_of(wide, radius, 2 * cell).roughness, 2, height.shape)
 
 
 def _edge_and_unknown(height: F32, footprint: Footprint, on: Inputs) -> tuple[Mask, Mask]:
-    """Touchdowns that leave the map, and those with too much unseen ground or too many doubtful heights (G6a)."""
+    """Return the mask of touchdowns that leave the map, and the mask of those with too much unknown ground (G6a)."""
     lander, settings, cell, radius = on.lander, on.settings, on.cell, on.lander.radius
     unseen = np.isnan(on.elevation.height) | is_flagged(on.elevation.flags, Flag.UNSEEN)
     no_height = np.isnan(height)
@@ -195,7 +198,7 @@ def _edge_and_unknown(height: F32, footprint: Footprint, on: Inputs) -> tuple[Ma
 
 
 def ring_share(mask: Mask, inner: float, outer: float, cell: float) -> F32:
-    """Share of the ring between two radii (metres) about every cell where the mask holds; 0 where it has no cells."""
+    """Compute the share of the ring between two radii around every cell where the mask is True; lengths in metres."""
     spans = disc_spans(outer / cell)
     ring = disc_mask(spans) - disc_mask(padded_spans(disc_spans(inner / cell), spans.size // 2))
     kernel = ring.astype(np.float32) / max(float(ring.sum()), 1.0)
@@ -204,14 +207,14 @@ def ring_share(mask: Mask, inner: float, outer: float, cell: float) -> F32:
 
 
 def padded_spans(spans: I64, reach: int) -> I64:
-    """Spans of a disc padded with -1 to the rows of a larger one, so that both fit the same loops."""
+    """Pad the spans of a disc with -1 to the number of rows of a disc with `reach`, so that loops can use both."""
     return np.pad(spans, reach - spans.size // 2, constant_values=-1)
 
 
 def _vetoed(height: F32, on: Inputs) -> Mask:
-    """Touchdowns on land cover that may not be landed on, or beside what rises into the rotors; (R, C).
+    """Return the mask, (R, C), of touchdowns vetoed by land cover under the gear or in reach of the rotors.
 
-    A cell without a class is not refused.
+    Cells without a class are not refused.
     """
     cover, lander, cell = on.land_cover, on.lander, on.cell
     if cover is None:
@@ -225,19 +228,19 @@ def _vetoed(height: F32, on: Inputs) -> Mask:
 
 
 def _rotor(height: F32, footprint: Footprint, on: Inputs) -> F32 | None:
-    """Margin of the ground beside every footprint below the rotors, (R, C) sigmas; None: they lie within it."""
+    """Return the least margin below rotors beyond the footprint, (R, C) sigmas; None without such rotors."""
     e, lander = on.elevation, on.lander
     if lander.rotor_radius is None or lander.rotor_radius <= lander.radius:
         return None
     tops = np.where(np.isfinite(height), height, _supported(e, height))
-    most = np.float32(0.5 * lander.rotor_rise)  # largest sigma that a doubtful height counts with
+    most = np.float32(0.5 * lander.rotor_rise)  # largest sigma used for a doubtful height
     return rotor_margin(tops, np.where(e.trusted, e.sigma, np.fmin(e.sigma, most)), footprint, lander, on.cell)
 
 
 def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:
-    """Least margin below the rotor between the footprint's rim and its own, (R, C) in sigmas of the heights (G6, G8c).
+    """Compute the least margin below the rotors outside the footprint, (R, C) in sigmas of the heights (G6, G8c).
 
-    The ground under the rotor may rise above the footprint's plane by at most `rotor_rise`; NaN is unknown ground.
+    The ground under the rotors may rise above the footprint's plane by at most `rotor_rise`. NaN heights are unknown.
     """
     assert lander.rotor_radius is not None
     outer = disc_spans(lander.rotor_radius / cell)
@@ -249,10 +252,10 @@ def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, 
 
 
 def _supported(elevation: ElevationMap, height: F32) -> F32:
-    """Measured heights (R, C), opened by a square (erosion, then dilation); metres on the level of `height`.
+    """Open the measured heights (R, C) by a square (erosion, then dilation), relative to the level of `height`, metres.
 
-    A single doubtful height is a wrong match. Several as high in a square of 0.15 m are an object. NaN where not all
-    are known.
+    A single high doubtful height is a wrong match. A square of 0.15 m with equally high heights is an object. NaN where
+    some heights are unknown.
     """
     side, at = max(2, round(0.15 / elevation.grid.cell)), int(np.isfinite(height).argmax())
     level = elevation.height.flat[at] - height.flat[at]
@@ -264,26 +267,27 @@ def _supported(elevation: ElevationMap, height: F32) -> F32:
 
 
 def _about(height: F32, known: Mask, sigma: float) -> F32:
-    """Gaussian mean of the known heights about every cell, NaN where none is near; `sigma` in cells."""
+    """Return the Gaussian mean of the known heights around every cell, NaN if none is near; `sigma` in cells."""
     near = weighted_gaussian(height, known.astype(np.float32), sigma)
     return np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
 
 
 def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """Usable heights, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
+    """Return the usable heights relative to their median, which keeps float32 digits; NaN elsewhere (G0).
 
-    These are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
-    trusted ones beside them to half the height that the lander stands: an ambiguous match that lies on the ground
-    around it. On the rendered sample flight 0.15 m finds a quarter more of the safe ground at the same false-safe rate;
-    0.25 m quadruples that rate (a tree crown matched at ground level is let in).
+    Usable are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
+    trusted heights beside them to half the height of the tallest obstacle. Such heights are ambiguous matches at the
+    level of the surrounding ground. On the rendered sample flight a bridge of 0.15 m finds a quarter more of the safe
+    ground at the same false-safe rate. A bridge of 0.25 m quadruples that rate, as it admits a tree crown matched at
+    ground level.
     """
     known = elevation.trusted
     if not known.any():
         return np.full(elevation.grid.shape, np.nan, dtype=np.float32)
     height = elevation.height - np.float32(np.median(elevation.height[known]))
     flags = elevation.flags
-    usable = np.isfinite(height) & ~is_flagged(flags, Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # these cannot be right
-    plain = is_flagged(flags, Flag.TEXTURE | Flag.SATURATED)  # an obstacle would stand out against it
+    usable = np.isfinite(height) & ~is_flagged(flags, Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # flags of wrong heights
+    plain = is_flagged(flags, Flag.TEXTURE | Flag.SATURATED)  # an obstacle would be visible on plain ground
     for reach, where in (
         (settings.bridge, usable & ~is_flagged(flags, Flag.SATURATED)),
         (settings.bridge_plain, usable & plain),
@@ -296,10 +300,10 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
 
 
 def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """Measured heights (R, C), doubtful ones as well, as evidence of obstacles, metres (G7f).
+    """Return the measured heights, (R, C) metres, doubtful ones included, as evidence of obstacles (G7f).
 
-    A vague one counts in full where it stands out by several of its sigmas from the trusted ground within 0.5 m; else
-    it is lowered by one sigma towards that ground, and counts as not measured, NaN, within one sigma.
+    A height with a large sigma is kept if it differs by several sigmas from the trusted ground within 0.5 m. Otherwise
+    it is moved by one sigma towards that ground, or set to NaN if it lies within one sigma of it.
     """
     vague = elevation.sigma > np.float32(settings.vague * lander.tallest_obstacle)
     known = elevation.trusted
@@ -315,7 +319,7 @@ def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSe
 
 
 def smoothed_height(height: F32, cell: float, sigma: float) -> F32:
-    """Heights (R, C) smoothed by `sigma` metres, NaN where unknown: their largest deviation is less noise."""
+    """Smooth heights (R, C) by a Gaussian of 1-sigma `sigma` metres; NaN stays NaN."""
     known = np.isfinite(height)
     mean = weighted_gaussian(height, known.astype(np.float32), max(sigma / cell, 0.3)).mean
     return np.where(known, mean, np.float32(np.nan))

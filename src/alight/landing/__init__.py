@@ -1,1 +1,1 @@
-"""Landing: sites and the reasons against them, next view, reserve, route."""
+"""Landing: sites or the reasons against them, next views, reserve sites, routes."""

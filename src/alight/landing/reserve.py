@@ -1,4 +1,4 @@
-"""Sites held in reserve from map to map."""
+"""Sites that are held in reserve from map to map."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from alight.arrays import F64
 from alight.landing.sites import REASON_WORDS
 from alight.records import Hazard, HazardMap, Site, Sites
 
-SIGMAS_OF_TIE = 2.0  # sigmas that the clearance of a site must cover, to be a site in another frame
+SIGMAS_OF_TIE = 2.0  # number of sigmas of the tie that a site's clearance must cover to stay a site
 
 
 @dataclass(frozen=True)
 class Reserve:
-    """The sites found so far in a flight, and those that the newest map refused."""
+    """Sites found so far in a flight, and the sites that the newest map refused."""
 
     sites: tuple[Site, ...] = ()
-    lost: tuple[tuple[Site, str], ...] = ()  # by the newest map
-    frame_id: int = 0  # of the map that their places belong to
+    lost: tuple[tuple[Site, str], ...] = ()  # sites refused by the newest map, with the reasons in words
+    frame_id: int = 0  # map number of the positions
 
     def moved(self, shift: F64) -> Reserve:
-        """All sites moved by `shift`, (3,) metres."""
+        """Return the reserve with all sites moved by `shift`, (3,) metres."""
         lost = tuple((s.moved(shift), why) for s, why in self.lost)
         return replace(self, sites=tuple(s.moved(shift) for s in self.sites), lost=lost)
 
     def tied(self, shift: F64, sigma: float, frame_id: int) -> Reserve:
-        """Move all sites into another frame; sites whose clearance does not cover the error of the tie are lost.
+        """Move all sites into another map frame; a site is lost if its clearance does not cover the error of the move.
 
         Args:
-            shift: (3,) metres, to add.
-            sigma: metres, 1-sigma of it on the ground.
-            frame_id: of the other frame.
+            shift: (3,) metres, to add to every position.
+            sigma: horizontal 1-sigma of the shift, metres.
+            frame_id: number of the other map frame.
         """
         moved = self.moved(shift).sites
         kept = [s for s in moved if s.clearance >= SIGMAS_OF_TIE * sigma]
@@ -42,15 +42,15 @@ class Reserve:
         return Reserve(tuple(replace(s, rank=i + 1) for i, s in enumerate(kept)), lost, frame_id)
 
     def updated(self, found: Sites, hazards: HazardMap, apart: float) -> Reserve:
-        """Merge with the sites of a newer map; older ones stay until a map refuses them.
+        """Merge with the sites of a newer map; older sites stay until a map refuses them.
 
         Args:
-            found: chosen from the newer map.
-            hazards: of the newer map; it confirms, refuses or does not see the older sites.
-            apart: metres within which two sites are the same.
+            found: sites of the newer map.
+            hazards: hazards of the newer map, which confirm, refuse or do not show the older sites.
+            apart: distance in metres within which two sites are treated as one.
 
         Returns:
-            The newer sites first, then older ones that the newer map does not see; refused ones are lost.
+            The newer sites first, then the older sites that the newer map does not refuse. Refused sites are in `lost`.
         """
         kept, lost = list(found.sites), []
         for old in self.sites:
@@ -65,7 +65,7 @@ class Reserve:
 
 
 def _refusal(hazards: HazardMap, site: Site) -> str | None:
-    """The reasons against the place of a site in words; None if there are none, or the map does not show the place."""
+    """Return why the hazards refuse a site, in words; None if they do not, or if the map does not show the site."""
     row, col = (int(np.rint(v)) for v in hazards.grid.index(np.array(site.east), np.array(site.north)))
     if not (0 <= row < hazards.grid.rows and 0 <= col < hazards.grid.cols):
         return None

@@ -1,4 +1,4 @@
-"""Route: from a site to way-points over the site, clear of everything mapped, then straight down."""
+"""Route: way-points from the vehicle to a point above the site, clear of all mapped obstacles, then straight down."""
 
 from __future__ import annotations
 
@@ -17,22 +17,26 @@ from alight.raster import block_quantile, upsample
 from alight.records import ElevationMap, Route, Site, Waypoint, is_measured
 from alight.settings import RouteSettings
 
-UNMAPPED = 0.05  # share of the ground beside the way that may be unmapped, as `executive.unmapped`
+UNMAPPED = 0.05  # largest unmapped share of the ground beside the path, as in `executive.unmapped`
 
 
 @dataclass(frozen=True, eq=False)
 class _Corridor:
-    """Obstacles on the way: the mapped cells within `clearance` of the ground track."""
+    """Obstacles along the path: the mapped cells within `clearance` of the ground track."""
 
-    share: F64  # (n,) place of each cell along the way, 0 to 1
+    share: F64  # (n,) position of each cell along the path, 0 (start) to 1 (site)
     top: F64  # (n,) metres, height of each cell plus two sigma
-    unknown: bool  # True: a part of the way is not mapped, or of the ground beside it
-    beside: float  # metres, the highest top within `clearance` of the site
-    ceiling: float  # metres, the highest top on the whole map: unknown ground may be as high
+    unknown: bool  # whether part of the path, or of the ground beside it, is not mapped
+    beside: float  # metres, highest top within `clearance` of the site
+    ceiling: float  # metres, highest top on the whole map: unmapped ground may be as high
 
 
 def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
-    """Place of each cell along a way, 0 to 1, and True for cells within `width` metres of it, (R, C) each."""
+    """Compute where each cell lies along the straight ground track from `start` to `to`, and which cells are near.
+
+    Returns:
+        Position along the track, (R, C), 0 at `start` to 1 at `to`; mask of the cells within `width` metres.
+    """
     east, north = grid.xy()
     x, y = east - start[0], (north - start[1])[:, None]
     ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
@@ -56,18 +60,18 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Obstructions:
-    """Obstacles that may stand in the way."""
+    """Heights of possible obstacles."""
 
-    top: F64  # (R, C) metres, world up; NaN where no height was measured
-    rise: F64  # (R, C) metres, of doubtful heights above the ground about them; NaN where none is in doubt
+    top: F64  # (R, C) metres, world up, height to clear; NaN where no height was measured
+    rise: F64  # (R, C) metres, of doubtful heights above the ground around them; NaN elsewhere
 
     @classmethod
     def of(cls, elevation: ElevationMap) -> Obstructions:
-        """Trusted heights plus two sigma, and doubtful heights by blocks.
+        """Derive obstacle heights from a map: trusted heights plus two sigma, block medians of doubtful heights.
 
-        Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of a block
-        of 0.5 m, because single ones are wrong. Their rise is kept, above the lowest heights of blocks of 2 m and of
-        the neighbours of these.
+        In a tree's crown most heights are doubtful, by several metres. Single heights may be wrong, so each doubtful
+        cell gets the median of its block of 0.5 m. `rise` is this median above the lowest heights of its own block of 2
+        m and of the neighbouring blocks.
         """
         height = np.where(is_measured(elevation.flags), elevation.height, np.float32(np.nan))
         size, shape = max(1, round(0.5 / elevation.grid.cell)), height.shape
@@ -81,7 +85,7 @@ class Obstructions:
 
 
 def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
-    """True if any cell of the ground track lies off the map or is not known."""
+    """Whether any cell of the ground track lies off the map or outside the mask `known`."""
     grid = elevation.grid
     steps = 2 + int(math.hypot(site.east - start[0], site.north - start[1]) / grid.cell)
     east, north = np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps)
@@ -89,11 +93,11 @@ def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask)
 
 
 def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float) -> bool:
-    """True if more than `UNMAPPED` of some stretch of the way, `width` to either side and twice as long, is not mapped.
+    """Whether more than `UNMAPPED` of any stretch of the corridor along the path is unmapped.
 
-    Ground beyond both ends does not count: the way does not pass it.
-
-    `mapped` (R, C) holds for cells of the grid with a height, even a doubtful one; off the map there are none.
+    The corridor reaches `width` metres to either side; a stretch is `2 * width` long. Ground beyond both ends is
+    ignored. `mapped` (R, C) is True for cells of the grid with a height, even a doubtful one; off the map no cell is
+    mapped.
     """
     rows, cols = grid.index(*np.array([start[:2], to[:2]]).T)
     reach, corner = math.ceil(width / grid.cell) + 1, (math.floor(rows.min()), math.floor(cols.min()))
@@ -111,14 +115,14 @@ def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float
 
 
 def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wind: F64 | None) -> tuple[float, float]:
-    """Heights (metres, world up) at which the transit begins and ends (G17).
+    """Return the heights (metres, world up) at which the transit begins and ends (G17).
 
-    A straight line down to the approach point if it is clear all the way; else level flight, high enough. Level flight
-    too with the wind from behind: a rotor that sinks along with the air meets its own wash.
+    The transit is a straight line down to the approach point if that line is clear, else level flight above all
+    obstacles. It is level in a tail wind too: a rotor that sinks along with the air meets its own wash.
     """
     end = site.up + settings.approach_height
     begin = max(float(start[2]), end)
-    if way.unknown:  # unmapped ground may be as high as the highest mapped top
+    if way.unknown:  # unmapped ground may be as high as the highest top
         level = max(way.ceiling + settings.clearance, begin)
         return level, level
     line = begin + way.share * (end - begin)
@@ -132,25 +136,25 @@ def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wi
 
 
 class WayBelow(NamedTuple):
-    """Ground below a level way."""
+    """Ground below a level path."""
 
-    clear: float  # metres up: the height at which it is clear of everything mapped, minus infinity if nothing is mapped
-    unmapped: float  # share of the ground within the clearance
-    doubtful: float  # m^2 of it with obstacles of doubtful height
+    clear: float  # metres up, least height clear of all mapped obstacles; minus infinity if nothing is mapped
+    unmapped: float  # unmapped share of the ground below the path
+    doubtful: float  # m^2 of that ground with obstacles of doubtful height
 
 
 def way_below(
     start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float, beside: float, rise: float
 ) -> WayBelow:  # fmt: skip
-    """Least height of a level way, and the unmapped and the doubtful part of the ground below it.
+    """Compute the least height of a level path, and the unmapped and the doubtful parts of the ground below it.
 
     Args:
-        start, to: (3,) metres; the way leads from above the one to above the other, and may leave the map.
-        grid: of the map.
+        start, to: (3,) metres, ends of the path, which may leave the map.
+        grid: grid of the map.
         obstructions: obstacles on the map.
-        clearance: metres above the obstacles below it.
-        beside: metres on either side that count as below it.
-        rise: metres above the ground about it, from which a doubtful height counts as an obstacle of unknown height.
+        clearance: vertical clearance above the obstacles, metres.
+        beside: distance in metres to either side that is treated as below the path.
+        rise: height above the surrounding ground, metres; a doubtful height above it is an obstacle of unknown height.
     """
     _, near = along_way(start, to, grid, beside)
     here, cell = obstructions.top[near], grid.cell * grid.cell
@@ -168,7 +172,7 @@ def _bearing(a: F64, b: F64, otherwise: float) -> float:
 def _stops(
     start: F64, site: Site, heights: tuple[float, float], settings: RouteSettings
 ) -> list[tuple[str, F64, bool]]:
-    """Name, position and look (True: look from here) of every way-point after the start."""
+    """Return name, position and look (True: judge the ground from here) of every way-point after the start."""
     begin, end = heights
     over = [site.east, site.north]
     approach = site.up + settings.approach_height
@@ -205,19 +209,19 @@ def _timed(
 
 
 def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, settings: RouteSettings) -> Route:
-    """Lead the vehicle over the site and down on it, clear of everything mapped until it is over the site.
+    """Plan the route to a point above the site and straight down, clear of all mapped obstacles up to that point.
 
     Args:
-        site: where to land.
-        elevation: heights; two sigma are added to each.
-        vehicle_position: (3,) metres in the world.
-        settings: heights, speeds, clearance above and beside the way, and the wind where it is known: the speed
-            through the air stays within `air_speed`, and no line leads down with the wind from behind.
+        site: landing site.
+        elevation: map of heights; two sigma are added to each trusted height.
+        vehicle_position: (3,) metres, world.
+        settings: heights, speeds, clearance above and beside the path, and the wind if it is known. The air speed stays
+            within `air_speed`, and no transit descends in a tail wind.
 
     Returns:
-        The way-points from the vehicle's position to the touchdown, with the speed towards each and the time at it.
-        Warnings name where the line climbs, crosses or passes ground that is not mapped, or comes down nearer than
-        `clearance` beside an obstacle taller than that.
+        The way-points from the vehicle's position to the touchdown, with speed towards each and time at it. Warnings
+        report a climb, unmapped ground below, tall obstacles within `clearance` of the descent, and slow flight into
+        wind.
     """
     start = np.asarray(vehicle_position, dtype=np.float64)
     way = _corridor(start, site, elevation, settings.clearance)

@@ -1,4 +1,4 @@
-"""Landing sites, candidates with the view to settle their doubt, or the reason for none (eq. 5, G11, G11a, G19)."""
+"""Landing sites, candidates with the view that settles their doubt, or the reason for none (eq. 5, G11, G11a, G19)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from alight.records import (
 from alight.settings import Lander, SitesSettings
 
 Cell = tuple[int, int]  # row, column
-RADII_APART = 4.0  # footprint radii between two listed places, at least: one hazard must not make both useless
+RADII_APART = 4.0  # least distance of two sites in footprint radii: one hazard must not make both unusable
 REASON_WORDS = {
     Hazard.ROUGHNESS: "is too rough",
     Hazard.SLOPE: "is too steep",
@@ -40,35 +40,35 @@ REASON_WORDS = {
 
 
 def separation(settings: SitesSettings, lander: Lander) -> float:
-    """Least distance between two listed places, metres."""
+    """Return the least distance between two sites or candidates, metres."""
     return max(settings.separation or 0.0, RADII_APART * lander.radius)
 
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """The vehicle with the cameras that look at the ground."""
+    """The vehicle with its cameras that look down."""
 
     position: F64  # (3,) metres, in the frame of the map
     height_above_ground: float  # metres
-    focal: float  # pixels, of the newest view that looks down
-    stereo: bool  # two cameras look down at the same time
+    focal: float  # focal length of the newest view that looks down, pixels
+    stereo: bool  # whether two cameras look down at the same time
 
 
 def next_view(place: F64, settles_at: float, observer: Observer, settings: SitesSettings) -> NextView | None:
-    """Propose the highest view whose pixels are fine enough to settle the doubt about a place.
+    """Propose the highest view whose pixels are fine enough to settle the doubt about a position.
 
-    A pixel on the ground is the height over the focal length in pixels. The view is not lower than `lowest_look` and
-    not higher than the vehicle is now. One camera needs a base, so it looks from beside the place, on the side of the
-    vehicle; two cameras have a base of their own and look from straight above.
+    The width of a pixel on the ground is the height divided by the focal length in pixels. The view is at least
+    `lowest_look` and at most the present height above the ground. One camera needs a base: its view is beside the
+    position, on the side of the vehicle. Two cameras have their own base: their view is straight above.
 
     Args:
         place: (3,) metres, on the ground.
-        settles_at: metres, size of the pixel on the ground that settles the doubt; NaN: none does.
+        settles_at: width of a pixel on the ground that settles the doubt, metres; NaN: no width does.
         observer: the vehicle and its cameras.
-        settings: the lowest height and the base.
+        settings: the least height and the base.
 
     Returns:
-        The view; None where no pixel settles the doubt.
+        The view; None if no pixel settles the doubt.
     """
     if not math.isfinite(settles_at):
         return None
@@ -80,7 +80,7 @@ def next_view(place: F64, settles_at: float, observer: Observer, settings: Sites
 
 
 def _towards(place: F64, vehicle: F64) -> F64:
-    """Unit vector on the ground, (2,), from a place to the vehicle; north if the vehicle is overhead."""
+    """Return the horizontal unit vector, (2,), from a position to the vehicle; north if the vehicle is overhead."""
     way = np.asarray(vehicle[:2] - place[:2], dtype=np.float64)
     distance = float(np.hypot(*way))
     return way / distance if distance > 1e-3 else np.array([0.0, 1.0])
@@ -88,8 +88,6 @@ def _towards(place: F64, vehicle: F64) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """The arguments of `choose_sites`: scores of cells, and the places at the best ones."""
-
     hazards: HazardMap
     land_cover: TerrainMap | None
     elevation: ElevationMap
@@ -98,7 +96,7 @@ class _Choice:
     observer: Observer | None
 
     def score(self, allowed: Mask, clearance: F32) -> F64:
-        """Score of every cell (G11): quality, room, doubt, nearness; -inf where a touchdown is not allowed."""
+        """Compute the score of every cell (G11) from quality, room, doubt and distance; -inf where not `allowed`."""
         hazards, settings = self.hazards, self.settings
         allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
@@ -112,7 +110,7 @@ class _Choice:
         return np.where(allowed, score, -np.inf)
 
     def candidate_score(self, clearance: F32) -> F64:
-        """Score of every undecided cell (G11a): steps of P(safe) about it, and within a step the score of a site."""
+        """Compute the score of every undecided cell (G11a): steps of mean P(safe), and the site score within a step."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
         score = self.score(hazards.reasons == np.uint16(Hazard.DOUBT), clearance)
@@ -122,7 +120,7 @@ class _Choice:
         return np.where(np.isfinite(score), np.floor(chance / step) + 0.99 * np.exp(score - best), -np.inf)
 
     def place(self, rank: int, at: Cell, clearance: F32, candidate: bool) -> Site:
-        """The place at a cell; that of a candidate has its doubt, and the view that would settle it."""
+        """Build the site or candidate at a cell; a candidate gets its doubt and the view that would settle it."""
         hazards, grid, room = self.hazards, self.hazards.grid, float(clearance[at])
         east, north = grid.east + at[1] * grid.cell, grid.north - at[0] * grid.cell
         up, sigma = self._height_at(east, north)
@@ -146,10 +144,10 @@ class _Choice:
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:
-        """Height of a place and its sigma, metres: of the footprint's trusted cells, else of any that have a height.
+        """Return the height and its sigma, metres, over the footprint's trusted cells, or any cells if none is trusted.
 
-        A small footprint may lie between trusted cells, on doubtful ones that agree with them (G0). On finer cells than
-        those of the hazards, its heights may lie just beyond it.
+        A small footprint may lie between trusted cells, on doubtful cells that agree with them (G0). If the heights
+        have finer cells than the hazards, those with a height may lie just outside the footprint.
         """
         e = self.elevation
         for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
@@ -163,7 +161,6 @@ class _Choice:
         return float(height[here].mean()), float(np.sqrt(np.mean(sigma[here] ** 2)))
 
     def _landing_class(self, east: float, north: float) -> Terrain:
-        """The most frequent known class in the footprint."""
         if self.land_cover is None:
             return Terrain.UNKNOWN
         rows, cols, disc = _footprint(self.land_cover.grid, east, north, self.lander.radius)
@@ -173,20 +170,19 @@ class _Choice:
 
 
 def _footprint(grid: Grid, east: float, north: float, radius: float) -> DiscWindow:
-    """The disc about a place on any grid."""
     row, col = (round(float(i)) for i in grid.index(np.array(east), np.array(north)))
     return disc_window(grid.shape, row, col, radius / grid.cell)
 
 
 def _heading(east: float, north: float, observer: Observer | None) -> float:
-    """Bearing of the approach, clockwise from north; north if the vehicle is overhead or not known."""
+    """Return the bearing from the vehicle to a position, rad clockwise from north; 0 if it is overhead or unknown."""
     if observer is None or math.hypot(east - observer.position[0], north - observer.position[1]) < 1.0:
         return 0.0
     return math.atan2(east - observer.position[0], north - observer.position[1]) % (2 * math.pi)
 
 
 def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
-    """The best cells, best first, none within `apart` metres of a better one or of one that is taken."""
+    """Return up to `count` best cells, best first, each more than `apart` metres from better and `taken` cells."""
     remaining, found = score.copy(), list[Cell]()
 
     def take(cell: Cell) -> None:
@@ -212,25 +208,25 @@ def choose_sites(
     lander: Lander,
     observer: Observer | None = None,
 ) -> Sites:
-    """Rank the places where a touchdown is safe, then those that nothing refuses and whose P(safe) is below the limit.
+    """Rank the sites, then the candidates: cells that no limit refuses, with P(safe) below the limit.
 
-    The first site is the choice, the others are kept in reserve. A candidate is a place to look at again.
+    The best site comes first; the other sites are held in reserve. A candidate is worth another look.
 
     Args:
         hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
-        land_cover: classes, named at each place; None for not known.
-        elevation: heights; their cells may be finer than those of the hazards.
-        settings: number and least distance of places, and weights of the score.
-        lander: its footprint.
-        observer: the vehicle, for the heading of the approach and for the views of candidates; None if not known.
+        land_cover: classes to report for each site; None: unknown.
+        elevation: heights; its cells may be finer than the cells of the hazards.
+        settings: number of sites, their least distance, and weights of the score.
+        lander: the vehicle's footprint.
+        observer: the vehicle, for the heading of the approach and the views of candidates; None: unknown.
 
     Returns:
-        Sites, then candidates in order of rank. Without a site, the reason is a sentence: an answer, not an error.
+        Sites and candidates in order of rank. Without a site, `reason` explains why in a sentence; nothing is raised.
     """
     c = _Choice(hazards, land_cover, elevation, settings, lander, observer)
     apart, grid = separation(settings, lander), hazards.grid
     safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart, [])
-    # the room of a candidate: to refused cells, not to undecided ones as well
+    # a candidate's clearance is the distance to refused cells; undecided cells do not reduce it
     room = clearance_of((hazards.reasons & ~np.uint16(Hazard.DOUBT)) == 0, grid.cell)
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
     sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
@@ -239,7 +235,7 @@ def choose_sites(
 
 
 def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander) -> str:
-    """The reasons against a landing in one sentence, as shares of the ground that was seen; they may overlap."""
+    """Return the reasons against a landing in one sentence, as shares of the seen ground; these shares may overlap."""
     seen, cell, hazards = elevation.trusted, hazards.grid.cell, hazards.on(elevation.grid)
     if not seen.any():
         return "no safe site: no ground was seen well enough to know its height"

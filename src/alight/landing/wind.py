@@ -1,4 +1,4 @@
-"""Wind on the ways of a landing: speed over the ground, and the side from which to come."""
+"""Wind along the legs of a landing: speed over the ground, and direction of approach."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 
 from alight.arrays import F64
 
-SLOWEST = 0.5  # m/s over the ground, however strong the wind, so that the vehicle arrives
+SLOWEST = 0.5  # m/s over the ground, least speed in any wind, so that the vehicle arrives
 
 
 def ground_speed(way: F64, wind: F64 | None, wanted: float, most_air_speed: float) -> float:
-    """Speed over the ground along a way that keeps the speed through the air within its limit.
+    """Return the speed over the ground along a leg that keeps the air speed within its limit.
 
     Args:
-        way: (2,) or (3,) metres, world; its level part counts.
-        wind: (2,) or (3,) m/s, where the air goes; None: not known.
-        wanted: m/s over the ground without wind.
-        most_air_speed: m/s.
+        way: (2,) or (3,) displacement along the leg, metres, world; only its horizontal part is used.
+        wind: (2,) or (3,) velocity of the air, m/s, world; None: unknown.
+        wanted: speed over the ground without wind, m/s.
+        most_air_speed: largest speed through the air, m/s.
 
     Returns:
-        m/s, at most `wanted`; `SLOWEST` where the wind leaves no more.
+        Speed in m/s: at most `wanted`, and at least `SLOWEST` even if the wind then exceeds the limit.
     """
     along, across = _parts(way, wind)
     left = most_air_speed**2 - across**2
@@ -30,12 +30,12 @@ def ground_speed(way: F64, wind: F64 | None, wanted: float, most_air_speed: floa
 
 
 def is_from_behind(way: F64, wind: F64 | None, calm: float) -> bool:
-    """True if the wind along a way comes from behind, by more than `calm` m/s: no way to descend on."""
+    """Whether the wind along the leg `way` is a tail wind of more than `calm` m/s: too much for a descent."""
     return _parts(way, wind)[0] > calm
 
 
 def downwind(wind: F64 | None, calm: float) -> F64 | None:
-    """(2,) unit vector, where the air goes; None where the wind is not known or weaker than `calm` m/s."""
+    """Return the unit vector (2,) along the wind; None if the wind is unknown or at most `calm` m/s."""
     if wind is None:
         return None
     speed = math.hypot(float(wind[0]), float(wind[1]))
@@ -43,7 +43,7 @@ def downwind(wind: F64 | None, calm: float) -> F64 | None:
 
 
 def _parts(way: F64, wind: F64 | None) -> tuple[float, float]:
-    """The wind along a way, from behind positive, and across it, m/s."""
+    """Return the wind along a leg (tail wind positive) and the wind speed across it, m/s."""
     length = math.hypot(float(way[0]), float(way[1]))
     if wind is None or length < 1e-6:
         return 0.0, 0.0

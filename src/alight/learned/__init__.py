@@ -1,4 +1,4 @@
-"""Fitted tables, each with a card beside it, and the models in them."""
+"""Fitted tables, each with a card next to it, and the models in them."""
 
 from alight.learned.models import (
     KnownGround,

@@ -1,6 +1,6 @@
-"""The fitted tables and the models in them: a net, the known kinds of ground, rates of hazards, floors under these.
+"""Fitted tables and their models: a net, the known classes of ground, hazard rates and their floors.
 
-Their files are `.npz`, or `.yaml` for a few numbers, each with a card (`.md`) of the same name.
+The files are `.npz`, or `.yaml` for few numbers, each with a card (`.md`) of the same name.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from numpy.typing import NDArray
 from alight.arrays import F16, F32, F64
 from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, LAND_COVER_TERMS, NEAR_TERMS, RELIEF_TERMS
 
-CELLS_AT_A_TIME = 8192  # whose hidden units, or distances, stay in the cache
+CELLS_AT_A_TIME = 8192  # cells per batch, so that hidden units or distances fit the CPU cache
 
 
 def table_path(name: str) -> Path:
-    """The file of a table of the package."""
+    """Return the path of a table in the package."""
     return Path(__file__).parent / f"{name}.npz"
 
 
 def arrays_of(content: bytes, largest: int = 256_000_000) -> dict[str, NDArray[Any]]:
-    """The arrays in the bytes of a table, by name.
+    """Decode the arrays of a table, by name.
 
     Args:
-        content: of an archive (.npz) without Python objects, however damaged.
-        largest: bytes that its arrays may need.
+        content: bytes of an archive (.npz) without Python objects; they may be damaged.
+        largest: largest allowed size of the decoded arrays, bytes.
 
     Raises:
-        ValueError: it is damaged, holds Python objects, or unpacks to more than `largest`.
+        ValueError: the archive is damaged, holds Python objects, or decodes to more than `largest`.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -48,25 +48,25 @@ def arrays_of(content: bytes, largest: int = 256_000_000) -> dict[str, NDArray[A
             return {key: z[key] for key in z.files}
     except ValueError:
         raise
-    except Exception as e:  # a damaged archive raises errors of many kinds
+    except Exception as e:  # a damaged archive raises many types of errors
         raise ValueError(f"the table is damaged ({e})") from e
 
 
 @dataclass(frozen=True, eq=False)
 class FittedTable:
-    """Fitted numbers over terms; the fields are the arrays of the file."""
+    """Fitted parameters over features; the fields are the arrays of the file."""
 
-    terms: tuple[str, ...]  # identifiers (`terms`)
+    terms: tuple[str, ...]  # identifiers of the features (`alight.learned.terms`)
 
-    stored: ClassVar[dict[str, type]] = {}  # types of arrays in the file, where not 32 bit floats
+    stored: ClassVar[dict[str, type]] = {}  # types of arrays in the file, if not 32-bit floats
     used: ClassVar[type] = np.float32  # type of arrays in memory
 
     @classmethod
     def of(cls, content: bytes, terms: tuple[str, ...]) -> Self:
-        """Read a table from the bytes of its file, and check it against the terms that this version computes.
+        """Read a table from the bytes of its file, and check it against the features that this version computes.
 
         Raises:
-            ValueError: it is damaged, or was fitted on other terms; its shapes do not fit; a number is not allowed.
+            ValueError: the table is damaged, has other features or wrong shapes, or holds a value that is not allowed.
         """
         arrays, names = arrays_of(content), [f.name for f in fields(cls)]
         if missing := [k for k in names if k not in arrays]:
@@ -82,24 +82,24 @@ class FittedTable:
         return table
 
     def to_bytes(self) -> bytes:
-        """Content of the file (.npz)."""
+        """Encode the table as the content of its file (.npz)."""
         out, names = io.BytesIO(), [f.name for f in fields(self)][1:]
         numbers: dict[str, Any] = {k: np.asarray(getattr(self, k), self.stored.get(k, np.float32)) for k in names}
         np.savez_compressed(out, terms=np.array(self.terms), **numbers)
         return out.getvalue()
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes that the arrays must have."""
+        """Return the shapes that the arrays must have."""
         raise NotImplementedError
 
     def _is_sound(self) -> bool:
-        """Whether finite numbers of these shapes make a table."""
+        """Whether the values of a table with finite numbers and correct shapes are valid."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
 class Net(FittedTable):
-    """A net over standardised terms, with one hidden layer of rectified units."""
+    """Network over standardised features, with one hidden layer of rectified linear units."""
 
     usual: F32  # (T,) mean of each term
     spread: F32  # (T,) standard deviation of each term
@@ -108,7 +108,7 @@ class Net(FittedTable):
     output_weights: F32  # (U, outputs)
     output_bias: F32  # (outputs,)
 
-    clip: ClassVar = np.float32(4.0)  # spreads; a term further from the training data counts no further
+    clip: ClassVar = np.float32(4.0)  # standard deviations to which features are clipped
     stored: ClassVar = dict.fromkeys(("hidden_weights", "hidden_bias", "output_weights", "output_bias"), np.float16)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
@@ -119,13 +119,12 @@ class Net(FittedTable):
         return bool((self.spread > 0).all())
 
     def standardised(self, found: Iterable[tuple[str, F32]]) -> F16:
-        """Terms (R, C) in spreads about their mean and clipped, (terms, R, C) in the order of the net.
+        """Standardise and clip features (R, C), and return them as (T, R, C) in the order of the net.
 
-        A term is freed before the next one is computed, and the terms are kept to a thousandth: tens of them, of
-        millions of cells, are gigabytes.
+        Features are computed and freed one by one, and stored with half precision, as all of them would take gigabytes.
 
         Raises:
-            ValueError: not every term of the net was given, each once.
+            ValueError: a feature of the net is missing, repeated or unknown.
         """
         left = {name: i for i, name in enumerate(self.terms)}
         out = np.zeros((0, 0, 0), np.float16)
@@ -141,10 +140,10 @@ class Net(FittedTable):
         return out
 
     def outputs(self, found: Iterable[tuple[str, F32]]) -> F32:
-        """Outputs (outputs, R, C) of terms (R, C) each.
+        """Compute the outputs (outputs, R, C) from features (R, C) each.
 
         Raises:
-            ValueError: not every term of the net was given, each once.
+            ValueError: a feature of the net is missing, repeated or unknown.
         """
         terms = self.standardised(found)
         x, hidden, output = terms.reshape(len(terms), -1), self.hidden_weights.T, self.output_weights.T
@@ -158,15 +157,15 @@ class Net(FittedTable):
 
 @dataclass(frozen=True, eq=False)
 class KnownGround(FittedTable):
-    """Means of the kinds of ground in the training data, and the spread about them (docs/method/land-cover.md, T6)."""
+    """Class means of the training data and the spread around them (docs/method/land-cover.md, T6)."""
 
     usual: F32  # (T,) mean of each term
     spread: F32  # (T,) standard deviation of each term
-    means: F32  # (K, T) standardised
-    whitening: F32  # (T, T): the length of a row vector times it is the distance of Mahalanobis
-    limit: float  # squared distance within which 95 of 100 cells lie of families of scenes left out
+    means: F32  # (K, T) class means of standardised features
+    whitening: F32  # (T, T): `norm(row @ whitening)` is the Mahalanobis distance
+    limit: float  # squared distance that holds 95 % of the cells of held-out scene families
 
-    clip: ClassVar = np.float32(8.0)  # spreads
+    clip: ClassVar = np.float32(8.0)  # standard deviations to which features are clipped
     stored: ClassVar = {"means": np.float16, "limit": np.float64}
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
@@ -177,7 +176,7 @@ class KnownGround(FittedTable):
         return bool((self.spread > 0).all())
 
     def novelty(self, values: F32) -> F32:
-        """Squared distance to the nearest kind over the limit, (N,), of terms (N, T): above 1 no kind is similar."""
+        """Compute the squared distance of features (N, T) to the nearest class mean, divided by `limit`, (N,)."""
         centres, out = self.means @ self.whitening, np.empty(len(values), np.float32)
         for first in range(0, len(values), CELLS_AT_A_TIME):
             some = slice(first, first + CELLS_AT_A_TIME)
@@ -189,11 +188,11 @@ class KnownGround(FittedTable):
 
 @dataclass(frozen=True, eq=False)
 class Rate(FittedTable):
-    """Expected number of hazards: its logarithm is a sum of piecewise linear curves, none of which falls."""
+    """Expected number of hazards: its logarithm is a sum of piecewise linear curves that never decrease."""
 
-    knots: F64  # (T, K) values of each term, ascending; a curve is level beyond its ends
-    heights: F64  # (T, K) of the curve at the knots, rising from 0
-    bias: float  # log of the rate where every curve is 0
+    knots: F64  # (T, K) values of each feature, ascending; curves are constant beyond their ends
+    heights: F64  # (T, K) values of the curve at the knots, increasing from 0
+    bias: float  # log rate where every curve is 0
 
     stored: ClassVar = {"bias": np.float64}
     used = np.float64
@@ -205,10 +204,10 @@ class Rate(FittedTable):
         return bool((np.diff(self.knots, axis=1) > 0).all() and (np.diff(self.heights, axis=1) >= 0).all())
 
     def log_rate(self, found: Mapping[str, F32]) -> F32:
-        """Natural logarithm of the expected number of hazards, of the shape of the terms.
+        """Compute the natural logarithm of the expected number of hazards, in the shape of the features.
 
         Raises:
-            KeyError: a term of the rate is missing.
+            KeyError: a feature of the rate is missing.
         """
         total: F64 | float = self.bias
         for name, at, height in zip(self.terms, self.knots, self.heights, strict=True):
@@ -217,14 +216,14 @@ class Rate(FittedTable):
 
 
 class Floor(NamedTuple):
-    """Least expected hazards of a factor, by one kind of evidence alone: a sum of products of curves."""
+    """Least expected hazards of a factor, from one kind of evidence: a sum of products of curves."""
 
     factor: str
-    nearness: str  # by which it is weighted
-    products: tuple[dict[str, tuple[F64, F64]], ...]  # knots and heights of curves by the identifier of their term
+    nearness: str  # name of the nearness that weights the floor
+    products: tuple[dict[str, tuple[F64, F64]], ...]  # knots and values of curves, by feature identifier
 
     def expected(self, found: Mapping[str, F32]) -> F32:
-        """Expected hazards, of the shape of the terms."""
+        """Compute the expected hazards, in the shape of the features."""
         each = (math.prod(np.interp(found[k], *curve) for k, curve in p.items()) for p in self.products)
         return np.asarray(sum(each), np.float32)
 
@@ -237,25 +236,25 @@ RATES = {
 
 @cache
 def read_rate(name: str) -> Rate:
-    """Read a rate of the package (one of `RATES`), once."""
+    """Read a rate of the package (one of `RATES`); cached."""
     return Rate.of(table_path(name).read_bytes(), RATES[name])
 
 
 @cache
 def read_net() -> Net:
-    """Read the net for the land cover, once."""
+    """Read the network for the land cover; cached."""
     return Net.of(table_path("land_cover").read_bytes(), LAND_COVER_TERMS)
 
 
 @cache
 def read_known() -> KnownGround:
-    """Read the known ground of the package, once."""
+    """Read the class means of known ground; cached."""
     return KnownGround.of(table_path("known_ground").read_bytes(), LAND_COVER_TERMS)
 
 
 @cache
 def read_floors() -> dict[str, Floor]:
-    """Read the floors of the package (`floors.yaml`), by name, once."""
+    """Read the floors of the package (`floors.yaml`), by name; cached."""
 
     def curve(heights: list[float], at: Sequence[float] = (), log_of: Sequence[float] = ()) -> tuple[F64, F64]:
         knots: NDArray[Any] = np.array(at, np.float64) if at else np.log(log_of)
@@ -268,7 +267,7 @@ def read_floors() -> dict[str, Floor]:
 
 
 class SigmaCoefficients(NamedTuple):
-    """Coefficients of the sigma of a height (eq. 14); `heights.yaml` explains them."""
+    """Coefficients of the sigma of a height (eq. 14), explained in `heights.yaml`."""
 
     fit: float
     floor_cells: float
@@ -281,13 +280,13 @@ class SigmaCoefficients(NamedTuple):
 
 @cache
 def read_sigma() -> SigmaCoefficients:
-    """Read the coefficients of sigma, once."""
+    """Read the coefficients of sigma; cached."""
     return SigmaCoefficients(**_yaml("heights")["sigma"])
 
 
 @cache
 def read_wrong_match() -> dict[str, float]:
-    """Read the log odds of a wrong match by evidence, and their `constant` (eq. 15), once."""
+    """Read the log odds of a wrong match by evidence, and their `constant` (eq. 15); cached."""
     return dict(_yaml("heights")["wrong_match"])
 
 

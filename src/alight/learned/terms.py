@@ -1,82 +1,82 @@
-"""Identifiers of the terms of the fitted tables: the one list that stages and tables share.
+"""Identifiers of the features in fitted tables: the one list that stages and tables share.
 
-A table stores the identifiers that it was fitted on; `models.FittedTable.of` refuses a table whose list is another.
+A table stores the identifiers that it was fitted on. `models.FittedTable.of` refuses a table with other identifiers.
 """
 
 from __future__ import annotations
 
 from enum import StrEnum
 
-BANDS = 5  # octaves of detail of the picture, from 0.05 m
-RELATIVE = "_vs_frame"  # ends the identifier of a term less its median over the frame
+BANDS = 5  # octaves of picture detail, from 0.05 m
+RELATIVE = "_vs_frame"  # suffix for a feature minus its median over the frame
 
 
 class ReliefTerm(StrEnum):
     """Evidence of the heights against an even footprint (docs/method/p-safe.md, G7b).
 
-    Each is larger where a touchdown is less likely safe. Lengths are over `Lander.tallest_obstacle`.
+    Every feature increases as a touchdown becomes less likely safe. Lengths are divided by `Lander.tallest_obstacle`.
     """
 
-    ROUGHNESS = "roughness"  # log of the largest deviation from the footprint's plane, over its limit
-    ROUGHNESS_SMOOTH = "roughness_smooth"  # the same of heights smoothed by 0.2 m
-    ROUGHNESS_TREND = "roughness_trend"  # the same of heights smoothed by 0.45 m
-    RELIEF_WORST = "relief_worst"  # log root mean square relief as wide as an obstacle: of the worst patch
+    ROUGHNESS = "roughness"  # log of the largest deviation from the footprint's plane
+    ROUGHNESS_SMOOTH = "roughness_smooth"  # ROUGHNESS of heights smoothed by 0.2 m
+    ROUGHNESS_TREND = "roughness_trend"  # ROUGHNESS of heights smoothed by 0.45 m
+    RELIEF_WORST = "relief_worst"  # log root mean square relief as wide as an obstacle, in the worst patch
     RELIEF_MEAN = "relief_mean"
-    SAMPLING = "sampling"  # log of the ground that a sample of the match covers
+    SAMPLING = "sampling"  # log of the width of a match sample on the ground
     SIGMA = "sigma"  # log of the sigma of the heights
-    RESIDUAL_MEAN = "residual_mean"  # of the matches
+    RESIDUAL_MEAN = "residual_mean"  # mean residual of the matches
     RESIDUAL_WORST = "residual_worst"
     UNKNOWN = "unknown"  # share of the footprint without a height
 
 
 class DensityTerm(StrEnum):
-    """Evidence of the picture for obstacles near by, which the heights may have smoothed away (G7c)."""
+    """Evidence of the picture for nearby obstacles that the heights may have smoothed away (G7c)."""
 
-    SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle: of the worst patch
+    SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle, in the worst patch
     SPOT_MEAN = "spot_mean"
     SPOT_AROUND = "spot_around"
     DARK = "dark"  # contrast of the darkest spot
     BRIGHT = "bright"
-    PIXEL = "pixel"  # log of the ground that a pixel of the picture covers
+    PIXEL = "pixel"  # log of the width of a picture's pixel on the ground
 
 
 class GroundTerm(StrEnum):
-    """Evidence against ground that bears and is dry (G7e): log odds of a footprint against it, rock left aside."""
+    """Evidence against firm, dry ground (G7e): log odds over a footprint, with rock treated as firm ground."""
 
     WORST = "worst"
-    WORST_SMOOTH = "worst_smooth"  # of means over 0.2 m
+    WORST_SMOOTH = "worst_smooth"  # worst of means over 0.2 m
     MEAN = "mean"
-    WORST_BEYOND = "worst_beyond"  # to 1 m beyond the rim
-    MEAN_BEYOND = "mean_beyond"  # to 3 m beyond the rim
+    WORST_BEYOND = "worst_beyond"  # worst up to 1 m beyond the rim
+    MEAN_BEYOND = "mean_beyond"  # mean up to 3 m beyond the rim
     AROUND = "around"
-    NOVELTY = "novelty"  # log of the novelty (`KnownGround`): the mean
-    ENCLOSED = "enclosed"  # degree to which it is part of a level surface below its banks: the worst
+    NOVELTY = "novelty"  # mean log of the novelty (`KnownGround`)
+    ENCLOSED = "enclosed"  # worst membership of a level surface below its banks
 
 
 class NearTerm(StrEnum):
-    """Evidence of looks from near by, besides that of relief, density and ground (G7f)."""
+    """Evidence of views from nearby, in addition to the features of relief, density and ground (G7f)."""
 
-    RISE = "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts
-    RISE_UNKNOWN = "rise_unknown"  # share of the footprint where no height was measured well
-    NARROW = "narrow"  # log of that deviation over the one of smoothed heights: matching flattens stones, not ridges
-    GREEN = "green"  # excess green of the greenest spot as wide as an obstacle: a tuft on bare ground, however flat
+    RISE = "rise"  # `ReliefTerm.ROUGHNESS` of all measured heights: doubtful heights show tufts
+    RISE_UNKNOWN = "rise_unknown"  # share of the footprint without a well measured height
+    NARROW = "narrow"  # RISE minus ROUGHNESS_SMOOTH: matching flattens stones, not ridges
+    GREEN = "green"  # excess green of the greenest spot as wide as an obstacle, as of a tuft on bare ground
 
 
 class FloorTerm(StrEnum):
-    """Evidence of floors alone (`floors.yaml`), besides the terms above."""
+    """Evidence that only floors (`floors.yaml`) use, in addition to the other features of P(safe)."""
 
-    UNLIKE = "unlike"  # log odds of a patch that bears less over those of the ground about it
-    RIDGE = "ridge"  # metres of relief, the highest straight ridge
+    UNLIKE = "unlike"  # log odds of the softest patch minus those of its surroundings
+    RIDGE = "ridge"  # metres, relief of the highest straight ridge
 
 
 class SurfaceTerm(StrEnum):
     """Evidence for the land cover from shape and matching over decimetres to metres (docs/method/land-cover.md, T1)."""
 
-    ROUGH_02 = "rough_0.2m"  # log root mean square height against 0.2 m about it
+    ROUGH_02 = "rough_0.2m"  # log root mean square height minus its 0.2 m mean
     ROUGH_05 = "rough_0.5m"
     ROUGH_15 = "rough_1.5m"
     HEIGHT_ABOVE_GROUND = "height_above_ground"
-    HEIGHT_ABOVE_BED = "height_above_bed"  # doubtful heights count
+    HEIGHT_ABOVE_BED = "height_above_bed"  # doubtful heights included
     HEIGHT_LOCAL = "height_local"
     HEIGHT_BROAD = "height_broad"
     HIGHEST_NEAR = "highest_near"
@@ -92,12 +92,12 @@ class SurfaceTerm(StrEnum):
     TEXTURELESS = "textureless"
     SATURATED = "saturated"
     PLANTS = "plants"
-    SAMPLING = "sampling"  # log of the ground that a sample of the match covers
-    PIXEL = "pixel"  # log of the ground that a pixel of the picture covers
+    SAMPLING = "sampling"  # log of the width of a match sample on the ground
+    PIXEL = "pixel"  # log of the width of a picture's pixel on the ground
 
 
 class PictureTerm(StrEnum):
-    """Evidence for the land cover from detail of the picture, besides its bands (T1b)."""
+    """Evidence for the land cover from the picture's detail, in addition to its bands (T1b)."""
 
     BELOW = "light_below"
     DARK = "dark_near"
@@ -109,7 +109,7 @@ class PictureTerm(StrEnum):
 
 
 def band(octave: int) -> str:
-    """Identifier of the strength of a band of log brightness."""
+    """Return the identifier of the strength of a band of log brightness."""
     return f"light_{octave}"
 
 
@@ -121,7 +121,7 @@ RELIEF_TERMS, DENSITY_TERMS, GROUND_TERMS = (_values(kind) for kind in (ReliefTe
 _FROM_AFAR = (ReliefTerm.ROUGHNESS_TREND, ReliefTerm.RESIDUAL_MEAN, DensityTerm.SPOT_AROUND, GroundTerm.AROUND)
 NEAR_TERMS = tuple(t for t in _values(ReliefTerm, DensityTerm, GroundTerm, NearTerm) if t not in _FROM_AFAR)
 _BANDS = tuple(band(octave) for octave in range(BANDS))
-FRAME_TERMS = (  # their value less its median over the frame is a term as well
+FRAME_TERMS = (  # features that are also used minus their median over the frame
     SurfaceTerm.ROUGH_02, SurfaceTerm.ROUGH_05, SurfaceTerm.RESIDUAL, *_BANDS, PictureTerm.DARK, PictureTerm.BRIGHT,
     PictureTerm.TINT,
 )  # fmt: skip

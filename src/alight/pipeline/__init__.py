@@ -1,4 +1,4 @@
-"""The core: events in, a landing decision out. No file, clock or thread: replay and flight run the same code."""
+"""The core: events in, a landing decision out. Without file, clock or thread, it is the same in replay and flight."""
 
 from alight.pipeline.judging import Verdict, without_water
 from alight.pipeline.lanes import PipelineOptions

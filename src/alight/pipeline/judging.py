@@ -1,4 +1,4 @@
-"""Judging lane: from a map to a verdict, for every newer map; sites found earlier stay in reserve."""
+"""Judging lane: a verdict on every newer map; sites found earlier stay in reserve."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from alight.records import (
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
-LARGE_MAP = 1_000_000  # cells: judging one leaves hundreds of megabytes free in the heap
-MOST_LOST = 100  # sites whose loss is remembered
+LARGE_MAP = 1_000_000  # cells; judging a larger map leaves hundreds of megabytes free in the heap
+MOST_LOST = 100  # largest number of lost sites that are remembered
 GREY = (
     "the pictures are grey: no colour can refuse water, plants or buildings, so fewer are recognised and P(safe) is "
     "lower; give colour pictures"
@@ -53,30 +53,30 @@ NO_COVER = "the kind of ground is not judged (terrain.enabled=false): nothing re
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Verdict on one map: land cover, hazards and sites, in the frame of the map."""
+    """Verdict on one map: land cover, hazards and sites, in the map frame."""
 
-    elevation: ElevationMap  # with the heights of water refused
+    elevation: ElevationMap  # heights on water are refused
     land_cover: TerrainMap | None
     hazards: HazardMap
     sites: Sites
-    frame: MapFrame  # of the map, with its place in the world
+    frame: MapFrame  # map frame, with its position in the world
     missing: MissingVeto = NOTHING_MISSING
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Evidence that the verdict had to do without."""
+        """Warnings in sentences about evidence that was missing."""
         land_cover = self.land_cover
         about = (NO_COVER,) if land_cover is None else () if land_cover.coloured else (GREY,)
         return about + tuple(words for veto, words in MISSING.items() if veto in self.missing)
 
     @property
     def look(self) -> NextView | None:
-        """Without a site: the view that would settle the doubt about the first candidate that has one. Else None."""
+        """Next view of the first candidate that has one, if there is no site; else None."""
         views = [c.look for c in self.sites.candidates if c.look is not None]
         return views[0] if views and not self.sites.sites else None
 
     def in_world(self) -> Verdict:
-        """The verdict in the world, for results that leave the pipeline."""
+        """Return the verdict in the world frame, for results that leave the pipeline."""
         frame, land_cover, hazards = self.frame, self.land_cover, self.hazards
         return replace(
             self,
@@ -90,22 +90,22 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class JudgingMemory:
-    """Memory of the judging lane of earlier maps, by value: a lane that replaces another one goes on with it."""
+    """Memory of the judging lane, immutable; a lane that replaces another continues with its memory."""
 
-    kept: Reserve = field(default_factory=Reserve)  # in the map's frame
-    frame: MapFrame | None = None  # of the newest map
-    lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
-    warnings: tuple[str, ...] = ()  # on the sites, where the motion began anew
-    roofs: Remembered = NOWHERE  # flat roofs, in the map's frame: maps from near by do not show the lower ground
-    cover: CoverMemory = field(default_factory=CoverMemory)  # of the newest map, in its frame
+    kept: Reserve = field(default_factory=Reserve)  # reserve, in the map frame
+    frame: MapFrame | None = None  # frame of the newest map
+    lost: tuple[str, ...] = ()  # sites that were given up, in words, newest last
+    warnings: tuple[str, ...] = ()  # warnings on sites after the motion was reinitialised
+    roofs: Remembered = NOWHERE  # flat roofs, in the map frame: maps from low heights do not show the ground around
+    cover: CoverMemory = field(default_factory=CoverMemory)  # land cover, in the map frame
 
     @property
     def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
+        """Sites of all maps judged so far, and the sites that the newest map refused, with reasons; in the world."""
         return self.kept if self.frame is None else self.kept.moved(self.frame.offset_world)
 
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
-        """The memory moved to another map frame, with a warning of the number of sites that are left."""
+        """Return the memory moved to another map frame, with a warning that counts the remaining sites."""
         before = len(self.kept.sites)
         moved = replace(self, roofs=self.roofs.moved(*tie), cover=self.cover.moved(*tie))
         if not before:
@@ -120,18 +120,18 @@ class JudgingMemory:
         return replace(moved, warnings=(*moved.warnings, warning)[-MOST_LOST:])
 
     def with_reserve(self, kept: Reserve, frame: MapFrame) -> JudgingMemory:
-        """The memory with another reserve; lost sites are noted in words."""
+        """Return the memory with another reserve; its lost sites are noted in words."""
         later = replace(self, kept=kept, frame=frame)
         lost = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
         return replace(later, lost=(self.lost + lost)[-MOST_LOST:])
 
 
 class JudgingLane:
-    """Judges one map after the other, and keeps the sites of earlier ones until a newer one refuses them.
+    """Lane that judges one map after another, and keeps the sites of earlier maps until a newer map refuses them.
 
     Args:
-        appearance: model of appearance; None: land cover from the map's own evidence alone.
-        memory: of a lane that this one replaces.
+        appearance: appearance model; None: land cover from the evidence of the map itself only.
+        memory: memory of the lane that this one replaces.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class JudgingLane:
         self.memory = memory
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map: land cover, hazards, sites, and candidates with the views that would settle their doubt."""
+        """Return the verdict on a map: land cover, hazards, sites, and candidates with next views."""
         s, frame = self._settings, seen.frame
         self._follow(frame)
         with self._timings.of("finer pixels"):
@@ -168,7 +168,7 @@ class JudgingLane:
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
-        """Land cover with the roofs (G13c) and the doubts (T8) of this map and of earlier ones."""
+        """Add the roofs (G13c) and the doubts (T8) of earlier maps to the land cover."""
         self.memory = replace(self.memory, cover=self.memory.cover.with_seen(land_cover, t_ns))
         land_cover, grid = self.memory.cover.doubted(land_cover), land_cover.grid
         roofs = self.memory.roofs.with_seen(shown_at(grid, land_cover.raised > 0.5), t_ns)
@@ -176,7 +176,7 @@ class JudgingLane:
         return land_cover.with_roofs(np.maximum(land_cover.raised, roofs.on(grid)))
 
     def _follow(self, frame: MapFrame) -> None:
-        """Move the memory of earlier maps into the frame of a newer one.
+        """Move the memory of earlier maps into a newer map frame.
 
         Sites whose clearance does not cover the error of the tie are given up.
         """
@@ -186,7 +186,7 @@ class JudgingLane:
         self.memory = replace(m, kept=replace(m.kept, frame_id=frame.frame_id), frame=frame)
 
     def notes(self, found: Verdict) -> dict[str, object]:
-        """Notes of a run on a verdict: sites of earlier maps, and the reasons why others were given up."""
+        """Return the notes of a run on a verdict: evidence, quality, sites of earlier maps, and sites given up."""
         out: dict[str, object] = {
             "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
         }
@@ -203,7 +203,7 @@ class JudgingLane:
 
 
 def reserve_notes(sites: Sequence[Site]) -> dict[str, object]:
-    """Notes of a run on sites in reserve, in the world."""
+    """Return the notes of a run on the sites in reserve, in the world."""
     lines = [f"east {s.east:.1f} north {s.north:.1f} m, P {p_safe_text(s.p_safe)}" for s in sites]
     return {"sites in reserve": lines} if lines else {}
 
@@ -214,12 +214,12 @@ def _tidy(elevation: ElevationMap) -> None:
 
 
 def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
-    """The map on cells that fit the lander, with the finest picture of them."""
+    """Resample the map to cells that fit the lander, with its finest picture."""
     elevation = on_cells_up_to(seen.elevation, lander.judging_cell)
     picture, sampling = orthophoto(seen.views, elevation)
     for view in seen.views:
         if not isinstance(view.image, np.ndarray):
-            view.image.let_go()  # hundreds of megabytes, and judging a large map takes more
+            view.image.let_go()  # frees hundreds of megabytes before a large map is judged
     return replace(elevation, fine=picture, fine_sampling=sampling)
 
 
@@ -229,13 +229,13 @@ def find_land_cover(
     appearance: terrain.Model | None,
     tables: terrain.Tables | None = None,
 ) -> TerrainMap:
-    """Land cover on the map's grid, found on cells that fit its evidence, which is gathered over 0.4 m."""
+    """Estimate the land cover on cells that fit its evidence (means over 0.4 m), and return it on the map's grid."""
     coarse = on_cells_up_to(elevation, settings.cell)
     return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 
 
 def observer(seen: MapSnapshot) -> sites.Observer | None:
-    """The vehicle, and its cameras by the views of the newest instant that look down; None if none of them does."""
+    """Return the vehicle with the cameras that look down at the newest instant; None if no camera does."""
     t_ns = max((v.t_ns for v in seen.views), default=0)
     newest = [v for v in seen.views if v.t_ns == t_ns]
     if not newest:
@@ -245,9 +245,9 @@ def observer(seen: MapSnapshot) -> sites.Observer | None:
 
 
 def without_water(elevation: ElevationMap, land_cover: TerrainMap | None) -> ElevationMap:
-    """The map with the heights of water refused: flat and smooth, with a small sigma, they are those of the bed.
+    """Refuse the heights of water: they are flat and smooth with a small sigma, but show the bed.
 
-    On the sample flight this takes the wrong heights that are given out from 10 % of all to 1 %.
+    On the sample flight this reduces the wrong heights from 10 % of all heights to 1 %.
     """
     if land_cover is None:
         return elevation

@@ -1,4 +1,4 @@
-"""The lanes of a run: the options that choose them, and their end, the landing decision."""
+"""Lanes of a run: their options, their choice, and the landing decision at the end."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from alight.settings import ImuNoise, RouteSettings, StageSettings
 
 @dataclass(frozen=True, eq=False)
 class PipelineOptions:
-    """Options of a run; none is needed."""
+    """Options of a run, all with defaults."""
 
     poses: TimedPoses | None = None  # body poses that replace the estimated ones, for evaluation
-    navigation: NavigationLane | None = None  # used instead of the usual lane
-    appearance: terrain.Model | None = None  # None: land cover from the map's own evidence alone
+    navigation: NavigationLane | None = None  # replaces the lane that the settings choose
+    appearance: terrain.Model | None = None  # None: land cover without an appearance model
     imu: ImuNoise | None = None  # noise of the recording's IMU
-    prior: PriorHeights | None = None  # heights from elsewhere, with which the search at the end begins
-    policy: FlightPolicy | None = None  # None: one by `sites.every`
-    on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
-    clock: Clock = lambda: 0.0  # seconds, for the time of the stages; the core has no clock of its own
-    tile_store: TileStore | None = None  # of the tiles that the vehicle has left behind; None: memory
+    prior: PriorHeights | None = None  # external DEM that narrows the height search of the batch map
+    policy: FlightPolicy | None = None  # None: `FlightPolicy` with `sites.every`
+    on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # gets the time of the exposure, too
+    clock: Clock = lambda: 0.0  # seconds, to time the stages; the core has no clock
+    tile_store: TileStore | None = None  # store of far tiles; None: memory
     jobs: Jobs | None = None  # workers for photos and tiles; None: this process
-    history: bool = True  # keep the data for `finish`; without it a flight may last for ever
+    history: bool = True  # whether data are kept for `finish`; False: memory stays bounded
 
 
 def navigation_lane(
     rig: Rig, kind: Literal["flight", "photos"], settings: StageSettings, options: PipelineOptions
 ) -> NavigationLane:
-    """Choose the way to find the motion.
+    """Return the navigation lane that the options or settings choose.
 
     Raises:
-        SettingsError: the settings choose bundle adjustment, whose lane is the caller's.
+        SettingsError: the settings choose bundle adjustment, whose lane the caller must pass.
     """
     if options.navigation is not None:
         return options.navigation
@@ -62,8 +62,8 @@ def navigation_lane(
 def mapping_lane(
     rig: Rig, settings: StageSettings, options: PipelineOptions, timings: Timings, at_end: bool
 ) -> MappingLane:
-    """Choose the way to map; `at_end`: all motions come at the end of the recording."""
-    if not at_end and (settings.parallax.method == "recursive" or not options.history):  # no end, no batch
+    """Return the mapping lane that settings and options choose; `at_end`: all motions come at the end."""
+    if not at_end and (settings.parallax.method == "recursive" or not options.history):  # a batch needs the end
         from alight.pipeline.mapping.recursive_map import RecursiveMapper
 
         anew = options.policy.mapping_anew if options.policy is not None else ()
@@ -77,7 +77,7 @@ def conclude(
     navigation: NavigationLane, mapping: MappingLane, judging: JudgingLane, settings: StageSettings, timings: Timings,
     progress: StageProgress = unreported,
 ) -> Decision:  # fmt: skip
-    """Refine the motion, build the map, judge it and choose; all results are in the world."""
+    """Refine the motion, build and judge the map, and return the decision, with all results in the world."""
     with timings.of("motion, all frames together"):
         trajectory = navigation.finish(partial(progress, "motion"))
     warnings = list(trajectory.warnings)
@@ -110,7 +110,6 @@ def conclude(
 
 
 def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | None:
-    """The way to the best of the sites, planned in the world."""
     if not sites.sites:
         return None
     vehicle, elevation = seen.frame.point(seen.position), seen.frame.elevation(seen.elevation)

@@ -1,8 +1,8 @@
-"""The frame of a map and the world: results leave in the world, with the covariance of the map's place on Earth.
+"""Map frame and world: results leave the pipeline in the world, with the covariance of the map's absolute position.
 
-The filter works in a map frame whose offset from the world is a state: poses and heights agree with each other far
+The filter works in a map frame whose offset from the world is a state. Poses and heights agree with each other far
 better than with GPS/INS. So all results are moved by one constant, the newest offset, and its covariance is given
-beside it. A filter that begins anew gives its poses another frame number.
+separately. A filter that is reinitialised gives its poses another map number.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from alight.records import Datum, ElevationMap, Motion, PlaceSigma, Sites
 
 
 class Tie(NamedTuple):
-    """Transform of positions from one map frame to another, by the place of both in the world."""
+    """Shift between two map frames, derived from the world positions of both."""
 
     shift: F64  # (3,) metres, to add
-    sigma: float  # metres, 1-sigma of it on the ground, in the direction in which it is largest
+    sigma: float  # metres, horizontal 1-sigma of the shift in its most uncertain direction
 
 
 @dataclass(frozen=True, eq=False)
 class MapFrame:
-    """Place of a map frame in the world."""
+    """Position of a map frame in the world."""
 
-    frame_id: int  # `Motion.frame_id` of the poses that belong to it
-    offset_world: F64  # (3,) metres, to add to positions of the map
-    covariance: F64  # (3, 3) m^2, of the map's place in the world once the offset is applied
+    frame_id: int  # map number, `Motion.frame_id` of its poses
+    offset_world: F64  # (3,) metres, added to map positions
+    covariance: F64  # (3, 3) m^2, of the map's world position after the offset is applied
 
     @classmethod
     def of(cls, motion: Motion) -> MapFrame:
-        """Map frame of a motion, whose covariance is the second moment with the offset not applied."""
+        """Build the map frame of a motion; the squared offset is subtracted from the position covariance."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
         return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 
     def tie(self, other: MapFrame) -> Tie:
-        """The tie from this frame to another one; the covariances of their places add up."""
+        """Return the tie from this frame to another; the covariances of both world positions add up."""
         sigma = PlaceSigma.of(self.covariance + other.covariance).horizontal
         return Tie(self.offset_world - other.offset_world, sigma)
 
     # -- from the map to the world
 
     def motion(self, motion: Motion) -> Motion:
-        """A motion of this frame with the offset applied."""
+        """Convert a motion of this frame to the world: apply the offset."""
         if motion.offset_world is None:
             return motion
         covariance = motion.covariance.copy()
@@ -57,18 +57,18 @@ class MapFrame:
         return replace(motion, world_from_body=body, world_from_cams=cams, covariance=covariance, offset_world=None)
 
     def point(self, position: F64) -> F64:
-        """A point of this frame in the world, (3,) metres."""
+        """Convert a point of this frame to the world, (3,) metres."""
         return np.asarray(position + self.offset_world)
 
     def grid(self, grid: Grid) -> Grid:
-        """A grid of this frame, moved to the world."""
+        """Convert a grid of this frame to the world."""
         east, north = float(self.offset_world[0]), float(self.offset_world[1])
         return replace(grid, east=grid.east + east, north=grid.north + north)
 
     def elevation(self, elevation: ElevationMap) -> ElevationMap:
-        """A map of this frame in the world, with its frame number and the covariance of its place.
+        """Convert a map of this frame to the world, with its map number and the covariance of its position.
 
-        The offset is applied there, and is no common error of its heights any more.
+        The applied offset is removed from the datum's covariance.
         """
         datum, (east, north, up) = elevation.datum, self.offset_world
         if datum is not None:
@@ -85,12 +85,12 @@ class MapFrame:
         )
 
     def sites(self, sites: Sites) -> Sites:
-        """Sites and candidates of this frame in the world, with the frame number."""
+        """Convert sites and candidates of this frame to the world, with its map number."""
         return replace(sites.moved(self.offset_world), frame_id=self.frame_id)
 
 
 def in_world(motions: Iterable[Motion]) -> list[Motion]:
-    """Motions in the world: each map frame is placed by the newest motion in it."""
+    """Convert motions to the world: each map frame gets the offset of its newest motion."""
     motions = list(motions)
     newest = {m.frame_id: MapFrame.of(m) for m in motions}
     return [newest[m.frame_id].motion(m) for m in motions]

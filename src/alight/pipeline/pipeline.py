@@ -1,4 +1,4 @@
-"""The method: events in, a landing decision out. No file, clock or thread: replay and flight run the same code."""
+"""The method: events in, a landing decision out. Without file, clock or thread, it is the same in replay and flight."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from alight.settings import Settings
 
 
 class Pipeline:
-    """Three lanes in turn: navigation, mapping, judging. Feed it events in the order of arrival, then `finish`.
+    """Three lanes in turn: navigation, mapping, judging. Feed it events in the order of arrival, then call `finish`.
 
     Args:
-        rig, kind: the cameras; `flight` (continuous) or `photos` (far apart).
+        rig: the cameras.
+        kind: `flight` (continuous exposures) or `photos` (exposures far apart).
         settings: all settings; None: the defaults.
-        options: what else there is: a model of appearance, workers, a policy; see `PipelineOptions`.
+        options: appearance model, workers, policy and more; None: the defaults of `PipelineOptions`.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class Pipeline:
         self._judging = JudgingLane(stages, options.appearance, self._timings)
 
     def feed(self, event: Event) -> Motion | None:
-        """Take one event; an exposure gives its motion when that is known at once."""
+        """Process one event; return the motion of an exposure if it is known at once, else None."""
         if not self._policy.tracks(event):
             return None
         with self._timings.of("motion"):
@@ -52,7 +53,7 @@ class Pipeline:
         return None if navigation is None else navigation.motion
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
-        """Improve the map with an exposure; return the map if it is to be judged, else None."""
+        """Improve the map with an exposure; return the map if it is due to be judged, else None."""
         policy = self._policy
         if not policy.maps(navigation):
             return None
@@ -61,19 +62,19 @@ class Pipeline:
         return None if due is None else self._mapping.snapshot(due.about)
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map: land cover, hazards, sites, and the next view where there is no site."""
+        """Return the verdict on a map: land cover, hazards, sites, and candidates with next views."""
         return self._judging.judge(seen)  # docs/method/land-cover.md, docs/method/hazards.md
 
     @property
     def reserve(self) -> Reserve:
-        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
+        """Sites of all maps judged so far, and the sites that the newest map refused, with reasons; in the world."""
         return self._judging.memory.reserve
 
     @property
     def timings(self) -> Mapping[str, Sequence[float]]:
-        """Seconds of every step, by stage; in flight the last ones."""
+        """Durations of all steps in seconds, by stage; without history only the last steps."""
         return self._timings.stages
 
     def finish(self, progress: StageProgress = unreported) -> Decision:
-        """Refine the motion, build the map, judge it and choose."""
+        """Refine the motion, build and judge the map, and return the decision, with all results in the world."""
         return conclude(self._navigation, self._mapping, self._judging, self._settings, self._timings, progress)

@@ -1,6 +1,6 @@
-"""The policy of the lanes: which exposures are used, with how much effort, and when a map is judged about what place.
+"""Policy of the lanes: which exposures are used, with how much effort, and when the map is judged.
 
-Replay, live runs and trials use the same object. Time is that of the events.
+Replay, live runs and trials use the same object. Time is the time of the events.
 """
 
 from __future__ import annotations
@@ -18,24 +18,23 @@ from alight.records.executive import Need
 
 @dataclass(frozen=True, eq=False)
 class DueVerdict:
-    """A verdict on the map that is due."""
+    """Request to judge the map now."""
 
-    about: F64 | None = None  # (2,) metres in the map's frame, a place that the judged map shows too; None: none
+    about: F64 | None = None  # (2,) metres in the map frame, a position that the map must also show; None: no position
 
 
 class EffortControl:
-    """Lowers the effort when a step of the map is late, and raises it when six steps in a row have been fast.
+    """Effort of the map's steps: lowered when a step is late, raised after six fast steps in a row.
 
-    Args:
-        deadline: s that a step may take; half of it is fast.
+    `deadline`: longest time of a step, s; a step within half of it is fast.
     """
 
     def __init__(self, deadline: float = 0.25) -> None:
         self._deadline, self._calm = deadline, 0
-        self.effort = 0  # 0: all of it; 3: the least (`MappingLane.feed`)
+        self.effort = 0  # 0: full; 3: least (`MappingLane.feed`)
 
     def took(self, seconds: float) -> bool:
-        """Take the seconds of a step of the map; return whether `effort` has changed."""
+        """Update the effort with the duration of a step, s; return whether `effort` has changed."""
         before = self.effort
         self._calm = self._calm + 1 if seconds < 0.5 * self._deadline else 0
         if seconds > self._deadline:
@@ -46,42 +45,42 @@ class EffortControl:
 
 
 class FlightPolicy:
-    """Every exposure is used; the map is judged every few keyframes, and as often as somebody needs it.
+    """Policy that uses every exposure, and judges the map every few keyframes and as often as `need` requires.
 
-    The effort is full unless a live run reports the time of its steps to `effort_control`.
+    The effort is full unless a live run reports the duration of its steps to `effort_control`.
 
     Args:
-        every: keyframes from one judgement to the next; 0: the map is judged where `need` calls for it only.
+        every: keyframes between judgements; 0: the map is judged only as `need` requires.
     """
 
-    navigation_anew: Collection[int] = ()  # stamps of the exposures before which the navigation lane begins anew
-    mapping_anew: Collection[int] = ()  # the same of the mapping lane
+    navigation_anew: Collection[int] = ()  # times of exposures before which the navigation lane is restarted
+    mapping_anew: Collection[int] = ()  # times of exposures before which the mapping lane is restarted
 
     def __init__(self, every: int) -> None:
         self._every, self._since = every, 0  # keyframes
         self._judged_ns: int | None = None  # exposure of the last judgement
-        self.need: Need | None = None  # of whoever decides by the verdicts, who sets it, from any thread; None: none
+        self.need: Need | None = None  # set by the user of the verdicts, from any thread; None: no need
         self.effort_control = EffortControl()
 
     def tracks(self, event: Event) -> bool:
-        """Whether the navigation lane takes an event."""
+        """Whether the navigation lane uses an event."""
         return True
 
     def maps(self, navigation: Navigation) -> bool:
-        """Whether the mapping lane takes an exposure."""
+        """Whether the mapping lane uses an exposure."""
         return True
 
     def effort(self, navigation: Navigation) -> int:
-        """Effort of the mapping lane for an exposure, from 0 (full) to 3 (least), as the time of its steps allows."""
+        """Return the mapping lane's effort for an exposure, 0 (full) to 3 (least), as the time of its steps allows."""
         return self.effort_control.effort
 
     def due_verdict(self, navigation: Navigation, keyframes: int, free: bool = True) -> DueVerdict | None:
-        """The verdict that is due after an exposure; None: none is. Call it once for each mapped exposure.
+        """Return the verdict due after an exposure, or None if none is due. Call it once per mapped exposure.
 
         Args:
             navigation: the exposure.
             keyframes: number of keyframes that the map was improved with.
-            free: the judging lane is free; while it is not, no verdict is due.
+            free: whether the judging lane is free; if not, no verdict is due.
         """
         self._since += keyframes
         need, t_ns = self.need, navigation.frame.t_ns
@@ -95,7 +94,7 @@ class FlightPolicy:
 
 
 class ScheduledPolicy(FlightPolicy):
-    """The exposures of a recorded schedule only; GPS/INS and IMU rows are never dropped."""
+    """Policy that uses only the exposures of a recorded schedule; rows of GPS/INS and IMU are never dropped."""
 
     def __init__(self, schedule: Schedule) -> None:
         super().__init__(every=0)
@@ -105,19 +104,19 @@ class ScheduledPolicy(FlightPolicy):
         self.navigation_anew, self.mapping_anew = schedule.navigation_anew, schedule.mapping_anew
 
     def tracks(self, event: Event) -> bool:
-        """True for rows, and for the exposures that were tracked."""
+        """Whether the event is a row, or an exposure that was tracked in flight."""
         return not isinstance(event, Frame) or event.t_ns in self._tracked
 
     def maps(self, navigation: Navigation) -> bool:
-        """True for the exposures that were mapped."""
+        """Whether the exposure was mapped in flight."""
         return navigation.frame.t_ns in self._effort
 
     def effort(self, navigation: Navigation) -> int:
-        """Effort as in flight."""
+        """Return the mapping lane's effort in flight."""
         return self._effort[navigation.frame.t_ns]
 
     def due_verdict(self, navigation: Navigation, keyframes: int, free: bool = True) -> DueVerdict | None:
-        """The verdict as in flight, about the same place."""
+        """Return the verdict that was due in flight, with the same position; None if no verdict was due."""
         if navigation.frame.t_ns not in self._about:
             return None
         about = self._about[navigation.frame.t_ns]

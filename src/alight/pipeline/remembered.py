@@ -1,8 +1,8 @@
-"""What is remembered beyond the map that showed it: roofs, traffic, people, and the land cover of earlier maps.
+"""Memory beyond single maps: roofs, traffic, people, and the land cover of earlier maps.
 
-A road between two cars looks as level and empty as a yard. `Flag.MOVING` marks motion of the moment, and the
-next map has forgotten it. On plants or water these move themselves; on paved ground it is traffic. Bare ground
-does not count: dry grass is often classified so, and it sways.
+A road between two cars looks as level and empty as a yard. `Flag.MOVING` marks only present motion, which the next map
+has lost. On paved ground it is traffic; on plants or water it is their own motion. Bare ground is treated like plants:
+dry grass is often classified as bare, and it sways.
 """
 
 from __future__ import annotations
@@ -18,44 +18,45 @@ from alight.landing.reserve import SIGMAS_OF_TIE
 from alight.raster import cells_as_blocks, upsample, without_specks
 from alight.records import Flag, Terrain, TerrainMap
 
-CELL = 0.5  # metres, of the remembered places
-SHARE = 0.5  # of such a cell that must be covered
-FADES = 60.0  # s after which an earlier look counts as twice as unlike known ground
-SURE = 0.3  # metres, most sigma of a tie between map frames with which earlier looks still count
+CELL = 0.5  # metres, size of the remembered cells
+SHARE = 0.5  # least covered share of a remembered cell
+FADES = 60.0  # s, age that doubles the novelty of an earlier look
+SURE = 0.3  # metres, largest sigma of a tie at which earlier looks are kept
 
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """Cells where something was seen, with the time, by value; in the frame of a map."""
+    """Cells where something was seen, with the newest time, in a map frame; immutable."""
 
-    cells: I64 = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (N, 2) east, north over `CELL`
-    t_ns: I64 = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) the last time
+    cells: I64 = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (N, 2) east, north in units of `CELL`
+    t_ns: I64 = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) newest time of each cell
 
     def with_seen(self, cells: I64, t_ns: int) -> Remembered:
-        """These cells, and cells (M, 2) seen at `t_ns`."""
+        """Return a copy with cells (M, 2) added that were seen at `t_ns`."""
         kept = ~np.isin(_keys(self.cells), _keys(cells))
         times = np.concatenate([self.t_ns[kept], np.full(len(cells), t_ns)])
         return Remembered(np.concatenate([self.cells[kept], cells]), times)
 
     def since(self, t_ns: int) -> Remembered:
-        """The cells seen at `t_ns` or later."""
+        """Return a copy with only the cells seen at `t_ns` or later."""
         kept = self.t_ns >= t_ns
         return Remembered(self.cells[kept], self.t_ns[kept])
 
     def moved(self, shift: F64, sigma: float = 0.0) -> Remembered:
-        """The cells in a frame where positions are larger by `shift`, metres, known to `sigma` metres on the ground.
+        """Return a copy for a map frame where positions are larger by `shift`, metres.
 
-        Cells grow by 2 sigma, as far as the clearance of a site must reach there, but by 5 m at most.
+        The cells grow by twice `sigma`, the horizontal 1-sigma of the shift in metres, but by 5 m at most. A site's
+        clearance must cover the same distance.
         """
         out = Remembered(self.cells + np.rint(shift[:2] / CELL).astype(np.int64), self.t_ns)
         square = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
         cross = square[(square == 0).any(axis=1)]
         for k in range(math.ceil(min(5.0, SIGMAS_OF_TIE * sigma) / CELL)):
-            out = out._spread(cross if k % 2 else square)  # in turn: an octagon about the disc
+            out = out._spread(cross if k % 2 else square)  # alternating: an octagon around the disc
         return out
 
     def _spread(self, beside: I64) -> Remembered:
-        """These and the cells beside them, (K, 2) cells away; the latest time counts."""
+        """Return a copy with the neighbours of each cell added, (K, 2) offsets; the newest time is kept."""
         cells = (self.cells[:, None] + beside).reshape(-1, 2)
         t_ns = np.repeat(self.t_ns, len(beside))
         latest = np.argsort(-t_ns, kind="stable")
@@ -63,7 +64,7 @@ class Remembered:
         return Remembered(cells[at], t_ns[at])
 
     def on(self, grid: Grid) -> Mask:
-        """Mask (R, C) of the cells of a grid that overlap remembered cells."""
+        """Return the mask (R, C) of the cells of a grid that overlap remembered cells."""
         if not len(self.cells):
             return np.zeros(grid.shape, np.bool_)
         columns, rows = _numbers(grid)
@@ -79,10 +80,10 @@ NOWHERE = Remembered()
 
 
 def share_covered(grid: Grid, where: Mask) -> tuple[F64, I64]:
-    """Share of the cells of `CELL` that a mask (R, C) of a grid covers.
+    """Compute the share of each cell of size `CELL` that a mask (R, C) of a grid covers.
 
     Returns:
-        (E, N) by east and north, and the number (2,) of its first cell.
+        Shares (E, N), by east and north, and the position (2,) of their first cell in units of `CELL`.
     """
     columns, rows = _numbers(grid)
     where = upsample(where, _across(grid))
@@ -98,50 +99,50 @@ def _cells(there: Mask, low: I64) -> I64:
 
 
 def shown_at(grid: Grid, where: Mask) -> I64:
-    """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid covers by `SHARE`."""
+    """Return the cells (N, 2) of size `CELL` of which a mask (R, C) of a grid covers at least `SHARE`."""
     share, low = share_covered(grid, where)
     return _cells(share >= SHARE, low)
 
 
 def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
-    """Cells (N, 2) of `CELL` to remember: `SHARE` of each is MOVING by the flags (R, C), with enough side by side.
+    """Return the cells (N, 2) to remember as moving: at least `SHARE` is MOVING, with enough such cells side by side.
 
-    `anew`: (R, C), of the cells whose flags are new; the others were remembered before.
+    `anew`: (R, C) mask of cells with new flags, as older flags were remembered before; None: all flags are new.
     """
     moves = (flags & np.uint16(Flag.MOVING)) != 0
     if not moves.any():
         return np.zeros((0, 2), np.int64)
     share, low = share_covered(grid, moves)
-    there = without_specks(share >= SHARE, CELL, 2.0, neighbours=4)  # m^2; less is noise: a car covers 8 to 15
+    there = without_specks(share >= SHARE, CELL, 2.0, neighbours=4)  # m^2; less is noise: a car has 8 to 15
     if anew is not None:
         there &= share_covered(grid, anew)[0] >= SHARE
     return _cells(there, low)
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
-    """Cells (N, 2) of `CELL` to remember, touched by patches, large enough, of a mask (R, C) of where somebody came."""
-    share, low = share_covered(grid, without_specks(came, grid.cell, 0.08))  # m^2: the shoulders of a person
+    """Return the cells (N, 2) touched by large patches of `came` (R, C): where people or objects came to stand."""
+    share, low = share_covered(grid, without_specks(came, grid.cell, 0.08))  # m^2, shoulders of a person
     return _cells(share > 0, low)
 
 
 def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Mask:
-    """The cells (R, C) of a grid that something moved across: of paved ground; all, if no land cover is known."""
+    """Return the mask (R, C) of cells that moving objects crossed: on paved ground, or anywhere without land cover."""
     out = passed.on(grid)
     return out if land_cover is None else out & (land_cover.label == Terrain.PAVED)
 
 
 def _across(grid: Grid) -> int:
-    """Points across a cell of a grid, each way, that hit every cell of `CELL` it covers; its centre where it is small.
+    """Return the points per cell and axis that hit every remembered cell that it covers; 1 for small cells.
 
-    By its centre alone, a cell of 0.8 m would leave gaps between those of `CELL`.
+    With its centre only, a cell of 0.8 m would leave gaps between remembered cells.
     """
     return 1 if grid.cell <= CELL else math.ceil(grid.cell / CELL) + 1
 
 
 def _numbers(grid: Grid) -> tuple[I64, I64]:
-    """East of columns (k C,) and north of rows (k R,) of a grid in cells of `CELL`, at k = `_across` points of each."""
+    """Return east of columns (k * C,) and north of rows (k * R,) in units of `CELL`; k = `_across` points per cell."""
     k = _across(grid)
-    inner = 0.5 * grid.cell - 1e-6 if k > 1 else 0.0  # a cell that ends where another begins does not reach into it
+    inner = 0.5 * grid.cell - 1e-6 if k > 1 else 0.0  # a cell does not reach into its neighbour
     beside = np.linspace(-inner, inner, k)
     x, y = grid.xy()
     points = (x[:, None] + beside, y[:, None] - beside)
@@ -150,25 +151,24 @@ def _numbers(grid: Grid) -> tuple[I64, I64]:
 
 
 def _keys(cells: I64) -> I64:
-    """One number a cell."""
     return np.asarray(cells[:, 0] * (1 << 32) + cells[:, 1], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class CoverMemory:
-    """The most familiar look at every cell of the newest map, by value, in its frame (docs/method/p-safe.md, T8).
+    """Most familiar look at every cell of the newest map, in its frame (docs/method/p-safe.md, T8); immutable.
 
-    The land cover is fitted to pictures from several metres and more. A puddle that is plain from 10 m looks like wet
-    asphalt from 3 m, and its novelty (T6) is larger there. So the odds of the look with the least novelty stay.
+    Land cover is fitted to pictures from several metres and higher. A puddle that is obvious from 10 m looks like wet
+    asphalt from 3 m, where its novelty (T6) is larger. So the odds of the look with the least novelty are kept.
     """
 
-    grid: Grid | None = None  # None: nothing was seen yet
-    bears: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) as of `TerrainMap`
-    novelty: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) then, and more the older it is
+    grid: Grid | None = None  # None: nothing seen yet
+    bears: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) as `TerrainMap.bears`
+    novelty: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) of that look, grows with age
     t_ns: int = 0
 
     def with_seen(self, land_cover: TerrainMap, t_ns: int) -> CoverMemory:
-        """The memory after a newer look at `t_ns`; only the cells of its grid are kept."""
+        """Return the memory after a newer look at `t_ns`, on the grid of that look."""
         bears, novelty = land_cover.bears, land_cover.novelty
         if self.grid is not None:
             age = max(t_ns - self.t_ns, 0) * 1e-9
@@ -179,11 +179,11 @@ class CoverMemory:
         return CoverMemory(land_cover.grid, bears, novelty, t_ns)
 
     def doubted(self, land_cover: TerrainMap) -> TerrainMap:
-        """The land cover on the memory's grid, with the lower of both probabilities: a memory never permits."""
+        """Lower `bears` to the memory's values, on the same grid; a memory can refuse ground but never permit it."""
         return replace(land_cover, bears=np.where(self.bears < land_cover.bears, self.bears, land_cover.bears))
 
     def moved(self, shift: F64, sigma: float) -> CoverMemory:
-        """The memory in a frame where positions are larger by `shift`, metres; nothing where that is not known well."""
+        """Return the memory in a frame where positions are larger by `shift`, metres; empty if its `sigma` is large."""
         if self.grid is None or not sigma <= SURE:
             return CoverMemory()
         east, north = self.grid.east + float(shift[0]), self.grid.north + float(shift[1])

@@ -1,4 +1,4 @@
-"""Run time of the stages, by a clock of the caller: the core has none of its own."""
+"""Run time of the stages, measured with the caller's clock, as the core has none."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Clock = Callable[[], float]  # seconds
-Progress = Callable[[float], None]  # share done
-StageProgress = Callable[[str, float], None]  # stage, share done
+Progress = Callable[[float], None]  # share done (0 to 1)
+StageProgress = Callable[[str, float], None]  # stage, share done (0 to 1)
 
 
 def unreported(stage: str, share: float) -> None:
-    """Report no progress. Another process can import this function, and call it."""
+    """Ignore reported progress; a module-level function, so that other processes can import it."""
 
 
 class Timings:
-    """Seconds of every step, by stage; without `history`, of the last steps alone."""
+    """Durations of steps in seconds, by stage; without `history`, only of the last 1000 steps."""
 
     def __init__(self, clock: Clock = lambda: 0.0, history: bool = True) -> None:
         self._clock, self._most = clock, None if history else 1000
@@ -24,11 +24,11 @@ class Timings:
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Measure a step of a stage; one that fails is not counted."""
+        """Time one step of a stage; a step that raises is not recorded."""
         start = self._clock()
         yield
         self.add(stage, self._clock() - start)
 
     def add(self, stage: str, seconds: float) -> None:
-        """Add a step of a stage."""
+        """Record the duration of one step of a stage."""
         self.stages.setdefault(stage, deque(maxlen=self._most)).append(seconds)

@@ -1,6 +1,7 @@
-"""Frozen records that the stages exchange, and the errors that a user can mend.
+"""Frozen records that the stages exchange, and the errors that a user can fix.
 
-World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is NaN, reasons are flag bits.
+World ENU, body FLU, camera optical; SI units, radians, time as `int` nanoseconds. Unknown values are NaN, reasons are
+flag bits.
 """
 
 from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError

@@ -1,4 +1,4 @@
-"""Records of a campaign; a landing is a line of landings.jsonl. Metres, seconds, radians; places east, north, up."""
+"""Records of a campaign; each landing is a line of landings.jsonl. Metres, seconds, radians; east, north, up."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from alight.records.telemetry import FirmwareName
 Outcome = Literal[
     "landed safely", "landed unsafely", "rightly refused", "wrongly refused", "handed over", "failed"
 ]  # fmt: skip
-LOST = "WorkerLostError"  # an error of the machine, not of the landing
+LOST = "WorkerLostError"  # prefix of errors of the machine, not of the landing
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
-PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the wanted outcomes
-MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
+PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the right outcomes
+MOST_LANDINGS = 100_000  # in a campaign; more would take years of CPU time
 LARGEST_SEED = 2**63 - 1
-STRIKE = "strike"  # of an obstacle beside the vehicle, in flight
-GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons in the ground; others lie in the flying
+STRIKE = "strike"  # contact in flight with an obstacle beside the vehicle
+GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons due to the ground, not the flying
 
 
 class _Line(BaseModel):
@@ -27,40 +27,40 @@ class _Line(BaseModel):
 
 
 class FaultRecord(_Line):
-    """A planned fault or event."""
+    """Planned fault or event."""
 
     what: str
-    after: float  # s, of the flight, or since `state` was first entered
+    after: float  # s since the start of the flight, or since `state` was first entered
     state: str | None = None
     numbers: dict[str, float] = {}
-    takes_control: bool = False  # another one flies from then on, so that the landing is rightly handed over
-    happened: float | None = None  # s of the flight; None: the landing ended before
+    takes_control: bool = False  # whether someone else then flies, so that handing over is right
+    happened: float | None = None  # s of the flight; None: the landing ended earlier
 
 
 class LightRecord(_Line):
     """Light of a scene: sun, sky and clouds."""
 
-    azimuth_deg: float  # of the sun, clockwise from north
-    elevation_deg: float  # of it above the horizon
-    sun: float  # its strength, 1 is clear
-    sky: float  # strength of the sky: 0.5 clear, 2 hazy
-    clouds: float = 0.0  # share of the ground in their shadow
+    azimuth_deg: float  # azimuth of the sun, clockwise from north
+    elevation_deg: float  # elevation of the sun above the horizon
+    sun: float  # strength of the sun; clear weather: 1
+    sky: float  # strength of the sky; clear: 0.5, hazy: 2
+    clouds: float = 0.0  # share of the ground in the shadow of clouds
 
 
 class Conditions(_Line):
     """Conditions of a landing: everything that is drawn from the seed."""
 
-    landing: int = Field(ge=0)  # its number in the campaign
-    seed: int  # of the campaign
+    landing: int = Field(ge=0)  # number of the landing in the campaign
+    seed: int  # seed of the campaign
     scene: str  # name, file, or package.module:factory
     world_seed: int
-    flight_seed: int  # of noise, gusts and drift
+    flight_seed: int  # seed of noise, gusts and drift
     heading: float  # rad, clockwise from north
-    wind: tuple[float, float]  # m/s east, north: where the air goes
+    wind: tuple[float, float]  # m/s east, north: velocity of the air
     gusts: float  # m/s^2, standard deviation
-    gps_sigma: tuple[float, float, float]  # of the drift: east, north, up
-    gps_tau: float  # s, its correlation time
-    light: LightRecord | None = None  # None: the world's own
+    gps_sigma: tuple[float, float, float]  # metres, 1-sigma of the drift: east, north, up
+    gps_tau: float  # s, correlation time of the drift
+    light: LightRecord | None = None  # None: the light of the world
     faults: tuple[FaultRecord, ...] = ()
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
 
@@ -82,7 +82,7 @@ class TransitionLine(_Line):
 
 
 class TouchdownLine(_Line):
-    """Contact of the vehicle with the true ground, by the oracle."""
+    """Contact of the vehicle with the true ground, judged by the oracle."""
 
     t: float
     east: float
@@ -96,17 +96,17 @@ class TouchdownLine(_Line):
 
     @property
     def bad_ground(self) -> bool:
-        """True if a reason lies in the ground, and not in the speed alone."""
+        """Whether any reason is due to the ground, not only to the flying."""
         return any(r in GROUND for r in self.reasons)
 
 
 class StrikeLine(_Line):
-    """Obstacle beside the vehicle that was struck in flight, by the oracle."""
+    """Obstacle beside the vehicle that was struck in flight, found by the oracle."""
 
     t: float
-    east: float  # of the vehicle
+    east: float  # position of the vehicle
     north: float
-    above: float  # metres above its feet
+    above: float  # metres, contact above the vehicle's feet
 
 
 class LandingRecord(_Line):
@@ -115,25 +115,25 @@ class LandingRecord(_Line):
     conditions: Conditions
     outcome: Outcome
     why: str
-    state: str | None = None  # of the executive, at the end
-    p_found: float | None = None  # P(safe) of the last place when it was found
+    state: str | None = None  # state of the executive at the end
+    p_found: float | None = None  # P(safe) of the last site when it was found
     p_at_commit: float | None = None
     looks: tuple[LookRecord, ...] = ()
     transitions: tuple[TransitionLine, ...] = ()
     touchdown: TouchdownLine | None = None  # the worst contact from above
     strike: StrikeLine | None = None
-    safe_share: float | None = None  # of the searched area, by the oracle with the margin; only of a refusal
-    seconds: float = 0.0  # of the flight
-    found_after: float | None = None  # s to the first place
+    safe_share: float | None = None  # safe share of the searched area, by the oracle with margin; only for a refusal
+    seconds: float = 0.0  # duration of the flight
+    found_after: float | None = None  # s until the first site was found
     distance: float = 0.0  # metres flown
-    nearest: float | None = None  # metres of the feet above all within the footprint, before the landing was begun
+    nearest: float | None = None  # metres, least height of the feet above all in the footprint, before the commit
     verdicts: int = 0
-    picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file beside landings.jsonl
+    picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file next to landings.jsonl
     error: str | None = None
-    cpu_s: float = 0.0  # CPU time: another run does not repeat it
+    cpu_s: float = 0.0  # CPU time; differs between runs
     cpu_of: dict[
         str, float
-    ] = {}  # s of it: simulator, navigation, mapping, judging; the rest makes the world and judges
+    ] = {}  # s of `cpu_s` by part: simulator, navigation, mapping, judging; the rest: world and oracle
 
     @property
     def number(self) -> int:
@@ -142,49 +142,49 @@ class LandingRecord(_Line):
 
     @property
     def commit_t(self) -> float | None:
-        """Time of the last commit, s of the flight; None: none was begun."""
+        """Time of the last commit, s of the flight; None: no landing was begun."""
         return next((x.t for x in reversed(self.transitions) if x.after == "commit"), None)
 
     @property
     def bad_place(self) -> bool:
-        """True if the place was unsafe, and not the flying: its ground, or a strike after the landing was begun."""
+        """Whether the site was unsafe: a reason due to the ground, or a strike after the commit."""
         begun = self.commit_t
         struck = self.strike is not None and begun is not None and self.strike.t >= begun
         return struck or (self.touchdown is not None and self.touchdown.bad_ground)
 
     @property
     def is_right(self) -> bool:
-        """True if it ended as it should: landed safely, rightly refused, or handed over to the one who took control."""
+        """Whether the outcome is right: landed safely, rightly refused, or handed over to someone who took control."""
         taken = any(f.takes_control and f.happened is not None for f in self.conditions.faults)
         return self.outcome in PLACES or (self.outcome == "handed over" and taken)
 
     @property
     def was_lost(self) -> bool:
-        """True if its process died, so that nothing is known of the landing."""
+        """Whether the process of the landing died, so that its outcome is unknown."""
         return self.error is not None and self.error.startswith(LOST)
 
     def repeatable(self) -> dict[str, Any]:
-        """Every field that a repeated landing reproduces."""
+        """Return every field that a repeated landing reproduces."""
         return self.model_dump(mode="json", exclude={"cpu_s", "cpu_of"})
 
 
 class CampaignHead(_Line):
     """Head of a campaign: the same seed, scenes and settings give the same landings."""
 
-    model_config = ConfigDict(extra="ignore")  # campaign.json holds the results, too
+    model_config = ConfigDict(extra="ignore")  # campaign.json also holds the results
 
     alight: str
     seed: int = Field(ge=0)
     scenes: tuple[str, ...] = Field(min_length=1)
-    landings: int = Field(ge=1, le=MOST_LANDINGS)  # to be flown; with more of them it is still the same campaign
+    landings: int = Field(ge=1, le=MOST_LANDINGS)  # number to fly; a larger number continues the same campaign
     settings: dict[str, Any]
     link_faults: float = Field(0.0, ge=0, le=1)  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
-    sources: str = ""  # digest of the program; empty: not known
+    sources: str = ""  # digest of the program; empty: unknown
     files: dict[str, str] = {}  # digests of scene files, their rasters, modules of worlds, the model of appearance
 
     def differing(self, other: CampaignHead) -> str | None:
-        """The first difference from another campaign, in words; None: it is the same."""
+        """Return the first difference from another campaign in words; None if both are the same campaign."""
         changed = [name for name in self.files if other.files.get(name, self.files[name]) != self.files[name]]
         link = f"a {self.firmware} autopilot and a share of {self.link_faults:g} of link faults"
         differences = {

@@ -1,6 +1,6 @@
 """Encode the records of a recording as bytes, and decode them, bit for bit (docs/formats/recording.md).
 
-Numbers are JSON, whose decimals give the same bits again. Pictures are raw bytes behind a JSON head.
+Numbers are JSON decimals, which restore the same bits. Pictures are raw bytes after a JSON head.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _DAMAGED = (ValueError, KeyError, TypeError, struct.error, AttributeError, Overf
 
 @dataclass(frozen=True, eq=False)
 class FlightHead:
-    """Head of a recording: facts on the flight, before the first event."""
+    """Head of a recording: facts about the flight, written before the first event."""
 
     name: str
     rig: Rig
@@ -62,7 +62,7 @@ class FlightHead:
         """Decode the head from JSON.
 
         Raises:
-            InputError: it is damaged, or of another version.
+            InputError: the head is damaged, or of another version.
         """
         try:
             tree = parse_json(text)
@@ -83,7 +83,7 @@ class FlightHead:
 
 
 def pack(event: Event) -> tuple[str, list[bytes | memoryview]]:
-    """The topic of an event, and its bytes in parts."""
+    """Return the topic of an event, and its bytes in parts."""
     if isinstance(event, Frame):
         arrays = [None if i is None else np.ascontiguousarray(i) for i in event.images]
         head = json.dumps(
@@ -123,6 +123,6 @@ def _frame(data: bytes) -> Frame:
             images.append(None)
             continue
         count = int(np.prod(shape))
-        images.append(np.frombuffer(data, np.uint8, count, at).reshape(shape).copy())  # as cameras give it: writable
+        images.append(np.frombuffer(data, np.uint8, count, at).reshape(shape).copy())  # writable, like camera images
         at += count
     return Frame(int(head["t_ns"]), tuple(images), str(head["name"]))

@@ -1,10 +1,10 @@
-"""Errors that a user can mend."""
+"""Errors that a user can fix."""
 
 from __future__ import annotations
 
 
 class AlightError(Exception):
-    """An error that a user can mend; the message names the cause and the remedy."""
+    """Error that a user can fix; the message names the cause and the remedy."""
 
 
 class InputError(AlightError):
@@ -16,7 +16,7 @@ class SettingsError(AlightError):
 
 
 class OutputError(AlightError):
-    """The result cannot be written: disk full, no permission, folder taken."""
+    """The result cannot be written: disk full, no permission, or the folder exists."""
 
 
 class MissingExtraError(AlightError):

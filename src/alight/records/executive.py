@@ -1,4 +1,4 @@
-"""Inputs, orders and diary of the executive. Places are in the map's frame, metres east, north, up."""
+"""Inputs, orders and diary of the executive. Positions are east, north, up in the map frame, metres."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FlightState(StrEnum):
 
 
 class FlightEvent(StrEnum):
-    """Event that takes a landing from one state to the next."""
+    """Event that changes the state of a landing."""
 
     PILOT = "the pilot has taken over"
     LINK_LOST = "the autopilot is silent"
@@ -53,40 +53,40 @@ class FlightEvent(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class MapVerdict:
-    """A verdict on a map, in the map's frame, as far as the executive decides by it."""
+    """Verdict on a map, in the map frame: the parts that the executive uses."""
 
-    number: int  # of the verdict, rising
-    t: float  # s, of the newest exposure that the map holds
+    number: int  # increases with every verdict
+    t: float  # s, time of the map's newest exposure
     frame_id: int
     sites: Sites
     hazards: HazardMap
     elevation: ElevationMap
-    ground: float  # metres up, median of the map
+    ground: float  # metres up, median height of the map
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """Inputs of the executive at one moment."""
+    """Inputs of the executive at one time."""
 
     t: float  # s
-    position: F64 | None  # (3,) metres, of the vehicle; None: not known
+    position: F64 | None  # (3,) metres, position of the vehicle; None: unknown
     state: MotionState
-    frame_id: int = 0  # of the position
+    frame_id: int = 0  # map number of the position
     seen: MapVerdict | None = None  # the newest verdict
-    picture_age: float = 0.0  # s, of the newest picture that is no repetition
-    frozen: bool = False  # pictures come, each equal to the one before bit for bit
-    height: float | None = None  # metres above the ground below; None: not known
-    link: bool = True  # the autopilot reports
-    pilot: bool = False  # somebody else flies
-    standing: bool = False  # on the ground, motors off
-    battery: float = 1.0  # share that is left; NaN: it was known, and is not reported any more
-    wind: F64 | None = None  # (2,) or (3,) m/s, where the air goes; None: not known
-    holds: bool = True  # the autopilot has a position of its own, and can hold it
-    offset: F64 | None = None  # (3,) metres from the map's frame to the world
+    picture_age: float = 0.0  # s, age of the newest picture that is not a repetition
+    frozen: bool = False  # whether new pictures are bit-identical repetitions
+    height: float | None = None  # metres, height above ground; None: unknown
+    link: bool = True  # whether the autopilot sends reports
+    pilot: bool = False  # whether someone else flies
+    standing: bool = False  # whether the vehicle is on the ground with motors off
+    battery: float = 1.0  # remaining share; NaN: no longer reported
+    wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
+    holds: bool = True  # whether the autopilot has its own position and can hold it
+    offset: F64 | None = None  # (3,) metres, from the map frame to the world
 
     @property
     def wind_speed(self) -> float:
-        """Wind speed, m/s over the ground; 0 where it is not known."""
+        """Wind speed, m/s over the ground; 0 if the wind is unknown."""
         return 0.0 if self.wind is None else math.hypot(float(self.wind[0]), float(self.wind[1]))
 
 
@@ -94,20 +94,20 @@ class Situation:
 class Need:
     """Verdicts that the executive needs now."""
 
-    seconds: float  # from one verdict to the next, counted between the newest exposures of their maps
-    about: F64 | None = None  # (2,) metres in the map's frame, a place that the map must show as well; None: none
+    seconds: float  # s between verdicts, measured between the newest exposures of their maps
+    about: F64 | None = None  # (2,) metres in the map frame, a position that the map must also show; None: no position
 
 
 @dataclass(frozen=True, eq=False)
 class Order:
     """Present order to the vehicle."""
 
-    what: str  # fly | hold | land | return | nothing
-    position: F64 | None = None  # (3,) metres, to fly to or to land on; None, to land: straight down where it is
+    what: str  # fly, hold, land, return or nothing
+    position: F64 | None = None  # (3,) metres, target of fly or land; None for land: straight down
     speed: float = 5.0  # m/s
-    sink: float = 1.0  # m/s, downwards at most
-    down: bool = True  # to land; False: to be over the place first
-    height: float | None = None  # metres up, kept meanwhile; None: the present one
+    sink: float = 1.0  # m/s, largest speed downwards
+    down: bool = True  # for land: whether to descend; False: fly to above the position first
+    height: float | None = None  # metres up, height to keep until then; None: the present height
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,8 @@ class Transition:
     event: FlightEvent
     after: FlightState
     reason: str
-    place: tuple[float, float, float] | None = None  # the place that it is about
-    p_safe: float | None = None  # of it, as seen last
+    place: tuple[float, float, float] | None = None  # site or candidate concerned
+    p_safe: float | None = None  # newest P(safe) of that site or candidate
 
     @property
     def line(self) -> str:
@@ -129,18 +129,18 @@ class Transition:
         return f"{self.t:7.1f} s  {self.before.value} -> {self.after.value}: {self.event.value}{reason}"
 
     def as_tree(self) -> dict[str, object]:
-        """The transition as a tree of JSON."""
+        """Return the transition as a JSON tree."""
         return {"kind": "transition", **asdict(self)}
 
 
 @dataclass(frozen=True)
 class LookRecord:
-    """One look at a place: height, verdict and P(safe)."""
+    """One look at a site or candidate: height, verdict and P(safe)."""
 
     t: float  # s
     place: tuple[float, float, float]
-    height: float  # metres above it
-    verdict: str  # site | candidate | refused | not seen
+    height: float  # metres above the site or candidate
+    verdict: str  # site, candidate, refused or not seen
     p_safe: float
     doubt: str = ""
 
@@ -152,18 +152,18 @@ class LookRecord:
         return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {p}{doubt}"
 
     def as_tree(self) -> dict[str, object]:
-        """The look as a tree of JSON."""
+        """Return the look as a JSON tree."""
         return {"kind": "look", **asdict(self)}
 
 
 @dataclass(frozen=True, eq=False)
 class LookPicture:
-    """Picture and P(safe) of the ground about the place of one look, north up."""
+    """Picture and P(safe) of the ground around the target of one look, north up."""
 
     look: LookRecord
     photo: U8  # (S, S, 3) RGB; black where nothing was seen
     p_safe: F32  # (S, S); NaN where it cannot be judged
-    reach: float  # metres from the place to the edge
+    reach: float  # metres from the centre to the edge
 
 
 @dataclass
@@ -172,11 +172,11 @@ class FlightDiary:
 
     transitions: list[Transition] = field(default_factory=list)
     looks: list[LookRecord] = field(default_factory=list)
-    pictures: list[LookPicture] = field(default_factory=list)  # of the looks, where they were kept
+    pictures: list[LookPicture] = field(default_factory=list)  # pictures of the looks, if they were kept
 
     @property
     def end(self) -> tuple[FlightState, str] | None:
-        """The last state and its reason in words; None: nothing has happened. A landing after RETURN is a RETURN."""
+        """Last state and its reason in words; None without transitions. Landing after RETURN is reported as RETURN."""
         if not self.transitions:
             return None
         last = self.transitions[-1]
@@ -187,5 +187,5 @@ class FlightDiary:
 
     @property
     def entries(self) -> list[Transition | LookRecord]:
-        """Looks and transitions in order of time; at the same time, looks come first."""
+        """Looks and transitions in order of time; at equal times, looks come first."""
         return sorted([*self.looks, *self.transitions], key=lambda e: e.t)

@@ -1,4 +1,4 @@
-"""Hazards, sites, candidates with the view that would settle their doubt, and the route."""
+"""Hazards, sites, candidates with the view that would settle their doubt, routes."""
 
 from __future__ import annotations
 
@@ -22,77 +22,77 @@ class Hazard(IntFlag):
     SLOPE = 2
     ROUGHNESS = 4
     STEP = 8
-    CLEARANCE = 16  # something stands in the rotor's or belly's way
+    CLEARANCE = 16  # an obstacle would touch the rotor or the belly
     TERRAIN = 32  # water, plants, structure
     EDGE = 64  # the footprint leaves the map
-    DOUBT = 128  # every limit is met, but not surely enough (p_safe below the least wanted)
-    TRAFFIC = 256  # something moved across it or beside it a moment ago
+    DOUBT = 128  # every limit is met, but P(safe) is below the limit
+    TRAFFIC = 256  # a moving object crossed or passed the cell recently
 
 
 def is_site(p_safe: F32, least: float) -> Mask:
-    """Whether P(safe) makes a touchdown that no limit refuses a site; else it is a candidate, (R, C).
+    """Return the mask of cells, (R, C), whose P(safe) makes a touchdown a site instead of a candidate.
 
-    This alone decides between the two. Its result is `Hazard.DOUBT`: a place without any reason is a site, one with
-    this reason alone a candidate. A place that is listed also keeps a margin (`keeps_margin`).
+    No other function decides between the two. The result sets `Hazard.DOUBT`: a cell without any reason is a site, a
+    cell with this reason only is a candidate. Listed sites and candidates also keep a margin (`keeps_margin`).
 
     Args:
         p_safe: (R, C), 0 where a limit refuses a touchdown, NaN where it cannot be judged.
-        least: P(safe) of a site, at least.
+        least: least P(safe) of a site.
     """
     return p_safe >= least
 
 
 def keeps_margin(clearance: F32, margin: float) -> Mask:
-    """Whether a touchdown has the room that a listed place must have, (R, C).
+    """Return the mask of cells, (R, C), with the clearance that a listed site or candidate needs.
 
     Args:
-        clearance: (R, C) metres to the nearest touchdown that is refused.
-        margin: metres, `sites.margin`.
+        clearance: (R, C) distance to the nearest refused touchdown, metres.
+        margin: least clearance, metres (`sites.margin`).
     """
     return clearance >= margin
 
 
 @dataclass(frozen=True, eq=False)
 class HazardMap(OnGrid):
-    """Hazards of a touchdown centred on each cell. NaN where it cannot be judged."""
+    """Hazards of a touchdown centred on each cell; NaN where it cannot be judged."""
 
     unknown: ClassVar[int] = Hazard.UNKNOWN
 
-    slope: F32  # (R, C) rad, of the footprint's plane
-    roughness: F32  # (R, C) metres, largest deviation from that plane
+    slope: F32  # (R, C) rad, slope of the footprint's plane
+    roughness: F32  # (R, C) metres, largest deviation from the footprint's plane
     step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
     clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
     p_safe: F32  # (R, C) probability of a touchdown within every limit: product of the three factors; 0 if refused
     p_relief: F32  # (R, C) probability that slope and relief keep their limits, by the heights
-    p_obstacle: F32  # (R, C) probability that no obstacle stands there that heights and pictures are too coarse to show
-    p_ground: F32  # (R, C) probability that the ground bears and is dry
-    resolved: F32  # (R, C) metres, height of the smallest obstacle that would have been found with 95 %
-    settles_at: F32  # (R, C) metres, pixel on the ground that would settle the doubt; NaN: never
+    p_obstacle: F32  # (R, C) probability of no obstacle that is too small for heights and pictures
+    p_ground: F32  # (R, C) probability of firm, dry ground
+    resolved: F32  # (R, C) metres, height of the smallest obstacle found with a probability of 95 %
+    settles_at: F32  # (R, C) metres, ground width of a pixel that would settle the doubt; NaN: none would
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
 
 
 @dataclass(frozen=True)
 class NextView:
-    """A view that would settle the doubt about a candidate: a proposal to the executive."""
+    """View proposed to the executive to settle the doubt about a candidate."""
 
-    east: float  # of the cameras
+    east: float  # metres, position of the cameras
     north: float
     up: float
-    height: float  # metres above the ground of the place
-    settles: bool  # its pixels are fine enough; False: too coarse even as near as is allowed
+    height: float  # metres above the ground at the candidate
+    settles: bool  # whether its pixels settle the doubt; False: too coarse even at the least height
 
     @property
     def position_world(self) -> F64:
-        """The place of the cameras, (3,) metres."""
+        """Position of the cameras, (3,) metres."""
         return np.array([self.east, self.north, self.up])
 
 
 @dataclass(frozen=True)
 class Site:
-    """A place to land (`site`), or one that may become it (`candidate`); properties as in sites.geojson."""
+    """A site, or a candidate that may become one; the properties are those of sites.geojson."""
 
-    rank: int  # among all places of the list: sites first, then candidates
+    rank: int  # from 1, over the whole list: sites first, then candidates
     east: float
     north: float
     up: float
@@ -100,25 +100,25 @@ class Site:
     p_relief: float
     p_obstacle: float
     p_ground: float
-    resolved: float  # metres, height of the smallest obstacle that would have been found here with 95 %
+    resolved: float  # metres, height of the smallest obstacle found here with a probability of 95 %
     quality: float
     slope: float  # rad
     roughness: float  # metres
     clearance: float  # metres, to the rim of the nearest refused cell
-    radius: float  # metres, of the largest disc about it in which no cell is refused
+    radius: float  # metres, of the largest disc around it without a refused cell
     terrain: Terrain
-    heading: float  # rad, clockwise from north, of the suggested touchdown
+    heading: float  # rad, clockwise from north, suggested for the touchdown
     height_sigma: float  # metres
-    doubt: Doubt | None = None  # of a candidate: the smallest factor of P(safe)
-    look: NextView | None = None  # of a candidate; None: no nearer view would settle the doubt
+    doubt: Doubt | None = None  # candidate: the smallest factor of P(safe); None: a site
+    look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
 
     @property
     def kind(self) -> Kind:
-        """A candidate is a place in doubt."""
+        """Kind of the record: a site in doubt is a candidate."""
         return "site" if self.doubt is None else "candidate"
 
     def moved(self, shift: F64) -> Site:
-        """The site and its view, moved by `shift`, (3,) metres."""
+        """Return the site and its view moved by `shift`, (3,) metres."""
         east, north, up = (float(v) for v in shift)
         look = self.look
         if look is not None:
@@ -128,12 +128,12 @@ class Site:
 
 @dataclass(frozen=True)
 class Sites:
-    """The answer: ranked sites, then ranked candidates; without a site, the reason."""
+    """Result of the search: ranked sites, then ranked candidates; without a site, the reason."""
 
     sites: tuple[Site, ...]
-    reason: str = ""  # why `sites` is empty
-    frame_id: int = 0  # of the map that they were found on
-    candidates: tuple[Site, ...] = ()  # nothing refuses them, and their P(safe) is below the limit
+    reason: str = ""  # the reason why `sites` is empty
+    frame_id: int = 0  # map number of the map that was searched
+    candidates: tuple[Site, ...] = ()  # refused by no limit, but P(safe) is too low
 
     @property
     def listed(self) -> tuple[Site, ...]:
@@ -141,32 +141,32 @@ class Sites:
         return self.sites + self.candidates
 
     def moved(self, shift: F64) -> Sites:
-        """Sites and candidates moved by `shift`, (3,) metres."""
+        """Return the sites and candidates moved by `shift`, (3,) metres."""
         sites, candidates = (tuple(s.moved(shift) for s in part) for part in (self.sites, self.candidates))
         return replace(self, sites=sites, candidates=candidates)
 
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
-    """A point of the route."""
+    """Point of a route."""
 
     name: str
     position_world: F64  # (3,) metres
     heading: float  # rad, clockwise from north
-    speed: float  # m/s towards it
+    speed: float  # m/s, on the leg that ends here
     t: float  # s from the start of the route
-    look: bool = False  # judge the ground again from here
+    look: bool = False  # whether the ground is judged again from here
 
 
 @dataclass(frozen=True)
 class Route:
-    """The way-points to the best site."""
+    """Way-points to the best site."""
 
     waypoints: tuple[Waypoint, ...]
     warnings: tuple[str, ...] = field(default=())
-    frame_id: int = 0  # of the map that it was planned on
+    frame_id: int = 0  # map number of the map used for planning
 
 
 def p_safe_text(p: float) -> str:
-    """P(safe) with three figures, 0.620, 0.987; never rounded up to 1."""
+    """Format P(safe) with three decimals, 0.620 or 0.987; never round up to 1."""
     return "> 0.999" if p > 0.9995 else f"{p:.3f}"

@@ -1,4 +1,4 @@
-"""Poses with their covariance, and views."""
+"""Poses with covariance, and posed images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class MotionState(IntEnum):
 class Motion:
     """Poses and velocity of the vehicle and its cameras at one exposure, with covariance.
 
-    `world_from_cams` holds any mounting correction that the estimator found, so it can differ from
+    `world_from_cams` includes any mounting correction that the estimator found. It can therefore differ from
     `world_from_body @ body_from_cam` of the rig.
     """
 
@@ -35,35 +35,36 @@ class Motion:
     covariance: F64  # (6, 6) position in the world [m], then rotation vector in the world [rad]
     velocity_world: F64 | None = None  # (3,) m/s
     state: MotionState = MotionState.GOOD
-    tracks: int = 0  # features that supported it
-    offset_world: F64 | None = None  # (3,) m, map offset: positions plus this are their best estimate in the world
-    why: str = ""  # reason why it is not GOOD
-    frame_id: int = 0  # number of the map frame: a new one after the estimator had to start anew
+    tracks: int = 0  # number of features used
+    offset_world: F64 | None = None  # (3,) m, map offset: add it to positions for the best world positions
+    why: str = ""  # reason why the state is not GOOD
+    frame_id: int = 0  # map number: changes when the estimator is reinitialised
     rolling: F64 | None = (
         None  # (9,) translation [m], linear and quadratic turn [rad] of the camera, in its axes, during the readout
     )
-    gain: F64 | None = None  # (3,) factor of its picture's colours, so that all pictures show the ground alike
+    gain: F64 | None = None  # (3,) factor of the picture's colours that equalises all pictures
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframePosterior:
     """Joint posterior of the poses of several exposures.
 
-    In flight these are the last keyframes, in their map frame; of a recording, exposures from all of it, in the world.
-    `lenses` holds the cameras once for each of L lens numbers estimated with the poses, that number off by one unit.
+    In flight the exposures are the last keyframes, in their map frame. For a recording they are spread over all of it,
+    in the world frame. L lens parameters are estimated with the poses: `lenses[k]` holds the cameras with parameter k
+    increased by one unit.
     """
 
-    motions: tuple[Motion, ...]  # K, oldest first
-    covariance: F64  # (6K + L, 6K + L): a pose of the rig is position [m], rotation vector in the world [rad]
-    lenses: tuple[tuple[Camera, ...], ...] = ()  # L times the cameras of the rig
+    motions: tuple[Motion, ...]  # K motions, oldest first
+    covariance: F64  # (6K + L, 6K + L); pose of the rig: position [m], rotation vector in the world [rad]
+    lenses: tuple[tuple[Camera, ...], ...] = ()  # L tuples of the rig's cameras
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedMotions:
-    """The motions of a whole recording, with the joint covariance of their errors."""
+    """Motions of a whole recording, with the joint covariance of their errors."""
 
     motions: tuple[Motion, ...]
-    joint: KeyframePosterior | None  # of some or all of them; None: the poses are exact, or their errors are not known
+    joint: KeyframePosterior | None  # posterior of some or all motions; None: poses exact, or errors unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +75,20 @@ class View:
     cam: int  # index in the rig
     image: Pixels  # (H, W) grey or (H, W, 3) RGB
     camera: Camera
-    world_from_cam: Pose  # when the middle row was exposed
+    world_from_cam: Pose  # at the exposure of the middle row
     rolling: F64 | None = (
         None  # (9,) translation [m], linear and quadratic turn [rad] of the camera, in its axes, during the readout
     )
-    gain: F64 | None = None  # (3,) factor of its colours, so that all views show the ground alike
+    gain: F64 | None = None  # (3,) factor of the colours that equalises all views
 
     @property
     def centre(self) -> F64:
-        """The camera centre C in the world, (3,) metres."""
+        """Camera centre C in the world, (3,) metres."""
         return np.asarray(self.world_from_cam.translation)
 
     @property
     def without_image(self) -> View:
-        """The view without its picture, which takes most of its memory."""
+        """The view with an empty image, which saves most of its memory."""
         return replace(self, image=np.empty((0, 0), np.uint8))
 
     @property

@@ -1,4 +1,4 @@
-"""Facts and outcome of each photo of a set."""
+"""Metadata and outcome of each photo of a set."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 @dataclass(frozen=True)
 class PhotoFacts:
-    """Facts on one photo, from its tags."""
+    """Metadata of one photo, from its tags."""
 
     name: str
-    size: tuple[int, int]  # width, height, pixels
+    size: tuple[int, int]  # width and height, pixels
     camera: str  # maker and model
     focal_px: float | None = None
-    focal_from: str = ""  # tags that it came from
+    focal_from: str = ""  # tags that give the focal length
     place: tuple[float, float] | None = None  # latitude, longitude, degrees
-    position_from: str = ""  # kind of fix
-    altitude: float | None = None  # metres, as the maker counts them
+    position_from: str = ""  # type of GPS fix
+    altitude: float | None = None  # metres, in the maker's reference (`altitude_kind`)
     altitude_kind: str = ""
     above_takeoff: float | None = None  # metres
     attitude_from: str = ""  # tags that hold the camera's attitude
     taken: str = ""  # time of capture
-    group: str = ""  # flight and camera
-    t_ns: int | None = None  # of the exposure; None: it is not used
-    left_out: str = ""  # reason
+    group: str = ""  # name of the flight and camera
+    t_ns: int | None = None  # time of the exposure; None: the photo is not used
+    left_out: str = ""  # reason why the photo is not used; empty: used
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class PhotoOutcome:
     """Outcome of one photo: whether the pictures agree with its tags."""
 
     t_ns: int
-    attitude: str = ""  # kept ("believed"), turned back, overruled or ignored; empty where there was none
+    attitude: str = ""  # use of the attitude: "believed", turned back, overruled or ignored; empty: no attitude
     position: str = ""
-    left_out: str = ""  # reason why it could not be registered
+    left_out: str = ""  # reason why the photo could not be registered; empty: registered
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,16 @@ class PhotoRow:
     """One row of the table of photos."""
 
     facts: PhotoFacts
-    outcome: PhotoOutcome | None  # None: the poses were not estimated from it
+    outcome: PhotoOutcome | None  # None: the photo was not used to estimate poses
 
     @property
     def left_out(self) -> str:
-        """Why the photo was left out; empty where it was used."""
+        """Reason why the photo was not used; empty if it was used."""
         return self.facts.left_out or ("" if self.outcome is None else self.outcome.left_out)
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """The row as text, one cell for each of `PHOTO_COLUMNS`."""
+        """The row as text, one cell per entry of `PHOTO_COLUMNS`."""
         f, o = self.facts, self.outcome
         focal = "" if f.focal_px is None else f"{f.focal_px:.0f} px, {f.focal_from}"
         place = "none" if f.place is None else f"{f.place[0]:.6f} {f.place[1]:.6f}, {f.position_from}"
@@ -69,7 +69,7 @@ class PhotoRow:
         return "  ".join(cell for cell in self.cells if cell)
 
     def as_json(self) -> dict[str, Any]:
-        """The row as in run.json, numbers and text."""
+        """Return the row as in run.json, numbers and text."""
         f, o = self.facts, self.outcome
         tree = {k: v for k, v in asdict(f).items() if k not in ("t_ns", "left_out")}
         tree |= {"attitude": "" if o is None else o.attitude, "position": "" if o is None else o.position}

@@ -1,4 +1,4 @@
-"""All results of one run: the decision on what was recorded, and the facts about the recording and the run."""
+"""All results of one run: the results from the recording, and facts about the recording and the run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Decision:
-    """All results of a recording, in the world; one that could not be made is None or empty."""
+    """All results from a recording, in the world frame; a result that could not be computed is None or empty."""
 
     sites: Sites
     elevation: ElevationMap | None = None
@@ -29,40 +29,40 @@ class Decision:
     route: Route | None = None
     motions: Sequence[Motion] = ()
     height_above_ground: float | None = None  # metres, median over the exposures
-    notes: Mapping[str, object] = field(default_factory=dict)  # words, numbers, lists: "focal": "held", "points": 19472
+    notes: Mapping[str, object] = field(default_factory=dict)  # facts by name: "focal": "held", "points": 19472
     warnings: Sequence[str] = ()
-    outcomes: Sequence[PhotoOutcome] = ()  # of the tags of each photo
+    outcomes: Sequence[PhotoOutcome] = ()  # agreement of the pictures with each photo's tags
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunResult(Decision):
     """All results of one run: the content of the output folder and the report.
 
-    A result that a run could not make is None or empty; `not_written` has the reason, by file name.
+    A result that a run could not compute is None or empty; `not_written` gives the reasons by file name.
     """
 
-    source_name: str  # the folder or file, as a person would call it
-    source_kind: str  # "flight", "photos"; of `alight hazards` "heights"
+    source_name: str  # display name of the folder or file
+    source_kind: str  # "flight", "photos" or, for `alight hazards`, "heights"
     local: LocalFrame
-    georeferenced: bool  # False: `local` is a stand-in and the world has no place on Earth
+    georeferenced: bool  # False: `local` is a placeholder and the world has no absolute position
     settings: Settings
-    home: Home | None = None  # of the vehicle that is to fly the route
-    diary: FlightDiary | None = None  # of a landing that was flown
+    home: Home | None = None  # home of the vehicle that will fly the route
+    diary: FlightDiary | None = None  # diary of a landing that was flown
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1
-    photos: Sequence[PhotoRow] = ()  # of a set of photos, those that were not used included
-    timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
-    not_written: Mapping[str, str] = field(default_factory=dict)  # file name: reason
+    photos: Sequence[PhotoRow] = ()  # all photos of a set, used or not
+    timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # durations of all steps, seconds, by stage
+    not_written: Mapping[str, str] = field(default_factory=dict)  # reason by file name
 
     @property
     def terrain_as_mapped(self) -> TerrainMap | None:
-        """The land cover on the grid of the elevation, which files and pictures share."""
+        """Land cover on the grid of the elevation, which files and pictures share."""
         if self.terrain is None or self.elevation is None:
             return self.terrain
         return self.terrain.on(self.elevation.grid)
 
     @property
     def hazards_as_mapped(self) -> HazardMap | None:
-        """The hazards on the grid of the elevation, which files and pictures share."""
+        """Hazards on the grid of the elevation, which files and pictures share."""
         if self.hazards is None or self.elevation is None:
             return self.hazards
         return self.hazards.on(self.elevation.grid)

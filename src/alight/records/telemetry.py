@@ -1,4 +1,4 @@
-"""Reports of an autopilot: its state and its notices. ENU, FLU, SI; altitudes above sea level are named `msl`."""
+"""Reports of an autopilot: state and notices. ENU, FLU, SI units; altitudes above mean sea level are named `msl`."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ FirmwareName = Literal["ardupilot", "px4"]
 _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3
-FARTHEST_FROM_SEA = 120.0  # metres, largest height of the geoid above or below the ellipsoid
-HIGHEST = 10_000.0  # metres above or below the sea: no aircraft takes off there
+FARTHEST_FROM_SEA = 120.0  # metres, largest distance of the geoid from the ellipsoid
+HIGHEST = 10_000.0  # metres above or below the sea, farther than any take-off site
 
 
 class FlightMode(Enum):
-    """Mode of the autopilot, by one name for all firmwares."""
+    """Mode of the autopilot, with the same names for all firmwares."""
 
     GUIDED = "guided"  # follows our set-points (ArduPilot GUIDED, PX4 Offboard)
     MISSION = "mission"
     TAKE_OFF = "take-off"  # PX4 only; ArduPilot takes off within GUIDED
     LAND = "land"
-    HOLD = "hold"  # stays where it is (BRAKE, Hold)
+    HOLD = "hold"  # keeps its position (BRAKE, Hold)
     RETURN = "return"
-    PILOT = "pilot"  # a person flies: any mode that follows the sticks
+    PILOT = "pilot"  # any mode in which a person flies with the sticks
     OTHER = "other"
 
 
 class Landed(Enum):
-    """Landed state of the vehicle, as MAV_LANDED_STATE."""
+    """Landed state of the vehicle, numbered as in MAV_LANDED_STATE."""
 
     UNKNOWN = 0
     GROUND = 1
@@ -45,34 +45,34 @@ class Landed(Enum):
 
 @dataclass(frozen=True)
 class Place:
-    """A position from the autopilot; altitudes of one place belong together."""
+    """Position from the autopilot; both altitudes are those of one instant."""
 
     latitude: float  # degrees
     longitude: float  # degrees
     altitude_msl: float  # metres above mean sea level
-    above_home: float = _NAN  # metres above the autopilot's own home
+    above_home: float = _NAN  # metres above the autopilot's own home position
 
 
 @dataclass(frozen=True)
 class Home:
-    """Place where the vehicle is armed: the zero of the heights that it flies by."""
+    """Position where the vehicle is armed: the zero of its relative altitudes."""
 
     latitude: float  # degrees
     longitude: float  # degrees
     altitude_msl: float  # metres above mean sea level
-    separation: float = _NAN  # metres, ellipsoid minus sea level there (the geoid's height); NaN: not known
+    separation: float = _NAN  # metres, height of the geoid above the ellipsoid there; NaN: unknown
 
     @property
     def height(self) -> float:
-        """Height above the WGS84 ellipsoid as all our heights, metres; NaN without a separation."""
+        """Height above the WGS84 ellipsoid, metres; NaN without a separation."""
         return self.altitude_msl + self.separation
 
     @classmethod
     def parse(cls, text: str) -> Home:
-        """Read `LAT,LON,ALT_MSL`, with or without `,SEPARATION`.
+        """Parse `LAT,LON,ALT_MSL` with an optional `,SEPARATION`.
 
         Raises:
-            InputError: a number is missing, is none, or lies out of range.
+            InputError: a number is missing, malformed or out of range.
         """
         want = "write LAT,LON,ALT_MSL: degrees, and metres above the sea; a fourth number is the SEPARATION there"
         try:
@@ -88,20 +88,20 @@ class Home:
         return cls(*numbers)
 
     def with_separation(self, separation: float) -> Home:
-        """The home with this `separation`, metres, unless it has one of its own."""
+        """Return the home with this separation, metres, unless it already has a finite one."""
         return self if math.isfinite(self.separation) else replace(self, separation=separation)
 
 
 @dataclass(frozen=True)
 class GpsQuality:
-    """Accuracy of the receiver's position, 1-sigma; NaN: it does not report that."""
+    """Accuracy of the receiver's position, 1-sigma; NaN: not reported."""
 
     fix: int = 0  # GPS_FIX_TYPE: 3 is 3D, 5 and 6 are RTK
     satellites: int = 0
     horizontal: float = _NAN  # metres
     vertical: float = _NAN  # metres
     speed: float = _NAN  # m/s
-    separation: float = _NAN  # metres, ellipsoid minus sea level, where the receiver reports both heights
+    separation: float = _NAN  # metres, geoid above ellipsoid, if the receiver reports both heights
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Battery:
 
 
 class EstimatorFlag(IntFlag):
-    """Bits of EKF_STATUS_REPORT and ESTIMATOR_STATUS."""
+    """Status bits of EKF_STATUS_REPORT and ESTIMATOR_STATUS."""
 
     ABSOLUTE = 16
     CONSTANT = 128
@@ -122,7 +122,7 @@ class EstimatorFlag(IntFlag):
 
 
 def is_absolute(estimator_flags: int) -> bool:
-    """Whether the estimator's flags report a position on Earth that is not in doubt."""
+    """Whether the estimator's flags report an absolute position without a sign of failure."""
     doubtful = EstimatorFlag.CONSTANT | EstimatorFlag.UNINITIALISED | EstimatorFlag.GPS_GLITCH
     return bool(estimator_flags & EstimatorFlag.ABSOLUTE) and not estimator_flags & doubtful
 
@@ -133,13 +133,13 @@ def _unknown() -> F64:
 
 @dataclass(frozen=True, eq=False)
 class Telemetry:
-    """A snapshot of the vehicle. None and NaN: not received yet."""
+    """Snapshot of the vehicle's state. None and NaN: not received yet."""
 
     firmware: str  # "ArduPilot" or "PX4"
-    boot_ns: int = 0  # the autopilot's own clock, the newest
+    boot_ns: int = 0  # newest time of the autopilot's clock, since its boot
     armed: bool = False
     mode: FlightMode = FlightMode.OTHER
-    mode_name: str = ""  # the autopilot's own word
+    mode_name: str = ""  # the autopilot's own name of the mode
     landed: Landed = Landed.UNKNOWN
     place: Place | None = None
     velocity_world: F64 = field(default_factory=_unknown)  # (3,) m/s
@@ -147,28 +147,28 @@ class Telemetry:
     angular_velocity_body: F64 = field(default_factory=_unknown)  # (3,) rad/s
     gps: GpsQuality = GpsQuality()
     sensors_healthy: int | None = None  # bits of MAV_SYS_STATUS_SENSOR
-    checks_off: bool = False  # the user has switched off the autopilot's own checks before arming
+    checks_off: bool = False  # whether the user has disabled the autopilot's pre-arm checks
     estimator_flags: int | None = None  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
     home: Place | None = None
-    wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, where the air goes
+    wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, velocity of the air
     battery: Battery = Battery()
-    ages: dict[str, float] = field(default_factory=dict)  # s since each kind of message came
+    ages: dict[str, float] = field(default_factory=dict)  # s since the last message of each type
 
     @property
     def has_position(self) -> bool:
-        """True if the estimator has reported, some seconds ago at most, an absolute position that is not in doubt."""
+        """Whether the estimator reported a valid absolute position (`is_absolute`) in the last 10 s."""
         messages = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
         age = min((self.ages[name] for name in messages if name in self.ages), default=0.0)
         return self.estimator_flags is not None and age < 10.0 and is_absolute(self.estimator_flags)
 
     @property
     def ready(self) -> bool:
-        """True if it may be armed: pre-arm checks passed (or switched off), and an absolute position."""
+        """Whether the vehicle may be armed: pre-arm checks passed or disabled, and a valid absolute position."""
         return self.has_position and (self.checks_off or bool((self.sensors_healthy or 0) & PRE_ARM))
 
     @property
     def is_down(self) -> bool:
-        """True if a landing is over: disarmed, and on the ground."""
+        """Whether a landing is complete: disarmed and on the ground."""
         return not self.armed and self.landed is Landed.GROUND
 
 
@@ -179,19 +179,19 @@ class NoticeKind(Enum):
     LINK_LOST = "link lost"
     LINK_BACK = "link back"
     REBOOT = "reboot"
-    TAKEOVER = "takeover"  # somebody else flies now: we send nothing more until we are ordered to
-    MODE = "mode"  # a change on our request, or one that follows from it
-    COMMAND = "command"  # a command was accepted, refused or never answered
-    TEXT = "text"  # a message of the autopilot
+    TAKEOVER = "takeover"  # someone else flies: nothing is sent until the user orders it
+    MODE = "mode"  # a change of mode that Alight requested, or its consequence
+    COMMAND = "command"  # a command was accepted, refused or not answered
+    TEXT = "text"  # a text message of the autopilot
 
 
 @dataclass(frozen=True)
 class Notice:
-    """One event on the vehicle, or the answer to a request of ours."""
+    """One event on the vehicle, or the answer to a request of Alight."""
 
-    t_ns: int  # our clock
+    t_ns: int  # clock of this computer
     kind: NoticeKind
     text: str
     ok: bool = True
     mode: FlightMode | None = None
-    ticket: int | None = None  # of COMMAND: the number that the request returned
+    ticket: int | None = None  # for COMMAND: the number that the request returned

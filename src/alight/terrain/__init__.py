@@ -1,4 +1,4 @@
-"""Land cover: a reason to refuse ground, never alone one to permit it."""
+"""Land cover: evidence that can refuse ground but never permit it alone."""
 
 from alight.terrain.classify import Tables, classify, describe
 from alight.terrain.model import Model

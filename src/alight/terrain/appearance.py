@@ -1,4 +1,4 @@
-"""Colour and texture of each cell: ratios that do not depend on the exposure (docs/method/land-cover.md)."""
+"""Colour and texture of each cell, as ratios that do not depend on the exposure (docs/method/land-cover.md)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from alight.terrain.model import PIXEL
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """Colour and texture of every cell, (R, C) float32, NaN where nothing was seen."""
+    """Colour and texture of every cell, (R, C) float32, NaN where unseen."""
 
-    cool: F32  # (B - R) / (R + G + B): above about -0.06 grey or bluish, below it brown and green
+    cool: F32  # (B - R) / (R + G + B): grey or bluish above about -0.06, brown or green below
     green: F32  # (2 G - R - B) / (R + G + B), the excess green index
-    texture: F32  # root mean square of log brightness about its 0.5 m mean
-    coloured: bool  # False: grey images, colour is no evidence
+    texture: F32  # root mean square of log brightness minus its 0.5 m mean
+    coloured: bool  # False: grey images without colour evidence
 
 
 def seen(elevation: ElevationMap) -> Mask:
-    """Cells that any camera saw, and that the map or its finest picture shows.
+    """Return the mask of cells that a camera saw and that the map or its finest picture shows.
 
-    A map that is built view by view has the colours of the newest view alone.
+    A map that is built view by view has only the colours of the newest view.
     """
     pictured = lit(elevation.rgb)
     if elevation.fine is not None:
@@ -36,19 +36,19 @@ def seen(elevation: ElevationMap) -> Mask:
 
 
 def black_ground(elevation: ElevationMap) -> Mask:
-    """Cells that are black in the map, and plain in every view: other black cells have no colour yet."""
+    """Return the mask of cells that are black and plain in every view; other black cells have no colour yet."""
     return (elevation.views > 0) & ~lit(elevation.rgb) & is_flagged(elevation.flags, Flag.SATURATED | Flag.TEXTURE)
 
 
 def lit(picture: U8) -> Mask:
-    """Pixels with a picture: black means none, and the orthophoto has no black where a camera looked."""
+    """Return the mask of pixels with a picture: black means no picture."""
     return np.asarray((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0)
 
 
 def appearance(elevation: ElevationMap, scale: float = PIXEL) -> Appearance:
-    """Measure colour and texture of the finest picture.
+    """Compute colour and texture from the finest picture.
 
-    `scale`: metres, the finest detail that is used, so that maps of any cell size compare.
+    `scale` is the finest detail used, metres, so that maps of any cell size are comparable.
     """
     rgb, n = elevation.picture(scale)
     known = lit(rgb) & upsample(elevation.views > 0, n)

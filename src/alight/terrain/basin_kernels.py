@@ -23,13 +23,13 @@ def _lowest_neighbour(water: F64, r: int, c: int) -> float:
 def fill_basins(surface: F64, outlet: Mask, water: F64) -> None:
     """Flood the surface from its outlets: morphological reconstruction by erosion (G13).
 
-    Sweeps from opposite corners until nothing sinks any more; each cell ends at the lowest level from which its water
+    Sweeps from opposite corners repeat until no level sinks. Each cell ends at the lowest level from which its water
     runs off over the 8 neighbours.
 
     Args:
         surface: (R, C) heights; +inf is a wall.
         outlet: (R, C) bool, cells from which water runs off.
-        water: (R, C) filled with the level of standing water, the surface itself where none stands.
+        water: (R, C) filled with the level of standing water, or with the surface where it is dry.
     """
     rows, cols = surface.shape
     for r in range(rows):

@@ -1,4 +1,4 @@
-"""Land cover: log odds of all evidence; the model of appearance may only refuse (docs/method/land-cover.md)."""
+"""Land cover from the log odds of all evidence; the appearance model can only refuse (docs/method/land-cover.md)."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from alight.terrain.model import PIXEL, Model, appearance_evidence, level_of, lo
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
-KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds
-ANYTHING = 0.5  # probability of ground that no picture shows
-UNLIKE = 20.0  # its novelty: 1 % of a footprint refuses it
+KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # classes along the first axis of log odds
+ANYTHING = 0.5  # `landable` and `bears` of ground without a picture
+UNLIKE = 20.0  # novelty of ground without a picture: 1 % of it refuses a footprint
 WATER = KINDS.index(Terrain.WATER)
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
 
 class Tables(NamedTuple):
-    """Tables that are fitted to the evidence of maps."""
+    """Fitted tables for the evidence of maps."""
 
     net: Net
     known: KnownGround
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Mask:
-    """Ground within reach of a tree crown (G18): oblique views show the ground under it as open.
+    """Return the mask of ground within reach of a tree crown (G18), which oblique views show as open ground.
 
-    Doubtful heights count here: most of a crown is doubtful, and a needless refusal costs little.
+    Doubtful heights are used too, as most of a crown is doubtful and a needless refusal does little harm.
     """
     cell = elevation.grid.cell
     height_above = np.where(is_measured(elevation.flags), elevation.height - shape.ground, np.float32(np.nan))
@@ -54,14 +54,14 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
 
 
 def without_pits(share: F32, cell: float) -> F32:
-    """P(landable), (R, C), with refused ground of up to 0.3 m width raised to that about it; `cell` in metres."""
+    """Raise P(landable), (R, C), in refused patches up to 0.3 m wide to its level around them; `cell` in metres."""
     return fill_pits(share, int(0.3 / cell + 1e-6) + 1)
 
 
 def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
-    """Log odds (8, R, C) that the model of appearance adds; None for grey pictures or cells too coarse for it.
+    """Compute the log odds (8, R, C) that the appearance model adds; None for grey pictures or too coarse cells.
 
-    They are 0 for classes that the model does not have, and where the ground is unlike every patch it was trained on.
+    They are 0 for classes that the model does not have, and on ground unlike all its training patches.
     """
     if model is None or not colours.coloured:
         return None
@@ -78,16 +78,15 @@ def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appea
 
 
 def _open_kind(colours: Appearance, leafy: float) -> U8:
-    """Class of open ground by its colour: short grass, paved or bare."""
     green = np.nan_to_num(colours.green) > leafy
     grey = (np.abs(colours.cool) < 0.05) & (np.abs(colours.green) < 0.04) & (colours.texture < 0.05)
     return np.where(green, Terrain.SHORT_GRASS, np.where(grey, Terrain.PAVED, Terrain.BARE)).astype(np.uint8)
 
 
 def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
-    """Log odds with standing water made certain, and gaps between tufts given to the tufts; in place.
+    """Make standing water certain in log odds, and assign gaps between tufts to the tufts; in place.
 
-    A patch of less than 0.1 m^2 is left to the geometry, and a gap of less than 1 m is too narrow to stand in.
+    Patches below 0.1 m^2 are left to the hazard assessment. Gaps below 1 m are too narrow to land in.
     """
     best = odds.max(axis=0)
     wet, tall = WATER, Terrain.TALL_VEGETATION - 1
@@ -99,15 +98,13 @@ def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: Terrain
 
 
 class _Shares(NamedTuple):
-    """Probability of some kinds together, (R, C) each."""
-
     open: F32
     bears: F32
     water: F32
 
 
 def _shares(odds: F32, strip: int = 64) -> _Shares:
-    """Shares from log odds (8, R, C), a strip of rows at a time: millions of cells have 8 probabilities each."""
+    """Compute the probabilities of open ground, firm ground and water from log odds (8, R, C), in strips of rows."""
     out = _Shares(*(np.empty(odds.shape[1:], np.float32) for _ in _Shares._fields))
     for top in range(0, odds.shape[1], strip):
         rows = slice(top, top + strip)
@@ -117,9 +114,9 @@ def _shares(odds: F32, strip: int = 64) -> _Shares:
 
 
 def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
-    """Most likely class; colour decides between open grounds, height between tall vegetation and tree.
+    """Return the most likely class; colour separates classes of open ground, height separates trees from lower plants.
 
-    Overwrites the log odds.
+    Overwrites `odds`.
     """
     odds[OPEN] = -np.inf
     kind = (np.argmax(odds, axis=0) + 1).astype(np.uint8)
@@ -131,7 +128,6 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
 
 
 def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> TerrainMap:
-    """Classify all cells of one map, seen or not."""
     cell = elevation.grid.cell
     colours = appearance(elevation)
     wet = wetness(elevation, colours)
@@ -149,7 +145,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
 
     def surely(shares: list[F32]) -> F32:
-        """The smaller of the shares with and without appearance, because appearance never permits (T5)."""
+        """Return the smaller share, with or without appearance, because appearance never permits (T5)."""
         share = without_pits(np.minimum.reduce(shares), cell)
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
@@ -164,22 +160,22 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:
-    """Pass terms on, and keep every third cell of each: for the novelty."""
+    """Pass the features on, and keep every third cell of each in `some` for the novelty."""
     for name, values in terms:
         first = [min(apart // 2, n - 1) for n in values.shape]
-        some[name] = values[first[0] :: apart, first[1] :: apart].copy()  # a view would keep the whole
+        some[name] = values[first[0] :: apart, first[1] :: apart].copy()  # a view would keep the whole array in memory
         yield name, values
 
 
 def _novelty(known: KnownGround, some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
-    """Novelty of every cell (T6), (R, C), from the terms of some cells."""
+    """Compute the novelty of every cell (T6), (R, C), from the features of some cells."""
     values = np.stack([some[name].ravel() for name in known.terms], axis=1)
     found = known.novelty(values).reshape(some[known.terms[0]].shape)
     return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
-    """The evidence behind the classes of a map, in words."""
+    """Describe the evidence behind the classes of a map in words."""
     if not settings.enabled:
         return "not judged (terrain.enabled)"
     alone = "shape, matching and texture of the map alone: "
@@ -197,18 +193,18 @@ def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
 def classify(
     elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, tables: Tables | None = None
 ) -> TerrainMap:
-    """Land cover of each cell, and the probability that it may be landed on.
+    """Estimate the land cover of each cell, and the probability that a vehicle may land on it.
 
     Args:
         elevation: heights, flags and colours.
         settings: scales and weights.
-        model: of appearance; None: the map's own evidence alone.
-        tables: fitted to the map's own evidence; None: the package's (`learned/land_cover.md`, `known_ground.md`).
+        model: appearance model; None: only the evidence of the map itself.
+        tables: fitted tables; None: those of the package (`learned/land_cover.md`, `known_ground.md`).
 
     Returns:
-        Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
-        never one to permit. Ground with heights and without a picture is UNKNOWN too. It may be anything: its `bears`
-        is `ANYTHING`, its novelty `UNLIKE`. Black ground, as in a pit, also has a `landable` of `ANYTHING`.
+        Classes and probabilities; UNKNOWN and NaN where nothing was seen. `landable` can refuse ground but never permit
+        it. Ground with heights but without a picture is UNKNOWN as well; its `bears` is `ANYTHING`, its novelty
+        `UNLIKE`. Black ground, as in a pit, also has a `landable` of `ANYTHING`.
     """
     found = _classified(elevation, settings, model, tables or Tables(read_net(), read_known()))
     known = seen(elevation)

@@ -1,8 +1,8 @@
 """Level surfaces by their rims (docs/method/land-cover.md, G13b, G13c).
 
-Water is level along its length, and below both banks. So it is found under algae and floating plants, which look like
-lawn or soil. It is found where it leaves the map, too: unseen parts of the rim do not count. A
-flat roof is as bare and even as a yard, and the ground about it is lower; most of the rim must be seen for that.
+Water is level along its length and below both banks. So it is found even under algae and floating plants, which look
+like lawn or soil, and where it leaves the map, as unseen parts of the rim are ignored. A flat roof is as bare and even
+as a yard, but the ground around it is lower. Most of a roof's rim must be seen.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from alight.records import ElevationMap
 from alight.settings import TerrainSettings
 from alight.terrain.relief import ground_under
 
-RIM = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
-ABOUT = 10  # blocks to which the rim of a roof reaches: beside a wall heights are in doubt
+RIM = 2, 6  # blocks from a surface, start and end of its rim, without the foot of a bank
+ABOUT = 10  # blocks from a roof, end of its rim: heights beside a wall are doubtful
 
 
 @dataclass(frozen=True)
 class LevelSurfaces:
-    """The connected level parts of a map, in blocks."""
+    """Connected level parts of a map, in blocks."""
 
     elevation: ElevationMap
     settings: TerrainSettings
-    size: int  # cells of a block's side
-    bed: F32  # (r, c) trusted heights of the blocks
-    parts: I64  # (r, c) numbers of the parts, from 1; 0 is none
-    areas: F64  # (parts + 1,) m^2; NaN for 0
-    tilt: float  # rad, 1-sigma of the tilt that all heights share
+    size: int  # side of a block, cells
+    bed: F32  # (r, c) median trusted height of each block
+    parts: I64  # (r, c) index of each block's part, from 1; 0: no part
+    areas: F64  # (parts + 1,) m^2, by index; NaN for index 0
+    tilt: float  # rad, 1-sigma of the map's common tilt
 
     @classmethod
     def of(cls, elevation: ElevationMap, settings: TerrainSettings) -> LevelSurfaces:
-        """Find the level surfaces of a map: trusted heights are surfaces, all are rims; they share the datum's tilt."""
+        """Find the level surfaces of a map in its trusted heights, allowing for the tilt of its datum."""
         size = max(1, round(settings.block / elevation.grid.cell))
         block = size * elevation.grid.cell
         bed = block_quantile(np.where(elevation.trusted, elevation.height, np.float32(np.nan)), size, 0.5)
@@ -48,25 +48,25 @@ class LevelSurfaces:
         return cls(elevation, settings, size, bed, parts, areas, tilt)
 
     def enclosed(self) -> F32:
-        """Degree to which every cell is part of a level surface below its banks (G13b), (R, C) 0 to 1."""
+        """Compute the degree, 0 to 1, to which each cell belongs to a level surface below its banks (G13b), (R, C)."""
         settings, block = self.settings, self.size * self.elevation.grid.cell
-        ground = ground_under(self.bed, settings.ground_window / (2 * block))  # hedges and cars are no banks
+        ground = ground_under(self.bed, settings.ground_window / (2 * block))  # hedges and cars are not banks
         large = np.flatnonzero(self.areas >= settings.water_area)
         return self._marked(large, 0, lambda part: _enclosure(part, self.bed, ground, block, self.tilt, settings))
 
     def raised(self) -> F32:
-        """Degree to which every cell is part of a level surface above the ground about it (G13c), (R, C) 0 to 1."""
+        """Compute the degree, 0 to 1, to which each cell belongs to a level surface above its rim (G13c), (R, C)."""
         settings = self.settings
         about = block_quantile(self.elevation.height, self.size, 0.5)
-        about = np.pad(about, ABOUT, constant_values=np.nan)  # beyond the map: not seen
+        about = np.pad(about, ABOUT, constant_values=np.nan)  # unseen beyond the map
         smallest, largest = settings.roof_area
         roofs = np.flatnonzero((smallest <= self.areas) & (self.areas <= largest))
         return self._marked(roofs, ABOUT, lambda part: _height_over_rim(part, about, settings))
 
     def _marked(self, numbers: Iterable[int], pad: int, measure: Callable[[Mask], float]) -> F32:
-        """Write the measure of some parts' masks to every cell of them and of their feet, (R, C); 0 elsewhere.
+        """Write the measure of each numbered part to its cells and their margin, (R, C); 0 elsewhere.
 
-        `pad`: blocks that are added about the map for `measure`.
+        `measure` gets the mask of a part, padded by `pad` blocks on every side.
         """
         out = np.zeros(self.bed.shape, np.float32)
         for number in numbers:
@@ -77,7 +77,7 @@ class LevelSurfaces:
 
 
 def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
-    """Number of connected level parts plus 1, and the parts (R, C), numbered from 1."""
+    """Return the number of connected level parts plus 1, and the index of each block's part, from 1."""
     known = np.isfinite(bed)
     filled = nearest_known(np.nan_to_num(bed), known)
     north, east = gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
@@ -93,7 +93,7 @@ def _rim(part: Mask, outer: int = RIM[1]) -> Mask:
 
 
 def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, settings: TerrainSettings) -> float:
-    """Degree to which one part is level and lies below the ground of its rim, 0 to 1."""
+    """Return the degree to which a part is level and below the ground of its rim, 0 to 1."""
     rows, cols = np.nonzero(part)
     terms = np.column_stack([np.ones(len(rows)), cols * block, rows * block])
     plane = np.linalg.lstsq(terms, bed[rows, cols].astype(np.float64), rcond=None)[0]
@@ -110,7 +110,7 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
 
 
 def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
-    """Degree to which the rim of one part lies a wall's height below it, 0 to 1; 0 where half of it is not seen."""
+    """Return the degree to which a part is a wall's height above its rim, 0 to 1; 0 if half of the rim is unseen."""
     rim = ground[_rim(part, ABOUT)]
     seen = np.isfinite(rim)
     if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):

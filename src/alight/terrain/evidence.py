@@ -1,8 +1,8 @@
-"""Evidence for the land cover from the map itself: shape, matching and detail (docs/method/land-cover.md, T1, T1b).
+"""Evidence for the land cover from the map itself: shape, matching, detail (docs/method/land-cover.md, T1, T1b).
 
-No absolute colour and no library: this evidence holds where the pictures are unlike all known ground. The model of
-appearance may only add refusals to it. Widths are in metres, so that ground seen from far and from near compares.
-Exposure and white balance of a picture cancel. Detail that its pixels do not show is weak.
+No absolute colour is used, so this evidence is valid where the pictures are unlike all training data. Widths are in
+metres, so that ground seen from near and far is comparable. Exposure and white balance cancel. Detail that the pixels
+do not resolve is weak. The appearance model can only add refusals to this evidence.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from alight.records import REFUSED, ElevationMap, Flag, is_flagged, is_measured
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
-Terms = Iterator[tuple[str, F32]]  # one after the other, (R, C) each: all terms of millions of cells are gigabytes
+Terms = Iterator[tuple[str, F32]]  # features one by one, (R, C) each: all of them at once would take gigabytes
 
-NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma over which the strength of detail is gathered
+NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma of the mean of the strength of detail
 REACH = 0.5  # metres, radius of local maxima and minima of the heights
-SPOT_REACH = 0.4  # metres, radius within which dark and bright spots are sought
-WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands of log brightness lie between each and the next
+SPOT_REACH = 0.4  # metres, search radius of dark and bright spots
+WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: limits of the bands of log brightness
 
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
-    """Joint score of tall plants (G16): textured, rough or raised in height, green, moving."""
+    """Compute the joint score of tall plants (G16): textured, rough or raised, green, moving."""
     texture = linear_ramp(colours.texture, 0.055, 0.09)
     high = np.maximum(linear_ramp(shape.height_above, 0.15, 0.5), linear_ramp(shape.rough, 0.04, 0.10))
     tone = linear_ramp(colours.green, 0.06, 0.14) * np.float32(colours.coloured)
@@ -48,7 +48,7 @@ def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
 
 
 def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Terms:
-    """The evidence of every cell, with its identifier (T1)."""
+    """Yield the identifier and the values of each feature of every cell (T1)."""
     known = seen(elevation)
     for name, values in chain(_surface_terms(elevation, colours, shape), _picture_terms(elevation)):
         yield name, values
@@ -59,17 +59,16 @@ def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief
 
 
 def _strength(power: F32, cell: float, metres: float = NEAR) -> F32:
-    """Logarithm of the root mean square of detail about every cell."""
     near = np.maximum(gaussian_mean(power, metres / cell), 0)
     return np.asarray(np.log(np.sqrt(near) + np.float32(0.003)), np.float32)
 
 
 def _picture_terms(elevation: ElevationMap) -> Terms:
-    """Detail of the finest picture by its width, on pixels of about the narrowest width and wider (T1b)."""
+    """Yield the features of the finest picture's detail by its width (T1b)."""
     rgb, factor = elevation.finest
     cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
     light, share, within = block_light(rgb, factor // halves, within=True)
-    yield PictureTerm.BELOW, _strength(block_mean(within, halves), cell)  # finer than all bands
+    yield PictureTerm.BELOW, _strength(block_mean(within, halves), cell)  # detail finer than all bands
     pixel = cell / halves
     light = _filled(light, share, 1.0 / pixel)
     del share, within  # arrays as fine as the picture are large
@@ -91,7 +90,7 @@ def _picture_terms(elevation: ElevationMap) -> Terms:
 
 
 def _filled(light: F32, share: F32, sigma: float) -> F32:
-    """Log brightness, unseen pixels filled from their surroundings; `share` of a pixel that was seen."""
+    """Fill unseen pixels of log brightness from their surroundings; `share`: seen share of each pixel."""
     if share.min() > 0.999:
         return light
     about = np.maximum(gaussian_mean(share, sigma), np.float32(1e-3))
@@ -100,12 +99,11 @@ def _filled(light: F32, share: F32, sigma: float) -> F32:
 
 
 def _between(values: F32, narrow: float, wide: float, pixel: float) -> F32:
-    """Detail wider than one Gaussian and narrower than another, (R, C); widths 1-sigma, metres."""
+    """Return detail between two widths, (R, C); widths as 1-sigma, metres."""
     return difference_of_gaussians(values, narrow / pixel, wide / pixel)
 
 
 def _surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Terms:
-    """Roughness, height, residual, flags over some decimetres to metres."""
     cell = elevation.grid.cell
     height = nearest_known(elevation.height, np.isfinite(elevation.height))
     height = np.nan_to_num(height - np.float32(np.nanmedian(height)) if np.isfinite(height).any() else height)
@@ -147,12 +145,11 @@ def _surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) 
     yield SurfaceTerm.TEXTURELESS, flagged(Flag.TEXTURE, 0.5)
     yield SurfaceTerm.SATURATED, flagged(Flag.SATURATED, 0.5)
     yield SurfaceTerm.PLANTS, plants(colours, shape, moving)
-    yield SurfaceTerm.SAMPLING, _log_ratio(elevation.sampling, 0.1)  # over usual widths, metres
+    yield SurfaceTerm.SAMPLING, _log_ratio(elevation.sampling, 0.1)  # relative to usual widths, metres
     yield SurfaceTerm.PIXEL, _log_ratio(elevation.picture_sampling, 0.05)
 
 
 def _log_ratio(values: F32, usual: float) -> F32:
-    """Natural logarithm of values over the usual one; unknown values count as usual."""
     return log_at_least(np.where(np.isfinite(values), values / np.float32(usual), np.float32(1)), 1e-3)
 
 

@@ -1,10 +1,10 @@
-"""Model of appearance: likelihood of the classes given features; far from the training data it gives no evidence.
+"""Appearance model: likelihood of each class given features; no evidence far from the training data.
 
-The features do not depend on camera, season and light (docs/method/land-cover.md, T3). Every number is a ratio: of
-brightness at two scales in metres, of a picture and the frame that it belongs to, or a correlation. None is a colour,
-because colour depends on the camera and the season as much as on the ground.
+The features do not depend on camera, season and light (docs/method/land-cover.md, T3). They are ratios of brightness at
+two scales, ratios of a picture to its frame, or correlations. No feature is a colour, because colour depends on camera
+and season as much as on the ground.
 
-A linear classifier on few numbers (docs/method/land-cover.md, T4): 1,400 labelled patches of four places carry no more.
+The classifier is linear with few parameters (T4): 1,400 labelled patches of four locations support no more.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from alight.arrays import F32, U8
 
 Real = TypeVar("Real", np.float32, np.float64)
 
-PIXEL = 0.1  # metres, of the finest level; each further level doubles it
+PIXEL = 0.1  # metres, pixel of the finest level; it doubles with each further level
 LEVELS = 3
-BANDS = 4  # octaves of detail, from 0.1 - 0.2 m to 0.8 - 1.6 m; level n starts with the n-th
+BANDS = 4  # octaves of detail, from 0.1 - 0.2 m to 0.8 - 1.6 m; level n starts with octave n
 WINDOW = 0.8  # metres, Gaussian 1-sigma over which detail is averaged
-BLOCK = 4  # pixels a side of a block, which has one set of numbers
+BLOCK = 4  # side of a block, pixels; each block has one feature vector
 STRETCH = 1.35  # largest factor by which a picture is enlarged to reach a level
-DARK = 4.0  # grey levels added, so that noise in the dark is no contrast
-CLIP = 4.0  # standard deviations beyond which a feature counts no further
+DARK = 4.0  # added to grey levels, so that noise in dark pixels gives no contrast
+CLIP = 4.0  # standard deviations to which features are clipped
 
 
 class AppearanceFeatures(NamedTuple):
     """Features of every block of a picture."""
 
     level: int
-    values: F32  # (r, c, F) as `names(level)`; NaN where less than half of the window was seen
+    values: F32  # (r, c, F), ordered as `names(level)`; NaN where less than half of the window was seen
 
 
 def names(level: int) -> tuple[str, ...]:
-    """Names of the features of a level."""
+    """Return the names of the features of a level."""
     octaves = range(level, BANDS)
     detail = [f"detail {n}" for n in octaves]
     return (
@@ -52,7 +52,7 @@ def names(level: int) -> tuple[str, ...]:
 
 
 def level_of(sampling: float) -> int | None:
-    """The finest level that pixels of `sampling` metres can fill; None when they are too coarse for any."""
+    """Return the finest level that pixels of `sampling` metres support; None if they are too coarse for all levels."""
     level = max(0, math.ceil(math.log2(sampling / (PIXEL * STRETCH))))
     return level if level < LEVELS else None
 
@@ -62,7 +62,7 @@ def _blur(values: F32, sigma: float) -> F32:
 
 
 def _resized(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[F32, F32]:
-    """The picture at the level's pixels, unseen ones filled from their neighbours, and the share that was seen."""
+    """Resize the picture to the level's pixels and fill unseen pixels; return it and the seen share of each pixel."""
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     weight = cv2.resize(seen.astype(np.float32), size, interpolation=how)
@@ -75,7 +75,7 @@ def _resized(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[F32, F32]
 
 
 class _Means:
-    """Means of the seen pixels over the window at every block."""
+    """Means of the seen pixels over the Gaussian window of every block."""
 
     def __init__(self, seen: F32, level: int) -> None:
         self._seen = seen
@@ -91,9 +91,8 @@ class _Means:
 
 
 def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
-    """Features of one octave of log brightness, log red over green and log blue over green."""
     power, tint = mean(light * light), mean(blue * blue)
-    noise, shade = np.float32(1e-5), np.float32(1e-6)  # log ratios squared: below these there is no detail
+    noise, shade = np.float32(1e-5), np.float32(1e-6)  # squared log ratios: weaker detail is treated as noise
     return {
         "detail": 0.5 * np.log(power + noise),
         "blue shade": mean(light * blue) / np.sqrt((power + noise) * (tint + shade)),
@@ -104,7 +103,7 @@ def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
 
 
 def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32], F32]:
-    """Logs of brightness, of red over green and of blue over green at the level's pixels, and the share seen."""
+    """Return the logarithms of brightness, red/green and blue/green on the level's pixels, and the seen share."""
     colour, share = _resized(rgb, seen, factor)
     r, g, b = (colour[..., k] + np.float32(DARK) for k in range(3))
     light = (r + g + b) / np.float32(3)
@@ -116,7 +115,7 @@ def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32]
 
 
 def _octaves(signals: list[F32], level: int, mean: _Means) -> dict[str, F32]:
-    """Features of all octaves by name; overwrites the signals."""
+    """Compute the features of all octaves, by name; overwrites `signals`."""
     found: dict[str, F32] = {}
     for n in range(level, BANDS):
         coarser = [_blur(s, 2.0 ** (n + 1 - level)) for s in signals]
@@ -129,16 +128,16 @@ def _octaves(signals: list[F32], level: int, mean: _Means) -> dict[str, F32]:
 
 
 def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> AppearanceFeatures | None:
-    """Features of a picture.
+    """Compute the features of a picture.
 
     Args:
-        rgb: (H, W, 3).
-        sampling: metres a pixel.
-        seen: (H, W) pixels with a picture; None: all.
+        rgb: (H, W, 3) picture.
+        sampling: width of a pixel on the ground, metres.
+        seen: (H, W) mask of pixels with a picture; None: all pixels.
 
     Returns:
-        The features; those "against the frame" are absolute until `against` is applied. None where the pixels
-        are too coarse.
+        The features, or None if the pixels are too coarse. Features "against the frame" are absolute until `against` is
+        applied.
     """
     level = level_of(sampling)
     if level is None:
@@ -154,14 +153,14 @@ def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None
 
 
 def frame_of(values: F32, level: int) -> F32:
-    """The median detail of a frame, (octaves,), of its features (N, F); zeros if there are none."""
+    """Return the median detail of a frame, (octaves,), from its features (N, F); zeros without finite features."""
     octaves = BANDS - level
     known = values[np.isfinite(values[:, 0]), :octaves]
     return np.median(known, axis=0).astype(np.float32) if len(known) else np.zeros(octaves, np.float32)
 
 
 def against(values: F32, frame: F32) -> F32:
-    """Features (..., F) with the detail taken relative to that of the frame they belong to."""
+    """Return features (..., F) with the features "against the frame" made relative to the median detail `frame`."""
     out = values.copy()
     octaves = len(frame)
     out[..., octaves : 2 * octaves] = out[..., :octaves] - frame
@@ -170,66 +169,66 @@ def against(values: F32, frame: F32) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """The classifier of one level; F features, K classes."""
+    """Classifier of one level, for F features and K classes."""
 
     mean: F32  # (F,)
     spread: F32  # (F,)
     weights: F32  # (K, F)
     bias: F32  # (K,)
-    centres: F32  # (K, F) of the classes, standardised
+    centres: F32  # (K, F) class means of standardised features
     metric: F32  # (F, F) inverse covariance within the classes
-    reach: float  # usual squared distance to the nearest centre
-    temperature: float  # factor by which the evidence is too sure on places left out
+    reach: float  # median squared distance to the nearest centre
+    temperature: float  # factor by which scores are overconfident on held-out sites
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A trained model of appearance: one head a level, None for levels that the library cannot fill."""
+    """Trained appearance model: one head per level, None for levels without enough training data."""
 
-    classes: U8  # (K,) Terrain codes of its classes
+    classes: U8  # (K,) Terrain codes
     heads: tuple[Head | None, ...]
-    provenance: str = ""  # its training data, and its accuracy on places left out
+    provenance: str = ""  # training data, and accuracy on held-out sites
 
 
 def standardised(head: Head, features: F32) -> F32:
-    """Features (N, F) without unit."""
+    """Standardise and clip features (N, F)."""
     return np.asarray(np.clip((features - head.mean) / head.spread, -CLIP, CLIP), np.float32)
 
 
 def to_nearest(z: NDArray[Real], centres: NDArray[Any], metric: NDArray[Any]) -> NDArray[Any]:
-    """Squared distance of features (N, F) to the nearest of some centres, (N,)."""
+    """Compute the squared Mahalanobis distance of features (N, F) to the nearest centre, (N,)."""
     each = [np.einsum("nf,fg,ng->n", z - c, metric, z - c, optimize=True) for c in centres]
     return np.asarray(np.min(each, axis=0))
 
 
 def distance(head: Head, z: F32) -> F32:
-    """Squared distance of features (N, F) to the nearest class, (N,), 1 at the usual distance."""
+    """Compute the squared distance of features (N, F) to the nearest class, (N,), divided by the median distance."""
     return np.asarray(to_nearest(z, head.centres, head.metric) / head.reach, dtype=np.float32)
 
 
 def scores(head: Head, features: F32) -> F32:
-    """Evidence for each class before the temperature, (N, K): it fades with the distance from the classes (T4)."""
+    """Compute the score of each class before the temperature, (N, K); it fades with distance from the classes (T4)."""
     z = standardised(head, features)
     fading = 1 / (1 + np.maximum(distance(head, z) - 1, 0))
     return np.asarray((z @ head.weights.T + head.bias) * fading[:, None], np.float32)
 
 
 def log_softmax(values: NDArray[Real], axis: int = -1) -> NDArray[Real]:
-    """Logarithms of probabilities that are proportional to exp(values) along an axis."""
+    """Compute log probabilities proportional to exp(values) along an axis."""
     shifted = values - values.max(axis=axis, keepdims=True)
     out: NDArray[Real] = shifted - np.log(np.exp(shifted).sum(axis=axis, keepdims=True))
     return out
 
 
 def log_probability(head: Head, features: F32) -> F32:
-    """Log probability of each class, all equally likely before; (N, K)."""
+    """Compute the log probability of each class for a uniform prior, (N, K)."""
     return log_softmax(scores(head, features) / np.float32(head.temperature))
 
 
 def appearance_evidence(model: Model, rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> F32 | None:
-    """Log probability of each class a block of a picture, (r, c, K), all classes equally likely before.
+    """Compute the log probability of each class per block of a picture, (r, c, K), for a uniform prior.
 
-    The picture is its own frame (T3). NaN where too little was seen; None where the pixels are too coarse.
+    The picture is its own frame (T3). NaN where too little was seen; None if the pixels are too coarse.
     """
     found = appearance_features(rgb, sampling, seen)
     head = model.heads[found.level] if found else None

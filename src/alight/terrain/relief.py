@@ -16,18 +16,18 @@ from alight.terrain.basin_kernels import fill_basins
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Shape of the ground about every cell, (R, C) float32 metres, NaN where no height is near."""
+    """Shape of the ground around every cell, (R, C) float32 metres; NaN where no height is near."""
 
-    height_above: F32  # above the surrounding ground, less the height that a hill of that width may have (G12)
-    rough: F32  # root mean square height about its 0.5 m mean
-    depth: F32  # of the water that the basin holds (G13)
-    walled: F32  # depth where only ground closes a basin: a rim of the map that looks like water is an outlet
-    level: F32  # height of that water's surface
-    ground: F32  # height of the ground under everything, the nearest known one where it is unknown
+    height_above: F32  # height above the surrounding ground, minus what a hill of that width may have (G12)
+    rough: F32  # root mean square height minus its 0.5 m mean
+    depth: F32  # depth of the water that the basin holds (G13)
+    walled: F32  # depth if only seen ground closes a basin, and every map edge is an outlet
+    level: F32  # height of the water surface
+    ground: F32  # height of the ground below objects; where unknown, the nearest known height
 
 
 def ground_under(low: F32, window_cells: float) -> F32:
-    """Ground without objects narrower than the window: a morphological opening that keeps planes."""
+    """Remove objects narrower than the window from block heights, by a morphological opening that preserves planes."""
     reach = max(1, round(window_cells / 2))
     disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
@@ -36,9 +36,10 @@ def ground_under(low: F32, window_cells: float) -> F32:
 
 
 def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
-    """Height above the ground around, over widening windows (G12).
+    """Compute the height above the surrounding ground, metres, from `low` block heights of `size` cells a side (G12).
 
-    Each window allows `settings.bulge` of height per metre of its width: hilltops are broad, objects are not.
+    The result is the largest over several windows. A hill may rise by `settings.bulge` per metre of window width,
+    because hilltops are broad and objects are not.
     """
     out = np.full(height.shape, -np.inf, dtype=np.float32)
     for window in (settings.ground_window / 4, settings.ground_window / 2, settings.ground_window):
@@ -50,17 +51,17 @@ def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSetti
 
 
 def open_to_rim(unknown: Mask) -> Mask:
-    """Unknown cells connected to the rim of the map; holes within are walls to water, not outlets."""
+    """Return the mask of unknown cells connected to the edge of the map. Other unknown cells are holes, not outlets."""
     framed = np.pad(unknown, 1, constant_values=True).astype(np.uint8)
     labels = cv2.connectedComponents(framed, connectivity=4)[1]
     return np.asarray(labels == labels[0, 0])[1:-1, 1:-1]
 
 
 def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
-    """Depth and level of the water that the ground would hold (G13); NaN where it is unknown.
+    """Compute depth and level of the water that the ground would hold (G13); NaN where unknown.
 
-    The map's rim and unknown cells connected to it are outlets: a basin must be closed by ground that was seen.
-    Only where the rim looks `wet` it is no outlet: there a pond goes on beyond the map.
+    The map's edge and unknown cells connected to it are outlets: only seen ground closes a basin. An edge that looks
+    like water (`wet`) is no outlet, as a pond may continue beyond the map.
     """
     unknown = np.isnan(ground)
     off = np.pad(open_to_rim(unknown), 1, constant_values=True).astype(np.uint8)
@@ -68,14 +69,14 @@ def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
     surface = np.where(unknown, np.float32(np.inf), ground)
     level = np.empty_like(surface)
     fill_basins(surface, beside & ~unknown & ~wet, level)
-    level = np.where(unknown | ~np.isfinite(level), ground, level)  # enclosed by holes: not known
+    level = np.where(unknown | ~np.isfinite(level), ground, level)  # enclosed by holes: unknown
     return level - ground, level
 
 
 def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Relief:
-    """Measure the shape of the trusted heights; on blocks of about half a metre where it is wide.
+    """Compute the shape of the trusted heights; broad shapes on blocks of about half a metre.
 
-    `wet`: (R, C) 0 to 1, likeness of the cell to water.
+    `wet`: (R, C) likeness of each cell to water, 0 to 1.
     """
     cell = elevation.grid.cell
     shape = elevation.grid.shape

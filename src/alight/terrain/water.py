@@ -1,4 +1,4 @@
-"""Standing water from the shape of its bed and its colour and texture (docs/method/land-cover.md, G13 to G15)."""
+"""Standing water from bed shape, colour and texture (docs/method/land-cover.md, G13 to G15)."""
 
 from __future__ import annotations
 
@@ -17,27 +17,26 @@ from alight.terrain.relief import Relief
 
 
 def water_likeness(colours: Appearance) -> F32:
-    """Likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green. A car park has it too."""
+    """Compute the likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green, like a car park."""
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
     tone = linear_ramp(colours.cool, -0.075, -0.04) * (1 - linear_ramp(colours.green, 0.11, 0.16))
     return np.asarray(plain * tone * np.float32(colours.coloured))
 
 
 def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
-    """Mean likeness to water of the surroundings of a cell, 0 to 1."""
+    """Compute the mean likeness to water around each cell, (R, C), 0 to 1."""
     return _near(np.nan_to_num(water_likeness(colours)), elevation)
 
 
 def _near(values: F32, elevation: ElevationMap) -> F32:
-    """Mean of the seen cells within about half a metre, 0 where there are none."""
     weight = seen(elevation).astype(np.float32)
     return np.asarray(np.nan_to_num(masked_gaussian(values, weight, 0.5 / elevation.grid.cell)))
 
 
 def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSettings) -> F32:
-    """Log odds of water (G14): a closed basin, likeness to water, motion; any two strong ones suffice.
+    """Compute the log odds of water (G14) from basin, likeness to water and motion; two strong signs suffice.
 
-    `depth`: (R, C) metres, of the water that a basin holds.
+    `depth`: (R, C) depth of the water that a basin holds, metres.
     """
     d = settings.basin_depth
     basin = linear_ramp(depth, d / 2, 1.5 * d)
@@ -46,36 +45,34 @@ def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSe
 
 
 def _grown(seed: Mask, into: Mask) -> Mask:
-    """The connected parts of `into` that hold a seed."""
     labels = cv2.connectedComponents((into | seed).astype(np.uint8), connectivity=8)[1]
     return np.asarray(np.isin(labels, np.unique(labels[seed]))) & (into | seed)
 
 
 @dataclass(frozen=True, eq=False)
 class WaterSigns:
-    """Evidence of water, (R, C) each."""
+    """Evidence of water, (R, C) arrays."""
 
     odds: F32  # log odds
-    walled_odds: F32  # log odds where a rim that looks like water closes no basin
+    walled_odds: F32  # log odds if a map edge that looks like water closes no basin
     wet: F32  # likeness to water, 0 to 1
-    moving: F32  # share of the cells near by that move
+    moving: F32  # share of nearby cells that move
     bed: F32  # metres, smoothed heights, NaN = unknown
-    outside: Mask  # cells outside of every basin
+    outside: Mask  # cells outside all basins
 
 
 def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
-    """Grow water over the connected ground that must be wet too (G15).
+    """Grow water over the connected ground that must be wet too (G15), and return its mask.
 
-    The first step adds connected cells that look like water. The second adds connected lower cells, because the surface
-    of a pond is level: this closes gaps where the bed looks like the shore. It is left out where it would more than
-    double the water. A patch that would run out over dry ground, and of which less than half moves, is no water at all.
-    A patch that lies mostly outside of any basin, and of which less than a fifth moves, only looks like water: there
-    the rim of the map closes no basin.
+    First, connected cells that look like water are added. Then connected lower cells are added, because the surface of
+    a pond is level. This closes gaps where the bed looks like the shore, but is skipped if it would more than double
+    the area. A patch that would drain over dry ground, with less than half of it moving, is not water. A patch mostly
+    outside all basins, with less than a fifth of it moving, only looks like water: there a map edge closes no basin.
 
     Args:
-        signs: of water.
-        cell: metres.
-        least_share: share of a patch that looks like water that must be water by itself: a slab looks like water, too.
+        signs: evidence of water.
+        cell: cell size, metres.
+        least_share: least share of a patch that must be water by itself; a slab looks like water, too.
     """
     seed, walled = (without_specks(odds > 0, cell, 1.0) for odds in (signs.odds, signs.walled_odds))
     out = np.zeros_like(seed)
@@ -87,7 +84,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
         if known.any() and moving < 0.2 and signs.outside[known].mean() > 0.5:
             out |= pond & walled
             continue
-        if seed[pond].mean() < least_share:  # a slab with a wet corner is no pond
+        if seed[pond].mean() < least_share:  # a slab with a wet corner is not a pond
             out |= pond & seed
             continue
         if not known.any():
@@ -101,9 +98,9 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
 
 def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
-    """Whether half of a patch lies above twice its area of connected dry ground: a slope, or shade on a plain.
+    """Whether half of a patch is higher than connected dry ground of twice its area: a slope, or shade on a plain.
 
-    That ground lies lower by 0.5 m, more than the errors of heights.
+    That ground must be 0.5 m lower, more than the errors of heights.
     """
     level = np.median(bed[pond])
     dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < 0.2) & (bed < level - 0.5)
@@ -111,7 +108,7 @@ def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
 
 
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
-    """(R, C): water by its basin, colour, texture and motion, and the connected ground below its level."""
+    """Return the mask of water, (R, C), by basin, colour, texture and motion, grown by `flooded`."""
     cell, weight = elevation.grid.cell, seen(elevation).astype(np.float32)
     restless = is_flagged(elevation.flags, Flag.MOVING | Flag.INCONSISTENT)  # water and swaying plants
     moving = _near(restless.astype(np.float32), elevation)
@@ -124,10 +121,10 @@ def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32,
 
 
 def open_water(land_cover: TerrainMap) -> Mask:
-    """(R, C): whole patches labelled water with a median P(water) of at least 0.5; the sample's pond has 0.98.
+    """Return the mask of water patches with a median P(water) of at least 0.5, (R, C); the sample's pond has 0.98.
 
-    A cell that may not be landed on takes the name of its likeliest hazard, even an improbable one: a shadow beside a
-    bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
+    A refused cell is labelled with its likeliest hazard, even an improbable one: a shadow beside a bush may be labelled
+    water. The refusal does not depend on the label. Heights, however, are refused only on probable water.
     """
     wet = np.asarray(land_cover.label == Terrain.WATER)
     if not wet.any():

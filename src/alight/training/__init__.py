@@ -1,1 +1,1 @@
-"""Training of the appearance model from labelled pictures, and its test on sites left out of the training."""
+"""Training of the appearance model from labelled pictures, and its test on held-out sites."""

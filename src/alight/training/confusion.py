@@ -1,4 +1,4 @@
-"""Confusion of true and predicted classes by site, and its consequence for landing."""
+"""Confusion of true and predicted classes by site, and its consequences for landing."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from alight.records import LANDABLE, Terrain
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
-    """True and predicted classes of N patches or blocks; the model has K classes."""
+    """True and predicted classes of N patches or blocks, by a model with K classes."""
 
     kinds: U8  # (N,) true Terrain codes
-    sites: NDArray[np.str_]  # (N,)
-    classes: U8  # (K,)
-    log_p: F64  # (N, K)
+    sites: NDArray[np.str_]  # (N,) site of each patch or block
+    classes: U8  # (K,) Terrain codes of the model
+    log_p: F64  # (N, K) log probabilities
 
     def where(self, rows: NDArray[np.bool_]) -> Confusion:
-        """Return some of the rows."""
+        """Return the confusion of the rows that a mask (N,) selects."""
         return Confusion(self.kinds[rows], self.sites[rows], self.classes, self.log_p[rows])
 
     @property
     def predicted(self) -> U8:
-        """(N,) the most probable class."""
+        """Most probable class of each row, (N,)."""
         return np.asarray(self.classes[self.log_p.argmax(axis=1)])
 
     @property
     def landable(self) -> F64:
-        """(N,) P(landable), the sum over the landable classes."""
+        """P(landable) of each row, (N,): the sum over the landable classes."""
         return np.asarray(np.exp(self.log_p)[:, np.isin(self.classes, LANDABLE)].sum(axis=1))
 
     @property
     def safe(self) -> NDArray[np.bool_]:
-        """(N,) true if the true class may be landed on."""
+        """Mask of the rows whose true class is landable, (N,)."""
         return np.isin(self.kinds, LANDABLE)
 
     def accuracy(self) -> float:
-        """Share of the predicted classes that are right."""
+        """Return the share of correct predictions."""
         return float((self.predicted == self.kinds).mean())
 
     def macro_recall(self) -> float:
-        """Mean over the true classes of the share with the right prediction."""
+        """Return the recall (share of correct predictions), averaged over the true classes."""
         return float(np.mean([(self.predicted == k)[self.kinds == k].mean() for k in np.unique(self.kinds)]))
 
     def hazards_called_safe(self, least: float) -> float:
-        """Share of the hazards with a P(landable) of at least `least`."""
+        """Return the share of hazards with a P(landable) of at least `least`."""
         return _share(self.landable >= least, ~self.safe)
 
     def safe_refused(self, least: float) -> float:
-        """Share of the landable ground with a P(landable) below `least`."""
+        """Return the share of landable rows with a P(landable) below `least`."""
         return _share(self.landable < least, self.safe)
 
     def least_for(self, share: float) -> float:
-        """Return the smallest limit of P(landable) at which no more than `share` of the hazards count as safe."""
+        """Return the smallest limit of P(landable) at which at most `share` of the hazards pass as safe."""
         hazards = self.landable[~self.safe]
         return float(np.nextafter(np.quantile(hazards, 1 - share, method="higher"), 2.0)) if len(hazards) else 0.5
 
@@ -81,7 +81,7 @@ def _percent(share: float) -> str:
 
 
 def lines_of(c: Confusion) -> Iterator[str]:
-    """Yield the lines of the report: the table of each site, then all together."""
+    """Yield the lines of the report: the table of each site, then the table of all sites."""
     for site in np.unique(c.sites):
         here = c.where(c.sites == site)
         yield f"site {site}"

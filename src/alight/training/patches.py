@@ -1,4 +1,4 @@
-"""Labelled patches, and their features as photographed and as other cameras might have photographed them."""
+"""Labelled patches, and their features as photographed and as other cameras might photograph them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Report = Callable[[float], None]
 
 
 def quiet(share: float) -> None:
-    """Ignore the progress."""
+    """Ignore reported progress."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledPatch:
-    """A picture of one kind of ground."""
+    """Picture of one class of ground."""
 
     rgb: U8  # (H, W, 3)
-    sampling: float  # metres a pixel
+    sampling: float  # metres per pixel
     kind: int  # Terrain code
-    site: str  # place and flight: patches of one site are left out together
+    site: str  # location and flight; patches of one site are held out together
     name: str = ""
 
 
@@ -36,15 +36,15 @@ class Samples:
 
     values: F32  # (N, F)
     patch: I64  # (N,) index of the patch
-    variant: I64  # (N,) 0: the picture as it is
+    variant: I64  # (N,) 0: original picture; else an augmented one
 
     def of(self, rows: NDArray[np.bool_]) -> Samples:
-        """Return some of the rows."""
+        """Return the samples of the rows that a mask (N,) selects."""
         return Samples(self.values[rows], self.patch[rows], self.variant[rows])
 
 
 def another_camera(rgb: U8, rng: np.random.Generator) -> U8:
-    """Return the patch as by another camera: other light, white balance, tone, saturation, blur, noise and heading."""
+    """Simulate another camera: change light, white balance, tone, saturation, blur, noise and heading of a patch."""
     linear = (rgb.astype(np.float32) / 255) ** 2.2
     linear *= np.exp(rng.normal(0, 0.12, 3) + rng.normal(0, 0.4)).astype(np.float32)
     tone = np.clip(linear, 0, 1) ** np.float32(np.exp(rng.normal(0, 0.15)) / 2.2)
@@ -57,7 +57,7 @@ def another_camera(rgb: U8, rng: np.random.Generator) -> U8:
 
 
 def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
-    """Measure features at three by three places of a patch, (P, F); none if too coarse or small for the level."""
+    """Measure the features at 3 x 3 positions of a patch, (P, F); empty if it is too coarse for the level."""
     pixel = PIXEL * 2**level
     if patch.sampling > STRETCH * pixel:
         return np.empty((0, len(names(level))), np.float32)
@@ -72,7 +72,7 @@ def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
 def measure_patches(
     patches: list[LabelledPatch], level: int, report: Report = quiet, variants: int = 3, seed: int = 0
 ) -> Samples:
-    """Measure features of all patches and their variants at one level, each relative to the frame of its site."""
+    """Measure the features of all patches and their variants at one level, relative to the frame of each site."""
     rng = np.random.default_rng(seed)
     parts, which, variant = [], [], []
     for i, patch in enumerate(patches):
@@ -87,7 +87,7 @@ def measure_patches(
 
 
 def _against_sites(samples: Samples, sites: NDArray[np.str_], level: int) -> Samples:
-    """Express the detail relative to the median of the site, which stands for the frame."""
+    """Make the detail relative to the median of each site, which is treated as its frame."""
     out = samples.values.copy()
     for site in np.unique(sites):
         for v in np.unique(samples.variant):

@@ -1,4 +1,4 @@
-"""Train the model of appearance, and test it on sites left out of the training (docs/method/land-cover.md, T4)."""
+"""Train the appearance model, and test it on held-out sites (docs/method/land-cover.md, T4)."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from alight.terrain.model import (
 from alight.training.confusion import Confusion, lines_of
 from alight.training.patches import LabelledPatch, Report, Samples, measure_patches, quiet
 
-COARSEST = STRETCH * PIXEL * 2 ** (LEVELS - 1)  # metres, pixel
-UNTESTED = 3.0  # temperature of a model of one site: its accuracy on other sites is unknown
+COARSEST = STRETCH * PIXEL * 2 ** (LEVELS - 1)  # metres, largest usable pixel
+UNTESTED = 3.0  # temperature of a model from one site, as its accuracy on other sites is unknown
 
 
 def share_of_levels(report: Report, level: int) -> Report:
-    """Return a callback that converts the share done of one level into the share done of all levels."""
+    """Return a callback that converts the progress within one level into the progress over all levels."""
     return lambda share: report((level + share) / LEVELS)
 
 
 def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
-    """Return weights with which a class at a site counts as the square root of its number."""
+    """Return sample weights that give each class at each site the square root of its number as total weight."""
     key = np.char.add(sites, kinds.astype(str))
     _, at, count = np.unique(key, return_inverse=True, return_counts=True)
     weight = 1 / np.sqrt(count[at])
@@ -46,7 +46,10 @@ def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
 
 
 def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tuple[F32, F32]:
-    """Fit a multinomial logistic regression with a penalty; return weights (K, F) and bias (K,)."""
+    """Fit a multinomial logistic regression with a ridge penalty; return weights (K, F) and bias (K,).
+
+    `z`: (N, F) features, `at`: (N,) class indices below `count` (K), `weight`: (N,) sample weights.
+    """
     features = np.c_[z, np.ones(len(z))].astype(np.float64)
     goal = np.eye(count)[at]
     free = np.r_[np.ones(z.shape[1]), 0.0]  # the bias is not penalised
@@ -64,7 +67,7 @@ def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tu
 
 
 def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = 1e-4) -> Head:
-    """Fit the classifier of one level, without a temperature."""
+    """Fit the classifier of one level, with temperature 1; see `fit_logistic` for the arguments."""
     mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
     z = np.clip((values - mean) / spread, -CLIP, CLIP)
     weights, bias = fit_logistic(z, at, weight, count, penalty)
@@ -78,7 +81,10 @@ def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = 1e-
 
 
 def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, I64]:
-    """Scores (n, K) of the pictures of site `out` by a model of the others, and their patches; unknown classes -inf."""
+    """Return scores (n, K) of the pictures of site `out` from a model of all other sites, and their patches.
+
+    Classes that the other sites lack have the score -inf.
+    """
     inside = sites[s.patch] != out
     training, test = s.of(inside), s.of(~inside & (s.variant == 0))
     known, at = np.unique(kinds[training.patch], return_inverse=True)
@@ -90,7 +96,7 @@ def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, ou
 
 
 def _temperature(scored: F32, at: I64) -> float:
-    """Fit the divisor that calibrates the scores of sites left out; rows of a class unknown there are ignored."""
+    """Fit the divisor that calibrates held-out scores; rows whose true class was missing in training are ignored."""
     fair = np.isfinite(scored[np.arange(len(at)), at])
     values, truth = np.where(np.isfinite(scored), scored, -1e9)[fair], at[fair]
     if not len(truth):
@@ -103,9 +109,9 @@ def _temperature(scored: F32, at: I64) -> float:
 
 
 def patch_means(log_p: F32, patch: I64, count: int) -> F64:
-    """Mean log probability over the places of each patch, normalised, (count, K); NaN for patches without places.
+    """Average log probabilities over the positions of each patch and normalise, (count, K); NaN without positions.
 
-    No single place decides on a patch: its log probability counts as -7 at least.
+    A log probability is at least -7, so that no single position decides.
     """
     n = np.bincount(patch, minlength=count)[:, None]
     floor = np.maximum(log_p, np.float32(-7.0))
@@ -115,9 +121,9 @@ def patch_means(log_p: F32, patch: I64, count: int) -> F64:
 
 
 def leave_sites_out(samples: Samples, kinds: U8, sites: NDArray[np.str_]) -> tuple[Confusion, float]:
-    """Test every site with a model of the others (one level); return the confusion and the fitted temperature.
+    """Test each site with a model of all other sites, at one level; return the confusion and the fitted temperature.
 
-    A site without samples of this level, whose pixels are too coarse, is not tested.
+    A site without samples of this level, because its pixels are too coarse, is not tested.
 
     Raises:
         ValueError: there are samples of fewer than two sites.
@@ -134,7 +140,6 @@ def leave_sites_out(samples: Samples, kinds: U8, sites: NDArray[np.str_]) -> tup
 
 
 def _confusion(kinds: U8, sites: NDArray[np.str_], classes: U8, log_p: F64) -> Confusion:
-    """Confusion of the patches that could be tested."""
     tested = np.isfinite(log_p).all(axis=1)
     return Confusion(kinds[tested], sites[tested], classes, log_p[tested])
 
@@ -144,10 +149,10 @@ def _known(patches: list[LabelledPatch]) -> tuple[U8, NDArray[np.str_]]:
 
 
 def train(patches: list[LabelledPatch], report: Report = quiet) -> tuple[Model, Confusion | None]:
-    """Train a model; return it and the confusion of its finest level on sites left out (None with one site).
+    """Train a model; return it and its confusion at the finest level on held-out sites (None with one site).
 
     Raises:
-        ValueError: fewer than two classes, or no level can be filled.
+        ValueError: there are fewer than two classes, or the pictures are too coarse for all levels.
     """
     kinds, sites = _known(patches)
     classes = np.unique(kinds)
@@ -170,7 +175,7 @@ def train(patches: list[LabelledPatch], report: Report = quiet) -> tuple[Model, 
 
 
 def provenance(kinds: U8, sites: NDArray[np.str_], left_out: Confusion | None) -> str:
-    """Training data of a model, and its confusion on sites left out, in words."""
+    """Describe the training data of a model, and its confusion on held-out sites, in words."""
     of = ", ".join(f"{Terrain(k).name.lower()} {(kinds == k).sum()}" for k in np.unique(kinds))
     places = ", ".join(np.unique(sites))
     lines = [f"trained on {len(kinds)} patches ({of}) of {len(np.unique(sites))} site(s): {places}"]
@@ -180,11 +185,11 @@ def provenance(kinds: U8, sites: NDArray[np.str_], left_out: Confusion | None) -
 
 
 def elsewhere(patches: list[LabelledPatch], report: Report = quiet) -> Confusion:
-    """Every site judged by a model of the others, at the finest level that all classes and two sites can fill.
+    """Test each site with a model of all other sites, at the finest level with samples of all classes and two sites.
 
     Raises:
         InputError: the pictures are too coarse.
-        ValueError: fewer than two sites.
+        ValueError: there are fewer than two sites.
     """
     kinds, sites = _known(patches)
     for level in range(LEVELS):
@@ -196,7 +201,7 @@ def elsewhere(patches: list[LabelledPatch], report: Report = quiet) -> Confusion
 
 
 def judge_patches(model: Model, patches: list[LabelledPatch], report: Report = quiet) -> Confusion:
-    """Confusion of a given model on every patch, each at the finest level that it can fill.
+    """Compute the confusion of a given model on all patches, each at the finest level that it supports.
 
     Raises:
         InputError: the pictures are too coarse for the model.
@@ -219,10 +224,14 @@ def _too_coarse(model: Model) -> InputError:
 
 
 def judge_pixels(model: Model, pictures: Iterable[tuple[str, U8, U8]], sampling: float) -> Confusion:
-    """Confusion of a model on the blocks of pictures with a label a pixel; all pictures are one site.
+    """Compute the confusion of a model on the blocks of labelled pictures, which are treated as one site.
+
+    Args:
+        pictures: name, RGB picture (H, W, 3) and Terrain codes (H, W) of each picture.
+        sampling: metres per pixel.
 
     Raises:
-        InputError: the pictures are too coarse for the model, or none of their pixels has a class.
+        InputError: the pictures are too coarse for the model, or no pixel has a class.
     """
     kinds, log_p = [], []
     for _, rgb, label in pictures:

@@ -1,4 +1,4 @@
-"""The map of a recording or of photos, made at the end: every tile is matched with all views that see it."""
+"""The map of a recording or of photos, built at the end: every tile is matched with all views that see it."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from alight.spread import nmad
 
 log = logging.getLogger(__name__)
 
-MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
-BLOCK = 2  # tiles across that are matched together: with more, the share of the margin is smaller
-SHARE = 0.5  # of the shorter side of the pictures: most that such a block covers
-PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
+MARGIN = 24  # cells around a tile that are matched and discarded, to avoid seams
+BLOCK = 2  # side of a block, tiles: a larger block has a smaller share of margin
+SHARE = 0.5  # largest side of a block over the shorter side of the pictures
+PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # stride in cells; sigmas of the prior's error that the search allows for
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +51,10 @@ class TileBlock:
     """Grid that is matched at once, with its views."""
 
     grid: Grid
-    searched: tuple[float, float]  # lowest and highest ground, metres
+    searched: tuple[float, float]  # lowest and highest height searched, metres
     views: list[View]
-    grounds: F64  # (N,) metres, height of the ground in each view
-    above: float  # metres, of the views above the ground
+    grounds: F64  # (N,) metres, ground height in each view
+    above: float  # metres, median height of the views above ground
 
 
 def match_block(
@@ -66,16 +66,16 @@ def match_block(
     searched: tuple[float, float],
     settings: ParallaxSettings,
 ) -> MatchedBlock | None:
-    """Match one grid with views whose pictures are passed apart; None where fewer than two see it.
+    """Match one grid with views whose pixels are passed separately; None if fewer than two views see it.
 
-    `grounds`: (N,) metres, height of the ground in each view.
+    `grounds`: (N,) ground height in each view, metres.
     """
     whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
     return match_tile(images.of(whole, grounds), grid, *searched, settings)
 
 
 def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
-    """Key to sort tiles along a Z-order curve (Morton 1966): neighbours are matched soon after, with the same views."""
+    """Return the sort key of a tile on a Z-order curve (Morton 1966), where tiles with shared views follow closely."""
     return [(tile[0] >> k, tile[1] >> k) for k in range(16, -1, -1)]
 
 
@@ -86,15 +86,15 @@ class BatchMap(GroundMap):
     by_quality: ClassVar[bool] = True
 
     jobs: Jobs = field(default_factory=InTurn)
-    prior: PriorHeights | None = None  # heights from elsewhere, with which the search begins
-    _matched: list[Matched] = field(default_factory=list)  # each tile with its views
-    _grounds: dict[Hashable, float] = field(default_factory=dict)  # by the key of a view, metres
-    _step: int = 0  # number of times that tiles were matched
+    prior: PriorHeights | None = None  # external DEM that narrows the height search
+    _matched: list[Matched] = field(default_factory=list)  # matched tiles with their views
+    _grounds: dict[Hashable, float] = field(default_factory=dict)  # ground height by the key of a view, metres
+    _step: int = 0  # number of matching rounds
 
     def match_tiles(
         self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
     ) -> int:
-        """Match all tiles under `views` for which `only` holds, at the cells for their sampling; return the number."""
+        """Match all tiles under `views` that `only` accepts, at cell sizes for their sampling; return their number."""
         views = looking_down(views)
         if self.elevation is None or self.ground is None or not views:
             return 0
@@ -105,21 +105,21 @@ class BatchMap(GroundMap):
         )
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
-        """As for any map; the ground in each view is then that of the new points."""
+        """Find the ground (see `GroundMap`); ground heights in views are then computed from the new points."""
         self._grounds.clear()
         return super().find_ground(views, least, points)
 
     def ground_under(self, views: Sequence[View]) -> F64:
-        """(N,) height of the ground in each view, metres: of the points in its picture, else that of the whole map."""
+        """Return the ground height in each view, (N,) metres, from the points in its picture, or from all points."""
         assert self.ground is not None
-        points = self.points[:: -(-len(self.points) // 2000) or 1]  # so many at most
+        points = self.points[:: -(-len(self.points) // 2000) or 1]  # at most 2000 points
         for v in views:
             if v.key not in self._grounds:
                 self._grounds[v.key] = ground_in(v, points, self.ground)
         return np.array([self._grounds[v.key] for v in views])
 
     def levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
-        """Levels from coarse to fine: a level, its views, and these with those of the levels beside it."""
+        """Yield each level, coarse to fine: level, its views, and the views of it and the adjacent levels."""
         level, of = 0, []
         for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
             level = self.level_of(v, ground, level)
@@ -155,7 +155,7 @@ class BatchMap(GroundMap):
     def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
-        """Heights to search, with those of the prior there; those of the prior alone where points are few."""
+        """Return the lowest and highest height to search, from points and prior; from the prior if points are few."""
         low, high = super().searched_heights(grid, camera, known, part)
         if self.prior is None or self.settings.parallax.height_range:
             return low, high
@@ -172,20 +172,19 @@ class BatchMap(GroundMap):
         return min(low, below), max(high, above)
 
     def _enough_points(self, grid: Grid) -> bool:
-        """True if the points near a grid suffice to find its ground height."""
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
         away = np.hypot(self.points[:, 0] - grid.east - 0.5 * wide, self.points[:, 1] - grid.north + 0.5 * tall)
         return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
 
     def _above_prior(self) -> tuple[float, float]:
-        """Median height of the points above the prior, metres, and their NMAD; NaN if there are too few."""
+        """Return the median height of the points above the prior, metres, and its NMAD; NaN if points are too few."""
         assert self.prior is not None
         off = self.points[:, 2] - self.prior.at(self.points[:, 0], self.points[:, 1])
         off = off[np.isfinite(off)]
         return (float(np.median(off)), nmad(off)) if len(off) >= ENOUGH else (np.nan, np.nan)
 
     def against_prior(self) -> PriorComparison | None:
-        """Comparison of the map, where its heights are given out, with the prior; None where they do not overlap."""
+        """Compare the trusted heights of the map with the prior; None if they do not overlap enough."""
         if self.prior is None or (found := self.snapshot()) is None:
             return None
         off = (found.height - self.prior.over(found.grid))[found.trusted]
@@ -195,7 +194,7 @@ class BatchMap(GroundMap):
         return PriorComparison(self.prior.name, float(np.median(off)), nmad(off), len(off) * found.grid.cell**2)
 
     def block_of(self, grid: Grid, asking: list[View], views: Sequence[View]) -> TileBlock:
-        """A grid with the views that it will be matched with, and those of the same moments."""
+        """Return the block of a grid: the views to match it with, and all other views of the same exposures."""
         camera, above = self._over(grid, asking)
         searched, s = self.searched_heights(grid, camera), self.settings.parallax
         middle = 0.5 * (searched[0] + searched[1])
@@ -205,13 +204,13 @@ class BatchMap(GroundMap):
         return TileBlock(grid, searched, seen, self.ground_under(seen), above)
 
     def _over(self, grid: Grid, views: list[View]) -> tuple[float, float]:
-        """Median height of the views that may see a grid, and above the ground in them, metres; of all if none may."""
+        """Return the median height of the views over a grid, and above ground, metres; of all views if none fits."""
         up, ground = np.array([v.centre[2] for v in views]), self.ground_under(views)
         here = may_see(views, grid, *super().searched_heights(grid, float(np.median(up)))) or slice(None)
         return float(np.median(up[here])), float(np.median((up - ground)[here]))
 
     def _task(self, images: KeptHere, block: TileBlock) -> Task:
-        """Task to match a block; the pixels are sent apart, so that neighbours share them."""
+        """Build the task to match a block; pixels are sent separately, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
         views = tuple(v.without_image for v in block.views)
@@ -222,7 +221,7 @@ class BatchMap(GroundMap):
         return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
     def _grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
-        """Grids to match, each with its margin: a block of tiles where pictures are large enough, else a tile."""
+        """Return the grids to match, with margin: blocks of tiles if pictures are large enough, else single tiles."""
         assert self.elevation is not None
         layer = self.elevation.layer(level)
         keys = list(layer.cover((low[0], high[0]), (low[1], high[1])))
@@ -238,13 +237,13 @@ class BatchMap(GroundMap):
         return out
 
     def snapshot(self, joint: KeyframePosterior | None = None) -> ElevationMap | None:
-        """The whole map so far, with its datum by the joint posterior of the poses; None: the poses are exact."""
+        """Return the whole map so far, with its datum from the joint posterior of the poses; None: exact poses."""
         found = super().snapshot()
         return found if found is None or joint is None else with_datum(found, self._matched, joint)
 
 
 class BatchMapper:
-    """Mapping lane that keeps keyframes and maps at the end; a full store is mapped in part before."""
+    """Mapping lane that maps the kept keyframes at the end; a full store is mapped in part before the end."""
 
     def __init__(
         self,
@@ -260,9 +259,9 @@ class BatchMapper:
         self.store = FrameStore()
 
     def feed(self, navigation: Navigation, effort: int = 0) -> int:
-        """Keep the exposure if it is a keyframe, as every photo is; the map comes at the end, with all effort."""
+        """Keep the exposure if it is a keyframe, as every photo is; return 0, as the map is built at the end."""
         motion = navigation.motion
-        if motion is None:  # of photos, whose motions come at the end
+        if motion is None:  # photos: motions come at the end
             self.store.keep(navigation.frame)
             return 0
         if motion.state is MotionState.LOST:
@@ -277,14 +276,14 @@ class BatchMapper:
         return 0
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
-        """None: there is a map at the end only."""
+        """Return None: there is a map only at the end."""
         return None
 
     def _make_room(self) -> None:
-        """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
+        """Match every tile that the older half of the store sees, then drop that half, so that memory is bounded.
 
-        Tiles that the newer half sees as well are matched again later, and the better height of each cell stays.
-        Before the ground is found, every second keyframe is forgotten instead.
+        Tiles that the newer half sees as well are matched again later, and each cell keeps its better height. Before
+        the ground is found, every second keyframe is dropped instead.
         """
         keyframes, half = self.store.keyframes, len(self.store.keyframes) // 2
         motions = {m.t_ns: m for m in in_world(k.motion for k in keyframes if k.motion is not None)}  # as at the end
@@ -306,7 +305,7 @@ class BatchMapper:
         log.info("frame store full: the older half was mapped and forgotten")
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
-        """Match all tiles with the poses of the whole recording."""
+        """Match all tiles with the poses of the whole recording; return the map."""
         motions = trajectory.usable
         views = views_of((k for k in self.store.keyframes if k.frame.t_ns in motions), trajectory.rig, motions)
         with self._timings.of("ground"):

@@ -1,4 +1,4 @@
-"""Common part of both ways of mapping: search of the ground, size of the cells, and refusal of heights."""
+"""Common part of both mapping lanes: search of the ground, cell size, and refusal of heights."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
-BYTES_A_CELL = 22.0  # of a map: height, sigma, flags, views, colour, residual, sampling
-# of each `parallax.quality`: cells over those of 1.8 pixels, and their least size over the cell that the lander is
-# judged on
+BYTES_A_CELL = 22.0  # of a map: height, sigma, flags, views, rgb, residual, sampling
+# by `parallax.quality`: cell size over 1.8 pixels, and least cell size over the cell size on which the lander is
+# judged
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 
 
 def cell_size(view: View, ground: float, settings: StageSettings, by_quality: bool) -> float:
-    """Size of a cell that suits a view of ground at a height (metres): 1.8 pixels, unless settings want larger ones.
+    """Return the cell size, metres, for a view of ground at height `ground`: 1.8 pixels, or larger by the settings.
 
-    A fixed `parallax.cell` wins. `by_quality`: of a whole recording, for which `parallax.quality` counts.
+    A fixed `parallax.cell` takes precedence. `by_quality`: whether `parallax.quality` applies, as for whole recordings.
     """
     if settings.parallax.cell is not None:
         return settings.parallax.cell
@@ -40,20 +40,20 @@ def cell_size(view: View, ground: float, settings: StageSettings, by_quality: bo
 
 
 def nice_cell(size: float) -> float:
-    """The round cell size nearest to a size, metres."""
+    """Return the round cell size (1, 1.5, 2, 3, 5 or 7 times a power of ten) nearest to `size`, metres."""
     decade = 10.0 ** np.floor(np.log10(size))
     sizes: F64 = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0]) * decade
     return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / size)))], 6))
 
 
 def level_for(size: float, first: float, now: int, slack: float) -> int:
-    """Level whose cells suit a size (eq. 16a).
+    """Return the level for a cell size (eq. 16a).
 
     Args:
-        size: of a cell, metres.
-        first: metres, of the cells of level 0; they double from level to level.
-        now: the level in use, which stays while it suits.
-        slack: octaves beyond half of one within which it suits.
+        size: wanted cell size, metres.
+        first: cell size of level 0, metres; it doubles from level to level.
+        now: present level, which is kept while it is close enough.
+        slack: tolerance beyond half an octave for keeping it, octaves.
     """
     exact = math.log2(size / first)
     return now if abs(exact - now) <= 0.5 + slack else round(exact)
@@ -63,12 +63,12 @@ def refuse_too_large(low: F64, high: F64, cell: float, each: float) -> None:
     """Refuse a map that would need more than 25 GB.
 
     Args:
-        low, high: (2,) metres, its corners, east and north.
-        cell: metres.
-        each: bytes a cell.
+        low, high: (2,) south-west and north-east corners, metres.
+        cell: cell size, metres.
+        each: bytes per cell.
 
     Raises:
-        SettingsError: with the number, and the cell that would need 1 GB.
+        SettingsError: the map is too large; the message gives its size and the cell that would need 1 GB.
     """
     width, length = (float(v) for v in high - low)
     needed = each * (width / cell) * (length / cell)
@@ -82,7 +82,7 @@ def refuse_too_large(low: F64, high: F64, cell: float, each: float) -> None:
 
 
 def lone(given: Mask, where: Box, tuning: MappingTuning) -> Mask:
-    """True for heights given out in a rectangle of a mask (R, C) that have too few others about them."""
+    """Return the mask of heights in the box `where` of the trusted heights `given` (R, C) with too few neighbours."""
     reach, window = tuning.given_cells // 2, (tuning.given_cells, tuning.given_cells)
     r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in where)
     about = given[r, c]
@@ -95,25 +95,25 @@ def lone(given: Mask, where: Box, tuning: MappingTuning) -> Mask:
 class GroundMap:
     """The map so far, and the points from which its ground was found."""
 
-    by_quality: ClassVar[bool]  # as for `cell_size`
+    by_quality: ClassVar[bool]  # whether `parallax.quality` applies; see `cell_size`
 
     settings: StageSettings
-    tile_store: TileStore | None = None  # store of the tiles that the vehicle has left behind; None: memory
+    tile_store: TileStore | None = None  # store of far tiles; None: memory
     elevation: TiledElevation | None = None
-    ground: float | None = None  # metres above the origin, general ground height
+    ground: float | None = None  # metres above the origin, median ground height
     reason: str = ""  # why there is no map
     datum: Datum | None = None  # common error of all heights
     points: F64 = field(default_factory=lambda: NO_POINTS)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
-        """Find the ground height and the cell size; False (see `reason`) when nothing can be measured.
+        """Find the ground height and the cell size; return False, with `reason` set, if nothing can be measured.
 
-        The points found replace those of an earlier search, whose views may have had other poses.
+        The points found replace the points of earlier searches, whose views may have had other poses.
 
         Args:
             views: all views so far.
-            least: baseline over height, at least; over a short one, errors of the poses decide.
-            points: (N, 3) metres, of the scene, if its poses were found with points; else they are triangulated.
+            least: least baseline over height; over a shorter baseline, errors of the poses dominate.
+            points: (N, 3) scene points in metres from the estimation of the poses; too few: points are triangulated.
         """
         down = looking_down(views)
         if not down:
@@ -146,7 +146,7 @@ class GroundMap:
         return TiledElevation(cell, tuning.tile, self.tile_store, tuning)
 
     def level_of(self, view: View, ground: float, now: int) -> int:
-        """Level whose cells suit a view of ground at a height (metres); `now`: the level in use."""
+        """Return the level for a view of ground at height `ground`, metres; `now`: the present level."""
         assert self.elevation is not None
         size = cell_size(view, ground, self.settings, self.by_quality)
         return level_for(size, self.elevation.cell, now, self.settings.mapping.level_slack)
@@ -154,9 +154,9 @@ class GroundMap:
     def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
-        """Heights to search: those of the map there, where it has enough, else of points near it.
+        """Return the lowest and highest height to search, from the map if it has enough heights, else from points.
 
-        Both, where only a `part` of the map is known: that may miss a pit in the rest.
+        If only a `part` of the map is known, both are used, as the map may miss a pit in the rest.
         """
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
@@ -176,11 +176,11 @@ class GroundMap:
     def _without_doubtful(
         self, heights: Heights, above: float, given: Mask | None = None, where: Box | None = None
     ) -> Heights:
-        """Refuse lone heights, and those with too large a sigma for the camera's height `above` ground, metres.
+        """Refuse isolated heights, and heights whose sigma is too large for the camera's height `above` ground, metres.
 
         Args:
-            heights: of all cells, or of the rectangle `where` of a window.
-            given: (R, C) of the window, the heights given out; it adopts those of the rectangle.
+            heights: all cells, or the cells in the box `where` of a window.
+            given: (R, C) mask of the window's trusted heights, updated in the box; None: only `heights` are used.
         """
         limit = self.settings.elevation.max_sigma or self.settings.mapping.max_sigma * max(above, 1.0)
         vague = heights.sigma > limit
@@ -192,6 +192,6 @@ class GroundMap:
         return replace(heights, flags=heights.flags | unsure)
 
     def snapshot(self) -> ElevationMap | None:
-        """The whole map so far, by value; None where nothing was seen."""
+        """Return a copy of the whole map so far; None if nothing was seen."""
         found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
         return None if found is None else replace(found, datum=self.datum)

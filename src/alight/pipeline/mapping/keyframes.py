@@ -1,4 +1,4 @@
-"""Keyframes: which exposures the map is made of, their pixels as long as needed, and the ground that they show."""
+"""Keyframes: their selection, their pixels as long as needed, and the ground that they show."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from alight.parallax.views import inside_picture, radius2_limit
 from alight.records import Frame, Motion, Rig, View
 from alight.settings import StageSettings
 
-STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
-ENOUGH = 40  # points or cells, least to estimate a height from
+STEEPEST = np.cos(np.radians(75.0))  # cosine of the largest angle of used views from straight down
+ENOUGH = 40  # least number of points or cells to estimate a height
 
 
 def is_keyframe(
     motion: Motion, last: Motion | None, ground: float | None, first_step: float, settings: StageSettings
 ) -> bool:
-    """Whether an exposure is a keyframe of the map: its camera moved far enough since the last one.
+    """Whether an exposure is a keyframe of the map: its camera moved far enough since the last keyframe.
 
     Args:
-        motion: of the exposure.
-        last: motion of the last keyframe; None: there is none.
-        ground: metres above the origin, height of the ground; None: not known, and `first_step` metres are far enough.
+        motion: motion of the exposure.
+        last: motion of the last keyframe; None: there is no keyframe yet.
+        ground: ground height above the origin, metres; None: unknown, and `first_step` metres are far enough.
     """
     if last is None:
         return True
@@ -39,10 +39,10 @@ def is_keyframe(
 
 
 class Keyframe(NamedTuple):
-    """An exposure that is kept, and its motion as it was in flight."""
+    """Exposure that is kept, with its motion in flight."""
 
     frame: Frame
-    motion: Motion | None  # None: it comes at the end of the recording
+    motion: Motion | None  # None: comes at the end of the recording
 
 
 class FrameStore:
@@ -50,8 +50,8 @@ class FrameStore:
 
     def __init__(self) -> None:
         self.keyframes: list[Keyframe] = []
-        self.taken = 0  # frames that were ever kept
-        self.last: Motion | None = None  # of the newest frame kept; None: there is none
+        self.taken = 0  # number of frames ever kept
+        self.last: Motion | None = None  # motion of the newest frame with one; None: no such frame
 
     @property
     def bytes(self) -> int:
@@ -59,18 +59,18 @@ class FrameStore:
         return sum(i.nbytes for k in self.keyframes for i in k.frame.images if i is not None)
 
     def keep(self, frame: Frame, motion: Motion | None = None) -> None:
-        """Keep a frame."""
+        """Add a frame, with its motion if known."""
         self.keyframes.append(Keyframe(frame, motion))
         self.taken += 1
         self.last = motion or self.last
 
     def thin(self) -> None:
-        """Forget every second frame, the newest not."""
+        """Drop every second frame, but keep the newest."""
         self.keyframes = self.keyframes[::-2][::-1]
 
 
 def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:
-    """The images of keyframes as posed views, with a motion in `newer` in place of their own; none without a motion."""
+    """Return the images of keyframes with a motion as posed views; motions in `newer` take precedence."""
     out = []
     for k in keyframes:
         motion = k.motion if newer is None else newer.get(k.frame.t_ns, k.motion)
@@ -82,35 +82,35 @@ def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion
 
 
 def looking_down(views: Sequence[View]) -> list[View]:
-    """The views whose optical axis is at most 75 degrees from straight down."""
+    """Return the views whose optical axis is less than 75 degrees from straight down."""
     return [v for v in views if -v.world_from_cam.rotation[2, 2] > STEEPEST]
 
 
 @lru_cache(maxsize=1024)
 def _border(camera: Camera) -> F64:
-    """Rays through corners and middles of the sides of its picture, (8, 3), in the optical frame."""
+    """Return the rays through corners and side centres of the picture, (8, 3), in the optical frame."""
     w, h = camera.width - 1.0, camera.height - 1.0
     return camera.rays(np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]]))
 
 
 def footprint(view: View, height: float) -> F64:
-    """Footprint of the image's border on level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
+    """Project the picture's border onto level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
     rays = _border(view.camera) @ view.world_from_cam.rotation.T
     down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
 
 
 def bounds(views: Sequence[View], height: float | F64) -> tuple[F64, F64]:
-    """The rectangle about all footprints of the views on level ground: south-west and north-east corner, (2,) metres.
+    """Return the rectangle around the views' footprints on level ground: south-west and north-east corner, (2,) metres.
 
-    `height`: metres, of the ground; one for all views, or (N,) of each.
+    `height`: ground height, metres; one value for all views, or (N,) one per view.
     """
     corners = np.concatenate([footprint(v, h) for v, h in zip(views, np.broadcast_to(height, len(views)), strict=True)])
     return corners.min(axis=0), corners.max(axis=0)
 
 
 def ground_in(view: View, points: F64, otherwise: float) -> float:
-    """Median height of the points (N, 3) in the picture of a view, metres; `otherwise` where there are too few."""
+    """Return the median height of the points (N, 3) in a view's picture, metres; `otherwise` if they are too few."""
     place = view.world_from_cam.inverse.apply(points)
     ahead = place[:, 2] > 0
     points, place = points[ahead], place[ahead]

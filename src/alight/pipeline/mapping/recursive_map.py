@@ -1,4 +1,4 @@
-"""The map of a flight: improved with every keyframe, and judged at any time."""
+"""The map of a flight: improved with every keyframe, and ready to be judged at any time."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from alight.settings import StageSettings
 
 log = logging.getLogger(__name__)
 
-BYTES_A_STEP = 150.0  # of a cell while a step works on it
-COARSE = 4  # cells: every n-th of them is used for the ground height
+BYTES_A_STEP = 150.0  # bytes per cell during a step
+COARSE = 4  # cells, stride of the heights used for the ground height
 
 
 @dataclass(eq=False)
@@ -36,19 +36,19 @@ class RecursiveMap(GroundMap):
     by_quality: ClassVar[bool] = False
 
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
-    out_of_range: bool = False  # many of the newest heights are at an end of the searched range, or none is given out
-    level: int = 0  # of the newest keyframe's cells
-    passed: Remembered = NOWHERE  # places where something moved, in the frame of the poses
-    came: Remembered = NOWHERE  # places where somebody came to stand, in the same frame
+    out_of_range: bool = False  # whether many newest heights are at a limit of the search range, or none is trusted
+    level: int = 0  # level of the newest keyframe's cells
+    passed: Remembered = NOWHERE  # cells that moving objects crossed, in the map frame
+    came: Remembered = NOWHERE  # cells where a person or object came to stand, in the map frame
     estimator: RecursiveParallax | None = None
 
     @property
     def ground_height(self) -> float | None:
-        """Ground height under the vehicle as far as known, metres above the origin."""
+        """Best known ground height under the vehicle, metres above the origin."""
         return self.ground if self.ground_here is None else self.ground_here
 
     def find_ground_again(self, views: Sequence[View], least: float) -> None:
-        """Find the ground if it lies beyond the searched heights; then the map begins anew, from the heights it has."""
+        """Find the ground if it lies beyond the searched heights; then reset the height sweep, but keep the heights."""
         if self.find_ground(views, least):
             self.ground_here = self.ground
             if self.estimator is not None:
@@ -56,13 +56,13 @@ class RecursiveMap(GroundMap):
         self.out_of_range = False
 
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
-        """Drop the heights: the poses to come have another frame, `shift` (3,) metres from that of the old ones.
+        """Drop the heights, as new poses have another map frame, shifted by `shift` (3,) metres from the old one.
 
-        The ground height is kept, well enough for the search of heights. Places of traffic and of people are
-        kept and grown, because they are known to `sigma` metres on the ground.
+        The ground height is kept, as it is accurate enough for the height search. Cells of traffic and people are kept
+        and grown by the horizontal 1-sigma of the shift, `sigma` in metres.
 
         Returns:
-            True if there were any heights.
+            Whether there were any heights.
         """
         if self.elevation is None or self.ground is None:
             return False
@@ -77,10 +77,10 @@ class RecursiveMap(GroundMap):
         return mapped
 
     def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
-        """Take a keyframe into the window and improve the map; False without a baseline yet.
+        """Add a keyframe to the window and improve the map; return False if there is no baseline yet.
 
-        `poses`: joint posterior of the last keyframes; they are refined with the map. None: they are exact.
-        `effort`: level of the effort, from 0 (full) to 3 (least).
+        `poses`: joint posterior of the last keyframes, refined together with the map; None: the poses are exact.
+        `effort`: from 0 (full) to 3 (least).
         """
         down = looking_down(views)
         if self.elevation is None or self.ground is None or not down:
@@ -129,9 +129,9 @@ class RecursiveMap(GroundMap):
         return True
 
     def _note_traffic(self, grid: Grid, flags: U16, anew: Mask, t_ns: int, height: float) -> None:
-        """Remember moving places, seen from a `height` above ground (metres) that shows enough of them (G6b).
+        """Remember cells with moving objects, if seen from a sufficient `height` above ground, metres (G6b).
 
-        `flags`, `anew`: (R, C), as in `what_moves`.
+        `flags` and `anew`: (R, C), as in `what_moves`.
         """
         keys = self.settings.hazards
         self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
@@ -139,18 +139,18 @@ class RecursiveMap(GroundMap):
             self.passed = self.passed.with_seen(what_moves(grid, flags, anew), t_ns)
 
     def _note_who_came(self, estimator: RecursiveParallax, t_ns: int) -> None:
-        """Remember the places where somebody came to stand (G6c)."""
+        """Remember the cells where a person or object came to stand (G6c)."""
         self.came = self.came.since(t_ns - round(self.settings.hazards.came_memory * 1e9))
         for grid, came in estimator.came:
             self.came = self.came.with_seen(who_came(grid, came), t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
-        """The map of the ground in the views, and of that about a place, (2,) metres; None where nothing was seen.
+        """Return the map of the ground in the views, and around `about`, (2,) metres; None if nothing trusted was seen.
 
-        On the newest keyframe's cells, or on coarser ones where these are finer than the lander needs.
+        It has the newest keyframe's cells, or coarser cells if those are finer than the lander needs.
 
         Raises:
-            SettingsError: the map would be too large for any memory, as when the ground is lost.
+            SettingsError: the map would be too large for any memory, as when the ground height is wrong.
         """
         if self.elevation is None or self.ground_here is None or not views:
             return None
@@ -165,19 +165,19 @@ class RecursiveMap(GroundMap):
 
 
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
-    """The cells between two corners (2,), `each` of which takes so many bytes; refused where no memory holds them."""
+    """Return the grid between two corners (2,), metres; raise if it is too large at `each` bytes per cell."""
     refuse_too_large(low, high, elevation.cell_at(level), each)
     return elevation.layer(level).window((low[0], high[0]), (low[1], high[1]))
 
 
 def box_in(grid: Grid, part: Grid) -> Box:
-    """Rows and columns of a grid that `part`, another grid on its cells, covers."""
+    """Return the rows and columns of a grid that `part` covers; `part` is a grid on the same cells."""
     row, col = (round(float(v)) for v in grid.index(np.array(part.east), np.array(part.north)))
     return slice(row, row + part.rows), slice(col, col + part.cols)
 
 
 def changed(found: Heights, known: ElevationMap, where: Box) -> Heights:
-    """Changes of a step in a part of the map; unchanged cells are UNSEEN, not to count at this cell size."""
+    """Return the changes of a step in a part of the map; unchanged cells become UNSEEN, so they are not written."""
     height, sigma, flags, rgb = (getattr(known, k)[where] for k in ("height", "sigma", "flags", "rgb"))
     same = (found.height == height) & (found.sigma == sigma) & (found.flags == flags)
     same &= (found.rgb == rgb).all(axis=2)
@@ -185,11 +185,11 @@ def changed(found: Heights, known: ElevationMap, where: Box) -> Heights:
 
 
 class RecursiveMapper:
-    """Mapping lane that finds the ground first; then every keyframe is a step of the map.
+    """Mapping lane that first finds the ground; then every keyframe is a step of the map.
 
     Args:
-        history: keep the data for the end of a recording.
-        anew: stamps of the exposures before which it begins anew, as where it was lost in flight.
+        history: whether more keyframes are kept for the end of a recording.
+        anew: times of the exposures before which the lane is restarted, as after a loss in flight.
     """
 
     def __init__(
@@ -204,13 +204,13 @@ class RecursiveMapper:
     def _begin(self) -> None:
         self._map = RecursiveMap(self._settings, self._tile_store)
         self.store, self._first_step = FrameStore(), self._tuning.first_step
-        self._newest: Navigation | None = None  # keyframe
-        self._frame: MapFrame | None = None  # of the map, by the newest exposure
-        self._newest_ns = -(1 << 62)  # exposure
+        self._newest: Navigation | None = None  # newest keyframe
+        self._frame: MapFrame | None = None  # frame of the map, from the newest exposure
+        self._newest_ns = -(1 << 62)  # time of the newest exposure
         self._warnings: list[str] = []
 
     def feed(self, navigation: Navigation, effort: int = 0) -> int:
-        """Keep the exposure if it is a keyframe, and improve the map with it."""
+        """Keep the exposure if it is a keyframe, and improve the map with it; return the number of steps."""
         if navigation.frame.t_ns in self._anew:
             self._begin()
         motion = navigation.motion
@@ -229,9 +229,9 @@ class RecursiveMapper:
         return steps
 
     def _follows(self, frame: MapFrame, t_ns: int) -> bool:
-        """Adopt the frame of the newest exposure, and drop the map if that is another frame.
+        """Adopt the map frame of the newest exposure, and drop the map if the frame changed.
 
-        False for an exposure that is out of sequence and belongs to another frame: it has no place in the map.
+        Return False for an exposure out of sequence from another frame, which cannot be used.
         """
         if self._frame is not None and frame.frame_id != self._frame.frame_id:
             if t_ns < self._newest_ns:
@@ -251,7 +251,7 @@ class RecursiveMapper:
             self._warnings.append(warning)
 
     def _grow(self, navigation: Navigation, effort: int) -> int:
-        """Find the ground, or take the newest keyframe into the map; return the number of steps."""
+        """Find the ground, or improve the map with the newest keyframe; return the number of steps."""
         due = self.store.taken % self._tuning.find_every == 0
         if self._map.ground is not None:
             steps = self._advance(self.store.keyframes[-1:], navigation, effort)
@@ -260,7 +260,7 @@ class RecursiveMapper:
             return steps
         if due and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
             return self._advance(self.store.keyframes, navigation, effort)
-        if len(self.store.keyframes) >= self._tuning.kept_by_ring:  # height and needed baseline are not known
+        if len(self.store.keyframes) >= self._tuning.kept_by_ring:  # height and required baseline are unknown
             self.store.thin()
             self._first_step *= 2
         return 0
@@ -275,13 +275,13 @@ class RecursiveMapper:
         return steps
 
     def _views_now(self, most: int | None = None) -> list[View]:
-        """The newest keyframes as views, with the newest estimates of their poses."""
+        """Return the newest keyframes as views, with the newest estimates of their poses."""
         known = self._newest.posterior if self._newest is not None else None
         newer = {m.t_ns: m for m in known.motions} if known is not None else None
         return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
-        """The map under the newest keyframe, and about a place, as it is now; None without one there."""
+        """Return the present map under the newest keyframe and around `about`; None if there is no map."""
         views = looking_down(self._views_now())
         elevation = self._map.under(views[-len(self._rig.cameras) :], about)
         if elevation is None or self._frame is None:
@@ -293,7 +293,7 @@ class RecursiveMapper:
         )  # fmt: skip
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
-        """The map as the last keyframe left it; that of all keyframes where they end before the ground is found."""
+        """Return the final map; if the ground was never found in flight, build the map from all keyframes."""
         views = self._views_now(self._most)
         if self._map.elevation is None:
             with self._timings.of("ground"):
@@ -311,7 +311,7 @@ class RecursiveMapper:
 
 
 def _posterior_with(motion: Motion, posterior: KeyframePosterior | None) -> KeyframePosterior | None:
-    """The posterior, or the motion by itself where it was a keyframe before the ground was found."""
+    """Return the posterior, or the motion's own posterior if its keyframe precedes the finding of the ground."""
     if posterior is None or motion.t_ns in {m.t_ns for m in posterior.motions}:
         return posterior
     return KeyframePosterior((motion,), np.asarray(motion.covariance))

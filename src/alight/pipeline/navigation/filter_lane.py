@@ -1,4 +1,4 @@
-"""Tracker and filter, and the smoother at the end of a recording."""
+"""Navigation lane of feature tracker and filter, with the smoother at the end of a recording."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ Row = NavSample | ImuSample
 
 @dataclass(frozen=True, eq=False)
 class FrameBatch:
-    """One exposure and the rows that came before it; without an exposure if none has come for long."""
+    """One exposure and the rows received before it; rows only, if no exposure came for a long time."""
 
     frame: Frame | None
     rows: tuple[Row, ...]
 
     def after(self, dropped: FrameBatch) -> FrameBatch:
-        """This batch when an earlier one is left out: its picture is lost, its rows are not."""
+        """Return this batch with the rows of an earlier, dropped batch prepended; the dropped picture is lost."""
         return replace(self, rows=dropped.rows + self.rows)
 
 
 class EventBatcher:
-    """Gather events into batches in the order of arrival; memory is bounded, whichever stream stops.
+    """Collector of events into batches, in the order of arrival; memory is bounded, even if one stream stops.
 
-    Of exposures with one stamp the first is taken, as the log's reader does: the times of the others are not known.
+    Of several exposures with one time stamp, only the first is used, as the times of the others are unknown.
     """
 
     def __init__(self) -> None:
-        self.repeated = 0  # exposures left out
+        self.repeated = 0  # exposures dropped for a repeated time stamp
         self._rows: deque[Row] = deque()
         self._stamps: deque[int] = deque(maxlen=256)
 
     def take(self, event: Event) -> FrameBatch | None:
-        """Take an event; an exposure makes a batch, and so do many rows without one."""
+        """Add an event; return a batch for an exposure, or for many rows without one, else None."""
         if not isinstance(event, Frame):
             self._rows.append(event)
-            return self.rest() if len(self._rows) > 1000 else None  # 5 s of them
+            return self.rest() if len(self._rows) > 1000 else None  # rows of 5 s
         if event.t_ns in self._stamps:
             self.repeated += 1
             return None
@@ -56,7 +56,7 @@ class EventBatcher:
         return replace(self.rest(), frame=event)
 
     def rest(self) -> FrameBatch:
-        """The rows that wait for an exposure."""
+        """Return a batch of the waiting rows, without an exposure, and clear them."""
         rows, self._rows = tuple(self._rows), deque()
         return FrameBatch(None, rows)
 
@@ -68,14 +68,13 @@ def _left_out(count: int, what: str) -> str:
 class FilterLane:
     """Feature tracks and the structure-from-motion filter (docs/method/motion.md).
 
-    Every exposure is predicted from the filter's state after the last exposure but one; the IMU propagates that state.
+    Every exposure is predicted from the filter's state after the last exposure but one, propagated with the IMU.
 
     Args:
-        history: keep the data for the end of a recording; without it memory does not grow with the flight, and
-            nothing is smoothed.
-        frame_id: of the first motion; a lane that replaces another one goes on with its `next_frame`.
-        photos: the exposures are photos with tags of a gimbal, not a flight.
-        anew: stamps of the exposures before which the lane begins anew, as where it was lost in flight.
+        history: whether data are kept for the end of a recording; False: memory stays bounded, and nothing is smoothed.
+        frame_id: map number of the first motion; a lane that replaces another continues with its `next_frame`.
+        photos: whether the exposures are photos with tags of a gimbal, not a flight.
+        anew: times of the exposures before which the lane is restarted, as after a loss in flight.
     """
 
     def __init__(
@@ -86,22 +85,22 @@ class FilterLane:
         if noise.mounting_sigma is None and not photos:
             noise = noise.model_copy(update={"mounting_sigma": 0.0})
         self._rig, self._tracks, self._settings, self._anew = rig, settings.tracks, noise, set(anew)
-        self._most = None if history else 1  # motions that are kept
+        self._most = None if history else 1  # number of motions that are kept
         self._batcher = EventBatcher()
-        self.next_frame = frame_id  # the first frame number that no motion has had
+        self.next_frame = frame_id  # first unused map number
         self._begin()
 
     def _begin(self) -> None:
         self._tracker, self._imu = Tracker(self._rig, self._tracks), ImuBuffer()
         self._filter = MotionFilter(self._rig, self._settings, self.next_frame)
-        self._predictors: deque[MotionPredictor | None] = deque(maxlen=2)  # after the last two exposures
+        self._predictors: deque[MotionPredictor | None] = deque(maxlen=2)  # predictors after the last two exposures
         self._predicted_from: MotionPredictor | None = None  # predictor of the last exposure
-        self._attitude = False  # one was measured
+        self._attitude = False  # whether an attitude was measured
         self._motions: deque[Motion] = deque(maxlen=self._most)
-        self._given = self._lost = 0  # exposures
+        self._given = self._lost = 0  # numbers of exposures
 
     def feed(self, event: Event) -> Navigation | None:
-        """Take one event; an exposure gives its motion and the clones."""
+        """Process one event; return the motion and posterior of an exposure, else None."""
         if isinstance(event, Frame) and event.t_ns in self._anew:
             self._anew.remove(event.t_ns)
             self._begin()
@@ -109,7 +108,7 @@ class FilterLane:
         return None if batch is None else self.take(batch)
 
     def take(self, batch: FrameBatch) -> Navigation | None:
-        """Take an exposure with the rows before it."""
+        """Process an exposure with the rows before it; return its motion and posterior, else None."""
         self._take_rows(batch)
         if batch.frame is None:
             return None
@@ -130,18 +129,17 @@ class FilterLane:
                 self._attitude = self._attitude or row.world_from_body is not None
             else:
                 self._imu.append(row)
-        if len(self._imu):  # the next prediction may need two seconds of them
+        if len(self._imu):  # the next prediction may need two seconds of IMU rows
             oldest, used = self._imu.last_ns - 2_000_000_000, self._predicted_from
             self._imu.forget_before(min(oldest, used.t_ns) if used else oldest)
 
     def _track(self, frame: Frame) -> Tracks:
-        """Follow the features into an exposure."""
         self._predicted_from = before = self._predictors[0] if self._predictors else self._filter.predictor()
         expected = before.cameras(frame.t_ns, self._tracker.last_ns, self._imu) if before else None
         return self._tracker.feed(frame, expected if expected is not None and expected.is_finite else None)
 
     def finish(self, progress: Progress) -> Trajectory:
-        """The smoothed motions; a warning where the filter was lost."""
+        """Return the smoothed motions, or the motions of the flight with a warning if smoothing failed."""
         self._take_rows(self._batcher.rest())
         refined = self._filter.refined()
         smoothed = bool(refined.motions)
@@ -154,7 +152,7 @@ class FilterLane:
         return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint, attitude=self._attitude)
 
     def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
-        """Warnings on the motion, in sentences."""
+        """Return warnings on the motion, in sentences."""
         out = []
         if self._filter.too_late:
             out.append(_left_out(self._filter.too_late, "came late"))

@@ -1,4 +1,4 @@
-"""Poses from outside, for evaluation."""
+"""Navigation lane of given poses, for evaluation."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, KeyframePosterior, Motion, Rig
 from alight.settings import MotionSettings
 
-GIVEN_SIGMA = 1e-3  # metres and radians, 1-sigma of poses that are taken as exact
-LONGEST_GAP_NS = 1_000_000_000  # ns, most between given poses that are interpolated
+GIVEN_SIGMA = 1e-3  # metres and radians, 1-sigma of poses treated as exact
+LONGEST_GAP_NS = 1_000_000_000  # ns, longest gap between given poses that is interpolated
 
 
 class GivenLane:
-    """Given poses, interpolated; each has independent errors of the size in the settings, or none.
+    """Given poses, interpolated; their errors are independent, with the sigmas of the settings, or zero.
 
     Args:
-        poses: stamps in ns, ascending, and `world_from_body` at each.
-        history: keep the motions for the end; without it memory does not grow with the flight.
+        poses: times in ns, ascending, and `world_from_body` at each time.
+        history: whether motions are kept for the end; False: memory stays bounded.
     """
 
     def __init__(self, rig: Rig, poses: TimedPoses, settings: MotionSettings, history: bool = True) -> None:
@@ -33,7 +33,7 @@ class GivenLane:
         self._covariance, self._exact = np.diag(np.maximum(sigma, GIVEN_SIGMA) ** 2), not sigma.any()
         self._t, self._poses = [int(t) for t in poses[0]], poses[1]
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
-        self._missed = 0  # exposures
+        self._missed = 0  # number of exposures
 
     def _at(self, t_ns: int) -> Pose | None:
         k = bisect.bisect_left(self._t, t_ns)
@@ -45,7 +45,7 @@ class GivenLane:
         return None
 
     def feed(self, event: Event) -> Navigation | None:
-        """The given pose at an exposure; None where there is none."""
+        """Return the given pose at an exposure; None for other events and exposures without a pose."""
         if not isinstance(event, Frame):
             return None
         pose = self._at(event.t_ns)
@@ -59,7 +59,7 @@ class GivenLane:
         return Navigation(event, motion, keyframes)
 
     def finish(self, progress: Progress) -> Trajectory:
-        """The motions given out before; their errors are independent."""
+        """Return all motions, with independent errors."""
         warnings = (f"poses: none for {self._missed} exposures, which are not used",) if self._missed else ()
         motions, notes, joint = tuple(self._motions), {"motion": "given poses, not estimated"}, None
         if motions and not self._exact:
