@@ -1,4 +1,4 @@
-"""Keys of a user: few, each with a description and its unit; none is needed to run."""
+"""Settings for users: few keys, each with a description and a unit. No run needs any of them to be set."""
 
 from __future__ import annotations
 
@@ -94,7 +94,11 @@ class MotionKeys(FrozenModel):
     bundle: BundleKeys = BundleKeys()
 
     def bundles(self, kind: str) -> bool:
-        """True if all poses of a recording of this kind (`flight` or `photos`) are adjusted together, at its end."""
+        """Whether all poses of a recording are adjusted together, at its end.
+
+        Args:
+            kind: kind of the recording, `flight` or `photos`.
+        """
         return self.method == "bundle" or (self.method == "auto" and kind == "photos")
 
 
@@ -192,29 +196,29 @@ class Lander(FrozenModel):
 
     @property
     def has_gear(self) -> bool:
-        """True if feet or skids are given; else the lander stands on its whole footprint."""
+        """Whether feet or skids are given; without them the lander stands on its whole footprint."""
         return self.feet is not None or self.skids is not None
 
     @property
     def ground_reach(self) -> float:
-        """Distance from the centre within which it may touch the ground, metres: the radius, or gear beyond it."""
+        """Distance from the centre within which the lander may touch the ground, metres: the radius or its gear."""
         feet = max((math.hypot(*f) + self.foot_radius for f in self.feet or ()), default=0.0)
         skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
         return max(self.radius, feet, skids)
 
     @property
     def reach(self) -> float:
-        """Distance from the centre within which anything may touch the lander, metres: its rotors count as well."""
+        """Distance from the centre within which an object may touch the lander or its rotors, metres."""
         return max(self.ground_reach, self.rotor_radius or 0.0)
 
     @property
     def tallest_obstacle(self) -> float:
-        """Largest height of an obstacle under the lander, metres: the limit of roughness, or of a belly on gear."""
+        """Height limit of obstacles under the lander, metres: the roughness limit, or the belly clearance with gear."""
         return self.belly_clearance if self.has_gear and self.belly_clearance is not None else self.max_roughness
 
     @property
     def judging_cell(self) -> float:
-        """Largest cell on which the ground is judged for it, metres: finer cells cost time and change no verdict."""
+        """Largest cell size for judging the ground, metres; finer cells cost time and change no verdict."""
         return 0.7 * self.tallest_obstacle
 
     @model_validator(mode="after")
@@ -261,7 +265,7 @@ class SitesKeys(FrozenModel):
 
 
 class RouteKeys(FrozenModel):
-    """The way to the best site."""
+    """The route to the best site."""
 
     approach_height: Positive = Field(10.0, description="Height above the site at which the final descent starts, m")
     clearance: Positive = Field(

@@ -1,4 +1,4 @@
-"""All settings: the keys of a user with the tuned constants, and the same joined to one record a stage."""
+"""All settings: the keys for users with the tuned constants, and both merged into one record per stage."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class ImuNoise:
     accelerometer_random_walk: float | None = None  # m/s^3 per sqrt(Hz)
 
     def stated(self) -> dict[str, float]:
-        """The stated numbers, by field."""
+        """Return the stated values by field."""
         return {k: v for k, v in asdict(self).items() if v is not None}
 
     def in_flight(self, margin: float) -> dict[str, float]:
-        """Noise by key of the filter: `margin` times the stated number; numbers that are not above zero are ignored."""
+        """Return the noise in flight by key of the filter: `margin` times each stated value that is above zero."""
         stated = {
             "gyro_noise": self.gyroscope_noise_density,
             "gyro_walk": self.gyroscope_random_walk,
@@ -91,7 +91,7 @@ class ExecutiveSettings(tuned.ExecutiveTuning, user.ExecutiveKeys):
 
 @dataclass(frozen=True)
 class StageSettings:
-    """The settings of every stage. `Settings.stages` makes it."""
+    """The settings of every stage, made by `Settings.stages`."""
 
     tracks: TracksSettings
     motion: MotionSettings
@@ -107,7 +107,7 @@ class StageSettings:
 
 
 class Settings(FrozenModel):
-    """The keys of a user, by group, and under `tuning` the tuned constants by stage."""
+    """The keys for users by group, and the tuned constants by stage under `tuning`."""
 
     sources: user.SourcesKeys = user.SourcesKeys()
     motion: user.MotionKeys = user.MotionKeys()
@@ -123,7 +123,10 @@ class Settings(FrozenModel):
 
     @property
     def too_low(self) -> str:
-        """Reason why no landing may be flown with these settings; empty: none. Recordings of such flights are read."""
+        """Reason why no landing may be flown with these settings; empty: it may.
+
+        A recording of such a flight is read all the same.
+        """
         given, k = self.executive.commit_height, self.tuning.executive
         least = k.abort_height + k.unchecked
         if given >= least:
@@ -133,9 +136,10 @@ class Settings(FrozenModel):
         )
 
     def stages(self, imu: ImuNoise | None = None) -> StageSettings:
-        """The settings of every stage: its keys of a user and its tuned constants, which are valid already, as one.
+        """Return the settings of every stage, each merged from its keys for users and its tuned constants.
 
-        `imu`: noise that the recording states for its IMU; constants that are set here win over it.
+        Args:
+            imu: noise that the recording states for its IMU; constants that are set here override it.
         """
         t, motion, stages = self.tuning, self.motion, get_type_hints(StageSettings)
         noise = (imu or ImuNoise()).in_flight(t.filter.imu_margin)
@@ -146,7 +150,11 @@ class Settings(FrozenModel):
         return StageSettings(**{name: kind.model_construct(**parts[name]) for name, kind in stages.items()})
 
     def to_yaml(self, tuning: bool = False) -> str:
-        """YAML text that `load_settings` takes back: the keys of a user, and changed (or all) constants of `tuning`."""
+        """Return YAML text for `load_settings`: the keys for users, and the changed constants of `tuning`.
+
+        Args:
+            tuning: whether to write all constants of `tuning`.
+        """
         tree: dict[str, Any] = self.model_dump(mode="json")
         if not tuning:
             tree.pop("tuning")

@@ -1,4 +1,4 @@
-"""Tuning of the mapping lane and of its map."""
+"""Tuning of the mapping lane and of the elevation map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class MappingTuning(FrozenModel):
-    """Keyframes, search for the ground, size of the cells, and limits of the heights that are given out."""
+    """Keyframes, search for the ground, cell size, and limits of the heights that are given out."""
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
     find_every: int = Field(8, ge=1, description="Keyframes from one search for the ground to the next")

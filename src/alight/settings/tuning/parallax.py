@@ -10,7 +10,7 @@ Triple = tuple[Positive, Positive, Positive]
 
 
 class PointsTuning(FrozenModel):
-    """Points triangulated before the ground is known."""
+    """Points that are triangulated before the ground is known."""
 
     features: int = Field(1500, ge=100, description="SIFT features in each view")
     contrast: Positive = Field(0.04, description="Least contrast of a feature, as OpenCV's SIFT counts it")
@@ -59,7 +59,7 @@ class RefinementTuning(FrozenModel):
 
 
 class UncertaintyTuning(FrozenModel):
-    """Flags, and what they look at; the coefficients of sigma and of a wrong match are fitted (`alight.learned`)."""
+    """Flags of heights and their windows; the models of sigma and wrong matches are fitted (`alight.learned`)."""
 
     min_contrast: Positive = Field(0.7, description="Least contrast of the views, grey levels; below: TEXTURE")
     max_residual: Fraction = Field(
@@ -77,7 +77,7 @@ class UncertaintyTuning(FrozenModel):
 
 
 class ConsistencyTuning(FrozenModel):
-    """Moving ground, found by cameras that expose at the same instant."""
+    """Detection of moving ground by cameras that expose at the same instant."""
 
     near_blocks: int = Field(5, ge=1, description="Window of the sums, blocks")
     cut: Positive = Field(0.55, description="Deviation from which a view sees something else, normalised grey")
@@ -105,7 +105,7 @@ class ConsistencyTuning(FrozenModel):
 
 
 class RecursiveTuning(FrozenModel):
-    """Heights carried from keyframe to keyframe."""
+    """Heights that are updated from keyframe to keyframe."""
 
     first_baseline: Positive = Field(0.12, description="Baseline over height from which a new cell is swept")
     first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
@@ -140,7 +140,7 @@ class RecursiveTuning(FrozenModel):
 
 
 class PoseRefinementTuning(FrozenModel):
-    """Poses of the keyframes refined together with the map."""
+    """Refinement of keyframe poses together with the map."""
 
     cells: int = Field(1500, ge=100, description="Cells that take part")
     taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
