@@ -1,11 +1,11 @@
-"""Alight: a safe place to land, from an aircraft's cameras and its GPS/INS.
+"""Alight: find a safe place to land, from an aircraft's cameras and its GPS/INS.
 
 >>> import alight
 >>> result = alight.run("photos/", lander=alight.Lander(radius=0.8))
 >>> result.sites, result.reason
 >>> result.save("out/first")
 
-Names are imported when they are first used, so that `import alight` costs nothing (PEP 562).
+Names are imported when they are first used, so that `import alight` takes almost no time (PEP 562).
 """
 
 from __future__ import annotations

@@ -91,9 +91,7 @@ def contents(r: RunResult) -> Contents:
 
 
 def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the number, median, 95th percentile and sum of the seconds per step, by stage; stages without steps are
-    omitted.
-    """
+    """Return number, median, 95th percentile and sum of the seconds per step for each stage that has steps."""
     found = {}
     for stage, steps in timings.items():
         if len(steps):

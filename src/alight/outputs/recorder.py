@@ -117,9 +117,7 @@ class Recorder:
         self.put(topic, event.t_ns, parts)
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        """Record that a lane used an exposure: its `kind` of work, a `value`, and for a judged map its position
-        `about`.
-        """
+        """Record that a lane used an exposure: `kind` of work, `value`, and the position `about` of a judged map."""
         tree = {"kind": kind, "t_ns": t_ns, "value": value, "about": about}
         self._put_json(SCHEDULE, t_ns, tree)
 
