@@ -40,7 +40,7 @@ SMALLER = {  # advice when memory is exhausted, by command
     "evaluate": "give a smaller run",
     "check": "read less with --seconds",
 }
-_ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # signals that request an end; Windows has no SIGHUP
+_ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
 _signals: list[int] = []  # received signals
 
 

@@ -39,8 +39,7 @@ def settings_page() -> str:
 
 
 def effects() -> dict[str, dict[str, Any]]:
-    """Return measured effects of tuned constants by key: `effect`, the result `on` which it acts, and `why` the value.
-    """
+    """Return measured effects of tuned constants by key: `effect`, the result `on` which it acts, `why` the value."""
     return dict(yaml.safe_load((Path(__file__).parent / "tuning" / "effects.yaml").read_text(encoding="utf-8")))
 
 
