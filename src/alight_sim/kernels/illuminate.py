@@ -54,7 +54,7 @@ from alight_sim.kernels.block import (  # fmt: skip
 )
 from alight_sim.kernels.texture import P_BUMP, P_GLOSS, P_HOT
 
-# numbers of the light, after the sun's direction (3), its colour (3) and the sky's (3)
+# values of the light, after the sun's direction (3), its colour (3) and the sky's (3)
 HAZE, AIR, CLOUDS, CLOUD_SIZE, CLOUD_DARK, WIND, DRIFT = 9, 10, 13, 14, 15, 16, 18
 LIGHTS = 20
 SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: half shadow between
@@ -62,7 +62,7 @@ SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: ha
 
 @kernel
 def face_normals(buf: F32, boxes: F64) -> None:
-    """Set the normals of pixels on a car to that of the visible face."""
+    """Set the normals of pixels on a car to the normal of the visible face."""
     for i in range(B):
         code = int(buf[FACE + i])
         side = code & 7
@@ -169,7 +169,7 @@ def dye(buf: F32) -> None:
 
 @kernel
 def haze(buf: F32, lights: F32) -> None:
-    """Dim far points and add the light that the air scatters (Koschmieder, 1924); sky where nothing was hit."""
+    """Dim far points and add the light that the air scatters (Koschmieder, 1924); sky if nothing was hit."""
     for i in range(B):
         up = max(-buf[VZ + i], F0)
         low = (F1 - up) * (F1 - up)
