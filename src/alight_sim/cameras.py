@@ -169,7 +169,6 @@ def still(pose: Pose, count: int) -> tuple[F64, F64]:
 
 
 def _border(rays: F32) -> F64:
-    """Return the (N, 3) rays of every 16th pixel of the picture's border."""
     sides = (rays[0, ::16], rays[-1, ::16], rays[::16, 0], rays[::16, -1], rays[-1:, -1])
     return np.concatenate(sides).astype(np.float64)
 

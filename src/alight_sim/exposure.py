@@ -76,13 +76,7 @@ class Sensor:
         return cls(imaging, _falloff(camera, imaging, dust), hot.integers(0, size, (count, 3)).astype(np.float32), tone)
 
     def expose(self, radiance: F32, gain: F64, key: int, covered: float = 0.0) -> U8:
-        """Return the picture (H, W, 3), RGB, of linear light (H, W, 3).
-
-        Args:
-            gain: (3,) for red, green and blue.
-            key: key of the noise.
-            covered: share of the lens that is covered.
-        """
+        """Return the picture (H, W, 3), RGB, of linear light (H, W, 3), by gains (3,) and noise of the seed `key`."""
         s, light = self.imaging, radiance
         if s.blur_px > 0:
             light = cv2.GaussianBlur(radiance, (0, 0), s.blur_px)

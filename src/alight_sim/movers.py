@@ -101,13 +101,9 @@ class Mover:
 
 
 def car_boxes(places: F64, heading: F64, size: tuple[float, float, float], paint: F64) -> F64:
-    """Return the (T, 2 M, 12) body and cabin of cars, in the format of `kernels.boxes`.
+    """Return the (T, 2 M, 12) body and cabin of cars (`kernels.boxes`) at places (T, M, 3) and headings (T, M).
 
-    Args:
-        places: (T, M, 3) centres of the cars' bases, metres.
-        heading: (T, M) rad from east to north.
-        size: length, width, height, metres.
-        paint: (M, 3) linear RGB.
+    `heading`: rad from east to north. `size`: length, width, height, metres. `paint` (M, 3): linear RGB.
     """
     length, width, height = size
     out = np.zeros((*heading.shape, 2, NUMBERS))

@@ -72,11 +72,7 @@ class TrueSurface:
 
     @classmethod
     def of(cls, world: World, box: Box, seconds: float | None = None, bodies: Sequence[Moving] = ()) -> TrueSurface:
-        """Return the surface of a box (west, south, east, north), metres.
-
-        Args:
-            seconds: time at which the world's movers and `bodies` are added; None: they are left out.
-        """
+        """Return the surface of a box (west, south, east, north), with moving objects at a time (s; None: without)."""
         truth = world.truth(box)
         height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
         grid = truth.grid
@@ -164,10 +160,7 @@ class SafePlaces:
         return np.asarray(self.safe_at.any(axis=2))
 
     def with_margin(self, margin: float) -> Mask:
-        """Return the (R, C) mask of centres whose surroundings within `margin` metres are safe at every heading.
-
-        Beyond the grid nothing is safe.
-        """
+        """Return the (R, C) mask of centres that are safe, with all centres within `margin` m; False off the grid."""
         step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
         k = math.floor(margin / step + 1e-9)
         padded = np.pad(self.safe, k, constant_values=False)

@@ -84,10 +84,7 @@ def _is_plain(codes: NDArray[np.uint16]) -> Mask:
 
 
 def _is_step(height: F32) -> Mask:
-    """Return the (R, C) mask of cells that differ by `EDGE` or more from their east, south or south-east neighbour.
-
-    False near the border, where 4 x 4 cells around them are not complete.
-    """
+    """Return the (R, C) mask of cells whose 2 x 2 cells to the south-east differ by `EDGE`; false near the border."""
     out = np.zeros(height.shape, bool)
     a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
     top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))

@@ -13,14 +13,10 @@ _TIE = 1e-6  # metres: all resting poses whose heights differ by less are possib
 
 
 def resting_on_feet(at: F64, height: F64) -> F64:
-    """Return the (N, P, 3) planes on which the lander may rest on its feet; fewer than P are padded by repetition.
+    """Return (N, P, 3) planes on which the lander rests on feet at `at` (K, 2) on heights (N, K), repeated to P.
 
     At rest the centre is as low as possible without a foot below the ground: a plane through three feet. Several planes
     for one centre mean that the lander may rock between them.
-
-    Args:
-        at: (K, 2) forward and left of each foot, metres.
-        height: (N, K) ground height under each foot, metres.
     """
     found = []
     for three in combinations(range(len(at)), 3):
@@ -39,13 +35,10 @@ def resting_on_feet(at: F64, height: F64) -> F64:
 
 
 def resting_on_skids(at: F64, height: F64) -> F64:
-    """Return the (N, 2, 3) planes on which two skids rest, with the lowest and the highest pitch at which they may.
+    """Return (N, 2, 3) planes on which two skids rest, at the lowest and the highest pitch at which they may.
 
-    With a pitch p a skid passes over its middle at max(z - p s); the sum over both skids is convex in p.
-
-    Args:
-        at: (K, 2) forward and left of points on the skids, metres; the left skid is the first half.
-        height: (N, K) ground height under each point, metres.
+    With a pitch p a skid passes over its middle at max(z - p s); the sum over both skids is convex in p. `at` (K, 2) is
+    forward and left of points on the skids, the left skid first, and `height` (N, K) the ground under them, metres.
     """
     half = len(at) // 2
     s, wide = at[:half, 0], float(at[0, 1] - at[half, 1])

@@ -140,11 +140,7 @@ def default_rig() -> Rig:
 
 
 def _looking_down(*small: float) -> F64:
-    """Return the (3, 3) `body_from_cam` of a camera that points down, image top forward.
-
-    Args:
-        small: rotation vector of the mounting error, rad.
-    """
+    """Return `body_from_cam` (3, 3) of a camera that points down, top forward, turned by a small rotation vector."""
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return np.asarray(cv2.Rodrigues(np.array(small))[0] @ down)
 

@@ -211,7 +211,6 @@ class SceneWorld:
         )  # fmt: skip
 
     def _grid(self, i: int, j: int, rows: int, cols: int) -> Grid:
-        """Return the grid whose cell (0, 0) is cell i to the east and j to the north of the anchor."""
         e0, n0 = self.source.anchor
         return Grid(e0 + (i + 0.5) * self.cell, n0 + (j + 0.5) * self.cell, self.cell, rows, cols)
 
@@ -302,7 +301,6 @@ def _patch(value: Any) -> GroundPatch:
 
 
 def _copy(out: dict[str, Any], name: str, layer: Any, to: Any, of: Any, shape: tuple[int, int]) -> None:
-    """Copy one tile's part of one layer into `out`."""
     if name not in out:
         out[name] = np.empty((*shape, *layer.shape[2:]), layer.dtype)
     out[name][to] = layer[of]

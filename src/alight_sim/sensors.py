@@ -86,12 +86,7 @@ class Sensors(Section):
 
 
 class MarkovNoise:
-    """Stationary first-order Gauss-Markov noise, one value after another.
-
-    Args:
-        sigma: (N,) standard deviations.
-        tau: correlation time, s.
-    """
+    """Stationary first-order Gauss-Markov noise of deviations `sigma` (N,) and correlation time `tau` (s), in steps."""
 
     def __init__(self, rng: np.random.Generator, sigma: F64, tau: float) -> None:
         self._rng, self._sigma, self._tau = rng, sigma, tau
@@ -141,11 +136,7 @@ class NavStream:
         self._sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
 
     def sample(self, t_ns: int, seconds: float, true: TrueMotion) -> NavSample | None:
-        """Return the row at a time of the flight; None: the row is missing.
-
-        Args:
-            true: motion `errors.latency` seconds before that time.
-        """
+        """Return the row at a time of the flight, from the motion `errors.latency` s earlier; None: it is missing."""
         e = self.errors
         jump = self._jump(seconds)
         drift = self._drift.at(seconds)

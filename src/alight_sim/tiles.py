@@ -207,11 +207,7 @@ class Lay:
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
-        """Return the (N,) mask of things that overlap neither earlier layers' things nor those of higher precedence.
-
-        Args:
-            named: number of things at given positions. Layers whose things are not `apart` are ignored.
-        """
+        """Return the (N,) mask of things without overlap with earlier layers' things or with a thing of precedence."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room

@@ -18,9 +18,8 @@ def resolve(tree: dict[str, Any], seed: int, where: str) -> dict[str, Any]:
     """Return the tree of a scene file with its drawn values; a tree without `draw` is returned unchanged.
 
     `draw` maps a name to `{between: [a, b]}`, to `{between: [a, b], log: true}` or to `{one_of: [...]}`. The text
-    `$name`
-    anywhere in the tree is replaced by the value. In a list, a drawn list of mappings is inserted item by item, and a
-    drawn null is omitted. Every name has its own random stream.
+    `$name` anywhere in the tree is replaced by the value. In a list, a drawn list of mappings is inserted item by item,
+    and a drawn null is omitted. Every name has its own random stream.
 
     Raises:
         InputError: a draw has another form, or a name is not drawn.

@@ -190,12 +190,7 @@ class _Line:
 
 
 def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool) -> _Line:
-    """Return a timed polyline: each leg within speed, climb and sink; slower at corners.
-
-    Args:
-        most: m/s^2, largest acceleration in all directions together.
-        rolling: whether it begins and ends at full speed.
-    """
+    """Return a timed polyline: legs within speed, climb and sink, slower corners, at most `most` m/s^2 in total."""
     legs = np.diff(points, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     units = legs / lengths[:, None]
@@ -305,11 +300,7 @@ def _spline(centres: F64, control: F64) -> BSpline:
 
 
 def correlated(rng: np.random.Generator, count: int, width: int, step: float) -> F64:
-    """Return (count, width) first-order Gauss-Markov noise of unit deviation.
-
-    Args:
-        step: time between samples over the correlation time.
-    """
+    """Return (count, width) Gauss-Markov noise of unit deviation; `step` is the time step over the correlation time."""
     keep = math.exp(-step)
     white = rng.standard_normal((count, width))
     white[1:] *= math.sqrt(1.0 - keep * keep)
@@ -317,11 +308,7 @@ def correlated(rng: np.random.Generator, count: int, width: int, step: float) ->
 
 
 def _blown(push: F64) -> F64:
-    """Return the (N, 3) displacement (m) of a vehicle that holds its position, as a damped spring, against pushes.
-
-    Args:
-        push: (N, 3) m/s^2.
-    """
+    """Return the (N, 3) displacement (m) of a vehicle that holds its position against pushes (N, 3), m/s^2."""
     A = np.array([[0.0, 1.0, 0.0], [-(HOLD**2), -2.0 * DAMPING * HOLD, 1.0], [0.0, 0.0, 0.0]])
     step = expm(A * KNOT)  # exact for a push that is constant between knots
     top, bottom = ss2tf(step[:2, :2], step[:2, 2:], np.array([[1.0, 0.0]]), np.zeros((1, 1)))

@@ -33,8 +33,7 @@ class World(Protocol):
     """A world to land in. A subclass needs `name`, `radiance` and `truth`; everything else has a default.
 
     Axes are east, north, up in metres from the origin; a camera is right, down, forward. Times are seconds of the
-    flight.
-    The same arguments give the same results, independent of earlier calls.
+    flight. The same arguments give the same results, independent of earlier calls.
     """
 
     @property

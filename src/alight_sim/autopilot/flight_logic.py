@@ -66,10 +66,7 @@ class FlightLogic:
         return True
 
     def arm(self, wanted: bool) -> bool:
-        """Start or stop the motors; return false if it is refused.
-
-        Stopping is refused in the air, starting in modes that cannot take off.
-        """
+        """Start or stop the motors; return false if refused: a stop in the air, a start in modes without take-off."""
         if not wanted:
             if not self._stands:
                 return False
@@ -109,12 +106,9 @@ class FlightLogic:
             self._speed = self._sink = math.inf
 
     def limit(self, kind: float, speed: float) -> bool:
-        """Limit the speed over the ground or downwards, m/s; return false if the mode does not allow it.
+        """Limit the speed over the ground (SPEED_TYPE 0, 1) or downwards (3), m/s; return false if it is refused.
 
         PX4 accepts every kind but applies it as ground speed in missions only, which are not simulated.
-
-        Args:
-            kind: SPEED_TYPE, 0 or 1 over the ground, 3 downwards.
         """
         if not self.dialect.speeds_by_command:
             return True

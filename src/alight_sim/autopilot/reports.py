@@ -38,12 +38,7 @@ class Reports:
         self.makers: dict[str, Maker] = dict(MAKERS)
 
     def request(self, message: int, interval_us: float) -> bool:
-        """Handle SET_MESSAGE_INTERVAL; return false if the message is not supported.
-
-        Args:
-            message: number of the message.
-            interval_us: interval in microseconds.
-        """
+        """Handle SET_MESSAGE_INTERVAL (message number, microseconds); return false if the message is not supported."""
         kind = mavlink.mavlink_map.get(message)
         name = "" if kind is None else str(kind.msgname)
         if name not in self.makers or name in self.lacks:
@@ -129,7 +124,6 @@ def _highres_imu(now: SimulatedAutopilot) -> Any:
 
 
 def _ned_from_frd(now: SimulatedAutopilot) -> F64:
-    """Return the (3, 3) estimated attitude: rotation from FRD axes to NED."""
     return np.asarray(_SWAP @ now.attitude @ _FLIP)
 
 

@@ -73,8 +73,7 @@ class SimulatedAutopilot:
     """One autopilot with its vehicle. Call `receive` with bytes, `step` with time, and send the `pending` datagrams.
 
     It streams only its heartbeat and the requested messages, and forgets the requests at a reboot. It stamps messages
-    with
-    its own clock.
+    with its own clock.
 
     Args:
         drift: relative error of its clock's rate.

@@ -62,11 +62,7 @@ class SteeredCameras:
         return self._seconds(self.next) + 0.5 * (self.imaging.exposure_time + rows * self.imaging.line_time)
 
     def expose(self, body: Poses) -> tuple[int, Frame] | None:
-        """Draw the next exposure at the body's true poses.
-
-        Returns:
-            the arrival in ns and the frame; None: all its pictures are lost.
-        """
+        """Draw the next exposure at the body's true poses; return arrival (ns) and frame, None if all are lost."""
         k, plan = self.next, self._planned(self.next)
         self.next += 1
         seconds = self._seconds(k)

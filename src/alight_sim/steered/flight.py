@@ -279,12 +279,7 @@ class SteeredFlight:
 
     def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
              heading: float = 0.0) -> Body:  # fmt: skip
-        """Let a car drive in and park; return it.
-
-        Args:
-            start: east and north where it starts; None: it stands at its goal at once.
-            heading: direction of its length if `start` is None, rad from east.
-        """
+        """Let a car drive in from `start` and park; None: it stands there at once, at `heading` (rad from east)."""
         return self._come(True, east, north, start, speed, heading)
 
     def walk_in(

@@ -219,11 +219,7 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
 
 
 def covered(inside: F64, cell: float) -> F64:
-    """Return the share of a cell that lies inside an edge, for straight edges of heights.
-
-    Args:
-        inside: distance of the cell's centre inside the edge, metres.
-    """
+    """Return the share of a cell inside an edge that is `inside` metres from its centre; it makes straight edges."""
     return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
 
 

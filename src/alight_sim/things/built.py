@@ -97,7 +97,6 @@ class Houses(Boxes):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by walls, roof and chimney of the tallest house, metres."""
         return 0.0, self.walls[1] + 0.5 * self.width[1] * math.tan(math.radians(self.pitch_deg)) + 0.5
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -110,7 +109,6 @@ class Houses(Boxes):
         self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, ROOFS)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp walls and roofs."""
         self.boxes(sheet, lay, {"gable": stamps.GABLE, "hip": stamps.HIP, "flat": stamps.FLAT}[self.roof])
 
 
@@ -130,7 +128,6 @@ class Cars(Boxes):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the height of the tallest car, metres."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -142,7 +139,6 @@ class Cars(Boxes):
         self.paint(rng, things, Look.PAINT, PAINTS)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp bodies and cabins."""
         self.boxes(sheet, lay, stamps.CAR)
 
 
@@ -164,7 +160,6 @@ class Crates(Boxes):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the height of the tallest crate, metres."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -177,7 +172,6 @@ class Crates(Boxes):
         self.paint(rng, things, Look.PAINT, LITTER)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp boxes with flat tops."""
         self.boxes(sheet, lay, stamps.FLAT)
 
 
@@ -199,7 +193,6 @@ class Parking(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the height of the tallest car, metres."""
         return 0.0, self.car.height[1]
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
@@ -215,7 +208,6 @@ class Parking(Layer):
                 sheet.tint[index] *= np.where(self._marks(u, v), 3.0, 1.0)[..., None].astype(np.float32)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp the parked cars."""
         things = overlapping(lay.keep("cars", lambda: self._cars(lay)), sheet.box)
         stamp(sheet, things, stamps.CAR)
 
@@ -229,11 +221,7 @@ class Parking(Layer):
         return 2.0 * self.bay[1] + self.lane
 
     def _marks(self, u: F64, v: F64) -> Mask:
-        """Return the mask of lines 10 cm wide between the bays, in double rows back to back.
-
-        Args:
-            u, v: metres along and across the rows from the ground's centre.
-        """
+        """Return the mask of lines between the bays, 10 cm wide, at (u, v) metres along and across the rows."""
         width, length = self.bay
         count = math.floor(self.size[0] / width)
         across = np.abs(v / self._pitch - np.floor(v / self._pitch) - 0.5) * self._pitch

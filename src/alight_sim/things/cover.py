@@ -86,7 +86,6 @@ class TallGrass(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the height of the tallest blades, metres."""
         return 0.0, 1.4 * self.height
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
@@ -148,7 +147,6 @@ class Fields(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering by furrows, raising by ridges and plants, metres."""
         return max(c.ridge for c in self.crops), max(c.ridge + 1.4 * c.height for c in self.crops)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:

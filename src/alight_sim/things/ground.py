@@ -55,7 +55,6 @@ class Roughness(FractalRelief, Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering and raising by four standard deviations, metres."""
         return 4.0 * self.height, 4.0 * self.height
 
 
@@ -81,7 +80,6 @@ class Terraces(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering and raising by one step, metres."""
         return self.step, self.step
 
 
@@ -103,7 +101,6 @@ class Craters(Scattered):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering by the bowl, raising by the rim, metres."""
         return self.radius[1] * self.depth[1], 0.25 * self.radius[1] * self.depth[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -142,7 +139,6 @@ class Ponds(Scattered):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering to the water's surface, metres; no raising."""
         return self.below, 0.0
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -213,7 +209,6 @@ class Pads(Scattered):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering and raising of the pad, metres."""
         return max(-self.up, 0.0), max(self.up, 0.0)
 
     def draw(self, rng: Generator, things: F64) -> None:

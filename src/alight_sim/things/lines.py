@@ -116,7 +116,6 @@ class Roads(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering by ruts, raising by the kerb, each with a margin for levelling, metres."""
         return self.ruts + max(-self.kerb, 0.0) + 0.5, max(self.kerb, 0.0) + 0.5
 
     def reach(self) -> float:
@@ -187,7 +186,6 @@ class Walls(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the height of the wall, metres."""
         return 0.0, self.height
 
     def reach(self) -> float:
@@ -201,7 +199,6 @@ class Walls(Lined):
         return winding(pieces(self.path, self.wander), self.wander, lay.seed)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise the cells that the wall covers."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
@@ -245,7 +242,6 @@ class Hedges(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the hedge and its clumps, metres."""
         return 0.0, 1.5 * self.height
 
     def reach(self) -> float:
@@ -253,7 +249,6 @@ class Hedges(Lined):
         return 0.9 * self.width + 0.1
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise a row of clumps."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return

@@ -90,7 +90,6 @@ class Rocks(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp rough ellipsoids that follow the ground."""
         self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.ELLIPSOID, rooted=False)
 
 
@@ -111,7 +110,6 @@ class Trees(Dome):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the tallest crown and its leaves, metres."""
         return 0.0, (self.height[1] if self.height else 2.6 * self.radius[1]) + 1.5
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -150,7 +148,6 @@ class Trees(Dome):
         return out
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp clumps of leaves with ragged edges; conifers are cones."""
         if self.form == "conifer":
             self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.CONE, rooted=True)
         else:
@@ -175,7 +172,6 @@ class Shrubs(Dome):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the tallest shrub and its clumps, metres."""
         return 0.0, 1.5 * self.radius[1] * self.tall[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -189,7 +185,6 @@ class Shrubs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp ragged domes that follow the ground."""
         look = (0.2, 1.0, 0.35, 0.14)
         self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.ELLIPSOID, rooted=False)
 
@@ -210,7 +205,6 @@ class Mounds(Dome):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the tallest mound with a margin, metres."""
         return 0.0, 1.3 * self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -223,7 +217,6 @@ class Mounds(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp domes or cones that follow the ground, or upright drums."""
         kind = -1 if self.kind is None else int(terrain_named(self.kind))
         shape = {"round": stamps.ELLIPSOID, "cone": stamps.CONE, "drum": stamps.DRUM}[self.form]
         ragged = 0.0 if self.form == "drum" else 0.07
@@ -245,7 +238,6 @@ class Logs(Dome):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the thickest log with a margin, metres."""
         return 0.0, 1.1 * self.thickness[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
@@ -258,5 +250,4 @@ class Logs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp long low domes."""
         self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.ELLIPSOID, rooted=False)

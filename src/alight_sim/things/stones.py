@@ -51,10 +51,8 @@ class Stones(Scattered):
     """Stones whose sizes follow the law of rock fields (Golombek and Rapp 1997), partly buried.
 
     The share of the ground under stones of diameter D and more is k exp(-(1.79 + 0.152 / k) D). The share under stones
-    of
-    all sizes, k, varies over the ground. Without a look of their own, stones look like the ground below them: only
-    shape,
-    light and shade show them.
+    of all sizes, k, varies over the ground. Without a look of their own, stones look like the ground below them: only
+    shape, light and shade show them.
     """
 
     thing: Literal["stones"]
@@ -92,7 +90,6 @@ class Stones(Scattered):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """No lowering; raising by the tallest stone with a margin, metres."""
         return 0.0, 1.2 * self.size[1] * self.height[1]
 
     @property
@@ -128,8 +125,7 @@ class Stones(Scattered):
         return np.asarray(few * (most / few) ** ndtr(field))
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """Return the (N,) mask of stones that exist; large stones are thinned more, to follow the law of the local k.
-        """
+        """Return the (N,) mask of stones that exist; large stones are thinned more, by the law of the local k."""
         if self.share is None or not len(things):
             return np.ones(len(things), bool)
         k, most = self.share_at(things[:, EAST], things[:, NORTH], seed), self._most
@@ -138,7 +134,6 @@ class Stones(Scattered):
         return np.asarray(things[:, GREEN] < chance)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp stones on the solid ground."""
         things = lay.things(sheet.box)
         if len(things):
             form = np.array([float(self.form == "angular"), self.rock_from, self.hidden, float(self.look), *self.tint])

@@ -51,7 +51,6 @@ class Canals(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering to the water, raising of the banks, with margins, metres."""
         return self.below + 2.0, 1.0
 
     def reach(self) -> float:
@@ -121,7 +120,6 @@ class Puddles(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering of the water's surface below the ground around, metres; no raising."""
         return self.sunk, 0.0
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
