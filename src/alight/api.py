@@ -184,12 +184,8 @@ def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -
 def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
     """Compare a run with the truth of a simulated flight or with a structure-from-motion reference.
 
-    Args:
-        out: the result of a run, or the folder that it wrote.
-        truth: folder that holds `truth/` or `sfm_reference.npz`.
-
     Raises:
-        InputError: `out` is not a run, or `truth` holds neither of them.
+        InputError: `out` is not a run, or the folder `truth` holds neither `truth/` nor `sfm_reference.npz`.
     """
     from alight.evaluation import evaluate as compare
 

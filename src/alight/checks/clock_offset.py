@@ -107,12 +107,7 @@ class _Observed:
         return self._left(predicted, index, (at - index)[:, None].clip(0.0, 1.0))
 
     def _left(self, predicted: PredictedMotion, index: I64, share: F64 | float = 0.0) -> F64:
-        """Return the (K, D) motion that the prediction leaves unexplained.
-
-        Args:
-            index: (K,) step of the prediction for each observation.
-            share: (K, 1) fraction of a step to add to it; 0: none.
-        """
+        """Return the (K, D) motion left unexplained at step `index` (K,) plus a fraction `share` (K, 1) of a step."""
         inside = (index >= 0) & (index < len(predicted.turning))
         index = np.where(inside, index, 0)
         turning, moving = predicted.turning[index], predicted.moving[index]
@@ -128,12 +123,7 @@ class _Observed:
 
 
 def clearest(offsets: F64, left: F64) -> ClockOffset:
-    """Return the best of (T,) offsets, marked as unclear if it explains too little or a rival explains as much.
-
-    Args:
-        offsets: (T,) s.
-        left: (T,) share of the motion that each offset leaves unexplained.
-    """
+    """Return the best of (T,) offsets (s) by the unexplained shares `left` (T,), with the reason if it is unclear."""
     best = int(np.argmin(left))
     found, unclear = float(offsets[best]), ""
     others = np.where(np.abs(offsets - found) > LOBE, left, np.inf)

@@ -48,11 +48,7 @@ def grid_of(lens: Camera) -> F64:
 
 
 def followed(then: U8, now: U8) -> tuple[F32, F32]:
-    """Track features from one picture to another, forward and back (Lucas and Kanade 1981).
-
-    Returns:
-        the (N, 2) pixels of the features in the first and in the second picture.
-    """
+    """Track features forward and back (Lucas and Kanade 1981); return their (N, 2) pixels in both pictures."""
     found = cv2.goodFeaturesToTrack(then, 300, 0.005, max(3.0, max(then.shape) / 50.0))
     if found is None:
         return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
@@ -91,11 +87,7 @@ def moved(homography: F64, points: F64) -> F64:
 
 
 def match_pictures(first: U8, other: U8) -> tuple[F64, F64]:
-    """Match two pictures by SIFT with a ratio test in both directions (Lowe 2004).
-
-    Returns:
-        the (N, 2) pixels of the matched features in the first and in the other picture.
-    """
+    """Match pictures by SIFT, with a ratio test both ways (Lowe 2004); return (N, 2) pixels of matches in both."""
     (a, da), (b, db) = _described(first), _described(other)
     if len(a) < 8 or len(b) < 8:
         return np.empty((0, 2)), np.empty((0, 2))

@@ -122,13 +122,9 @@ def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
 
 
 def _offset(fits: list[FlowFit], turned_by: str, ahead: float) -> CheckResult:
-    """Check the mean time offset of the cameras.
+    """Check the mean time offset of the cameras, whose common errors do not average out.
 
-    The cameras share most of their errors, so more cameras do not reduce the sigma.
-
-    Args:
-        turned_by: name of the sensor that gave the rotation.
-        ahead: s that the calibration has subtracted from the stamps; the setting in the remedy replaces it.
+    `ahead` (s), the offset that the calibration has applied, is added to the setting in the remedy.
     """
     name = CHECKS[1]
     offsets, sigmas = np.array([f.parameters[OFFSET] for f in fits]), np.array([f.sigma[OFFSET] for f in fits])

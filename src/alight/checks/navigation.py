@@ -289,17 +289,7 @@ def _scaled(name: str, scale: float, travel: float) -> CheckResult:
 
 
 def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[float, float]:
-    """Return how well the integral of a velocity explains position steps.
-
-    Args:
-        s: (N,) s, times of the velocities.
-        v: (N, 3) velocities.
-        begins, ends: (K,) indices of the rows at the begin and end of each step.
-        steps: (K, 3) metres between the positions.
-
-    Returns:
-        the share of the steps that is unexplained after the best scale, and that scale of the velocity.
-    """
+    """Return the share of steps (K, 3), m, that the integral of velocities (N, 3) leaves unexplained, and its scale."""
     way = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(s)[:, None], axis=0)])
     integral = way[ends] - way[begins]
     square = (integral * steps).sum(axis=1)

@@ -38,8 +38,7 @@ def edge_widths(image: U8) -> F64:
 
     The width of an edge is its height over its steepest slope: 1 for an ideal step, 2.5 sigma after a Gaussian blur. Of
     the edges with most contrast, the sharpest tenth shows the sharpness of the lens. The other edges depend on the
-    ground
-    (docs/lab/flight.md).
+    ground (docs/lab/flight.md).
     """
     grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), 0.6)
     return np.array([_width(grey), _width(np.ascontiguousarray(grey.T))])

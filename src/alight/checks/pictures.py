@@ -77,11 +77,7 @@ def check_sharpness(evidence: RigEvidence) -> CheckResult:
 
 
 def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
-    """Return the edge widths along and across the picture's motion; if it is not along an axis, `x` twice.
-
-    Args:
-        x, y: widths across x and across y, px.
-    """
+    """Return edge widths along and across the picture's motion; if it is not along an axis, the width `x` twice."""
     if len(seen.flows) < 5:
         return x, x
     share = np.median(np.abs([f.shift for f in seen.flows]), axis=0)

@@ -158,11 +158,7 @@ class PredictedFlow:
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
     def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
-        """Return the (K, 9, 2, P) flow per unit of each free parameter.
-
-        The P parameters are the inverse depth (P = 1), or without velocity the translation (3,) times inverse depth (P
-        = 3).
-        """
+        """Return (K, 9, 2, P) flow per unit of inverse depth (P = 1) or, without velocity, of translation (P = 3)."""
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
             free = np.zeros((len(y), x0.shape[0], 2, 3))
@@ -254,11 +250,7 @@ def _length(residuals: F64) -> F64:
 
 
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
-    """Fit the free parameters (P) of each pair to the flow `off` (K, 9, 2).
-
-    Returns:
-        the residual (K, 9, 2), and the inverse depth (K,), which is not negative; NaN if P = 3.
-    """
+    """Fit the P free parameters; return the residual (K, 9, 2) and inverse depth (K,), at least 0, NaN if P = 3."""
     if arms.shape[-1] == 1:
         a = arms[..., 0]
         depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)

@@ -62,11 +62,7 @@ class Check:
     separator: str = "; "
 
     def judge(self, *rows: tuple[bool, str] | tuple[bool, str, str]) -> None:
-        """Add the remedy of each row whose condition is true, and the row's optional text to the measurements.
-
-        Args:
-            rows: (whether the measurement is beyond its limit, remedy), with an optional text as third item.
-        """
+        """Judge rows (is a fault, remedy, optional text): of each fault, record the remedy and the text."""
         for is_fault, remedy, *words in rows:
             if is_fault:
                 self.remedies.append(remedy)

@@ -131,12 +131,7 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
 
 
 def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
-    """Return the result for mostly negative depths: the cameras are exchanged, or the baseline has the wrong sign.
-
-    Args:
-        own: RMS epipolar residual as calibrated, px.
-        swapped: RMS epipolar residual with the cameras exchanged, px.
-    """
+    """Return the result for mostly negative depths: exchanged cameras, or a baseline of the wrong sign."""
     sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
     if swapped < 0.7 * own and own > 0.25:
         return bad(name, f"{evidence}: the cameras are exchanged", EXCHANGE)
@@ -160,11 +155,7 @@ def _quarter_turn(case: StereoCase) -> str:
 
 
 def turn_words(camera: str, turn: F64) -> str:
-    """Describe the turn of a camera against its calibration.
-
-    Args:
-        turn: `calibrated_from_true`, a quarter or half turn.
-    """
+    """Describe the turn `calibrated_from_true` of a camera, a quarter or half turn, as text."""
     vector = Rotation.from_matrix(turn).as_rotvec()
     angle = float(np.degrees(np.linalg.norm(vector)))
     axis = vector / max(float(np.linalg.norm(vector)), 1e-9)
@@ -248,6 +239,5 @@ def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
 
 
 def _smooth(values: F64) -> F64:
-    """Return the running median of five values."""
     padded = np.pad(values, 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))

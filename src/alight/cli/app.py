@@ -58,11 +58,7 @@ def _top(
 
 
 def _smaller(words: Sequence[str]) -> str:
-    """Return advice for less memory, which names the settings given on the command line first.
-
-    Args:
-        words: arguments of the command line.
-    """
+    """Return advice for less memory by the command's arguments; settings that they assign are named first."""
     command = next((w for w in words if not w.startswith("-")), "")
     usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]

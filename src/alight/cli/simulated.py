@@ -250,7 +250,6 @@ def _rehearsed(o: RehearseOptions) -> Touchdown | None:
 
 
 def _followed(o: RehearseOptions, link: str) -> Touchdown | None:
-    """Draw the pictures for another autopilot; return the verdict on its touchdown, None without one."""
     from alight.records import InputError
     from alight.trials.rehearse import follow_vehicle
     from alight_sim.followed import FollowedCameras

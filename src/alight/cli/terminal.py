@@ -72,10 +72,7 @@ def progress_bar() -> AbstractContextManager[Callable[[str, float], None]]:
 
 
 def live_table() -> AbstractContextManager[Callable[[Iterable[tuple[str, str]], Iterable[str]], None]]:
-    """Return a context manager for a live table on stderr; without a terminal it shows nothing.
-
-    It yields a function that shows names with values, and lines below them.
-    """
+    """Yield a function that shows a table of (name, value) and lines below it; without a terminal it does nothing."""
     if not is_terminal():
         return nullcontext(lambda rows, lines: None)
     from alight.cli import display

@@ -102,11 +102,7 @@ def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 
 def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
-    """Return the content of run.json: version, input, answer, all settings, counts, times, warnings, and missing files.
-
-    Args:
-        missing: reason for each file that was not written.
-    """
+    """Return the content of run.json; `missing` gives the reason for each file that was not written."""
     local = result.local
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     height = result.height_above_ground
@@ -240,9 +236,8 @@ def write_folder(
     """Write a folder, each file atomically and run.json last; return the paths of the files written.
 
     The run.json of an earlier run is removed first, then its other files. So all files beside a run.json are of one
-    run,
-    and no old file stays beside a new answer. If a file cannot be written or removed, the others are still written,
-    run.json lists the missing files, and then the error is raised.
+    run, and no old file stays beside a new answer. If a file cannot be written or removed, the others are still
+    written, run.json lists the missing files, and then the error is raised.
 
     Args:
         files: every file but run.json, in the order of writing, or the reason why it is not written.

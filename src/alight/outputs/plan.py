@@ -69,11 +69,7 @@ def _degrees(heading: float) -> float:
 
 
 def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[str, Any]:
-    """Return one item as QGroundControl's JSON; a parameter that is NaN becomes null.
-
-    Args:
-        zero: height above the ellipsoid to which the altitude is relative, metres.
-    """
+    """Return one item as QGroundControl's JSON, at altitudes above `zero` (ellipsoid height, m); NaN becomes null."""
     frame = 2 if item.position_world is None else 3  # MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT
     simple = {"type": "SimpleItem", "command": item.command, "frame": frame, "doJumpId": jump_id, "autoContinue": True}
     parameters = [number(p, 4) for p in item.parameters]
@@ -94,8 +90,7 @@ def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home |
     """Return the route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
 
     Altitudes are relative to the vehicle's home. Without a home they are relative to the ground of the landing site.
-    The
-    site is then the planned home (with its altitude above the ellipsoid), and the plan's name states this.
+    The site is then the planned home (with its altitude above the ellipsoid), and the plan's name states this.
     """
     longitude, latitude, zero = lon_lat_height(local, *route.waypoints[-1].position_world)
     planned, name = [latitude, longitude, zero], "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"

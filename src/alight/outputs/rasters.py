@@ -87,7 +87,6 @@ def common_tags(datum: Datum | None) -> dict[str, str]:
 
 
 def _bits(reasons: Mapping[Flag, Reason] | Mapping[Hazard, Reason]) -> dict[str, str]:
-    """Return tags that name the bits of a raster."""
     return {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why.text}" for f, why in reasons.items()}
 
 

@@ -42,11 +42,7 @@ def lon_lat_height(local: LocalFrame, east: float, north: float, up: float) -> l
 
 
 def site_properties(site: Site, look: Sequence[float | None] | None = None) -> dict[str, Any]:
-    """Return the properties of a site or candidate, named as in docs/formats/outputs.md.
-
-    Args:
-        look: position of a candidate's next view, in any frame; None: it has none.
-    """
+    """Return properties of a site or candidate, as in docs/formats/outputs.md; `look`: position of its next view."""
     look_from = None if site.look is None else number(site.look.height, 2)
     of_candidates = {"doubt": site.doubt, "look": look, "look_from_m": look_from}
     return {

@@ -24,7 +24,6 @@ TEMPLATES = jinja2.Environment(
 
 
 def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
-    """Return the overview, the pictures beside it, and the pictures below it."""
     elevation = result.elevation
     places = [(s.east, s.north) for s in result.sites.listed]
     window = canvas.whole(elevation, places) if elevation is not None else None

@@ -58,11 +58,7 @@ class Canvas:
 
 
 def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -> Canvas | None:
-    """Return the canvas that shows all seen cells without thin fringes, and all places; None if no cell was seen.
-
-    Args:
-        places: world positions (east, north), metres.
-    """
+    """Return the canvas of all seen cells without thin fringes, and of the places; None: no cell was seen."""
     seen = elevation.views > 0
     if not seen.any():
         return None

@@ -55,7 +55,6 @@ def answer(result: RunResult) -> Answer:
 
 
 def _reason(result: RunResult) -> str:
-    """Return the reason why there is no site, as a sentence."""
     reason = result.sites.reason.removeprefix("no safe site: ") or "no reason was given"
     return reason[:1].upper() + reason[1:].rstrip(".") + "."
 
@@ -95,7 +94,6 @@ NO_CLEARANCE = (
 
 
 def _place_sigma(result: RunResult) -> PlaceSigma | None:
-    """Return the 1-sigma of the whole map's position on Earth; None: unknown."""
     if not result.georeferenced or result.elevation is None or result.elevation.position_covariance is None:
         return None
     return PlaceSigma.of(result.elevation.position_covariance)

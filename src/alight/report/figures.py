@@ -126,7 +126,6 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
 
 
 def _explain(result: RunResult) -> list[str]:
-    """Return the sentences for the marks that are drawn on the overview."""
     lines = []
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")

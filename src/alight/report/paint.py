@@ -91,11 +91,7 @@ def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
 
 
 def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
-    """Return the range of a colour scale as percentiles, so that an outlier does not flatten the picture.
-
-    Args:
-        low, high: percentiles, in percent.
-    """
+    """Return the range of a colour scale: percentiles `low` and `high`, so that outliers do not flatten the picture."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
@@ -128,11 +124,7 @@ def paint_ortho(elevation: ElevationMap) -> U8:
 def over_ground(
     colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
 ) -> U8:
-    """Return colours blended over the grey ground where the mask `painted` (R, C) is true; None: everywhere.
-
-    Args:
-        strength: share of the colour in the blend.
-    """
+    """Return colours blended by `strength` over the grey ground where `painted` (R, C) is true (None: everywhere)."""
     grey = grey_levels(elevation.rgb).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
     ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)

@@ -68,7 +68,6 @@ def _effect(found: dict[str, Any]) -> str:
 
 
 def _about(group: str) -> str:
-    """Return the first line of the docstring of a group's model."""
     model: Any = Settings
     for name in group.split("."):
         model = model.model_fields[name].annotation
@@ -76,7 +75,6 @@ def _about(group: str) -> str:
 
 
 def _shown(value: object) -> str:
-    """Return a default as in YAML, with six digits."""
     if value is None:
         return "null"
     if isinstance(value, bool):

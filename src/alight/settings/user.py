@@ -94,11 +94,7 @@ class MotionKeys(FrozenModel):
     bundle: BundleKeys = BundleKeys()
 
     def bundles(self, kind: str) -> bool:
-        """Whether all poses of a recording are adjusted together, at its end.
-
-        Args:
-            kind: kind of the recording, `flight` or `photos`.
-        """
+        """Whether all poses of a recording (`kind`: flight or photos) are adjusted together, at its end."""
         return self.method == "bundle" or (self.method == "auto" and kind == "photos")
 
 

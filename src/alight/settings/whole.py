@@ -123,10 +123,7 @@ class Settings(FrozenModel):
 
     @property
     def too_low(self) -> str:
-        """Reason why no landing may be flown with these settings; empty: it may.
-
-        A recording of such a flight is read all the same.
-        """
+        """Reason why no landing may be flown with these settings; empty: it may. Recordings can be read in any case."""
         given, k = self.executive.commit_height, self.tuning.executive
         least = k.abort_height + k.unchecked
         if given >= least:
