@@ -59,7 +59,7 @@ def fading(x: np.float32) -> np.float32:
 def noise_lattice(
     base: F64, wavelength: float, c: float, s: float, dx: float, dy: float
 ) -> tuple[float, float, int, int]:
-    """Return a block's base on a rotated lattice, after a shift (dx, dy) in metres: fractions, then whole steps."""
+    """Return lattice coordinates of a block's base point, shifted by (dx, dy) m: fractions, then integer parts."""
     x, y = base[0] + dx, base[1] + dy
     u, v = (c * x - s * y) / wavelength, (s * x + c * y) / wavelength
     i, j = math.floor(u), math.floor(v)
@@ -112,7 +112,7 @@ def _values(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
 def noise_at(
     buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
 ) -> None:
-    """Fill N, DU, DV with noise of a wavelength at the block's texture positions, on a lattice rotated by (c, s)."""
+    """Fill slots N, DU, DV with noise and its slopes at the texture positions, on a lattice turned by (c, s)."""
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _noise(buf, i32(i), i32(j), seed32(seed))
@@ -122,7 +122,7 @@ def noise_at(
 def values_at(
     buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
 ) -> None:
-    """Fill N like `noise_at`, without the slopes."""
+    """Fill the slot N with noise like `noise_at`, without the slopes."""
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _values(buf, i32(i), i32(j), seed32(seed))

@@ -48,7 +48,7 @@ def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
 
 @kernel
 def _spheres(boxes: F64, origin: Three, out: F64) -> None:
-    """Fill `out` (M, 4): centres of the boxes' spheres from the origin, least squared projection on a unit ray."""
+    """Fill `out` (M, 4): centres of the boxes' spheres from the origin, least squared projection of a hitting ray."""
     for m in range(boxes.shape[0]):
         box = boxes[m]
         half = 0.5 * box[7]
@@ -59,7 +59,7 @@ def _spheres(boxes: F64, origin: Three, out: F64) -> None:
 
 @parallel_kernel
 def cast_boxes(boxes: F64, origins: F64, directions: F32 | F64, turns: F64, depth: F64, faces: I16) -> None:
-    """Replace `depth` (H, W) where a box is nearer, and fill `faces` (H, W): 8 times the box plus its face, 0: ground.
+    """Replace `depth` (H, W) where a box is nearer; fill `faces` (H, W): 8 times the box plus its face, 0: ground.
 
     `boxes` (N, M, 12), `origins` (N, 3), `turns` (N, 3, 3): world, N = 1 for all rows or one per row; `directions`
     (H, W, 3) with z = 1.

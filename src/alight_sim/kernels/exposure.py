@@ -27,7 +27,7 @@ BYTES, SUM = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 def dice(key: np.uint64, number: np.uint64) -> float:
     """Return noise of mean 0 and deviation 1: the sum of the eight bytes of SplitMix64 (Steele et al. 2014).
 
-    Within 0.003 of the normal distribution; never beyond 4.9.
+    Its distribution is within 0.003 of the normal distribution, and it never exceeds 4.9.
     """
     z = key + (number + np.uint64(1)) * STEP
     z = (z ^ (z >> S30)) * MIX_A

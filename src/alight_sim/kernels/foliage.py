@@ -68,7 +68,7 @@ def _sift(buf: F32, wavelength: np.float32, coarse: np.float32) -> None:
 
 @kernel
 def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) -> None:
-    """Fix the pixels whose layer is opaque: ALONG, depth below the surface over VZ, and SHADE, the light there."""
+    """Set the slots ALONG (depth below the surface over VZ) and SHADE (light) of pixels whose layer is opaque."""
     for i in range(B):
         deep = part * buf[PARAM + P_DEEP * B + i]
         free = F1 if buf[SHADE + i] < F0 else F0
@@ -81,7 +81,7 @@ def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) ->
 
 @kernel
 def foliage(buf: F32, base: F64, seed: int) -> None:
-    """Draw crowns and grass as three layers of leaves; the first opaque layer is seen, and its light fills LEAF.
+    """Draw crowns and grass as three layers of leaves; fill the slot LEAF with the light of the first opaque layer.
 
     Leaves are at several depths below the surface, so views from two positions disagree, as with real plants. The true
     height is the height of the topmost layer.

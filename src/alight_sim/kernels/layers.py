@@ -46,7 +46,7 @@ def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, s
 
 @kernel
 def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Do the work of `add_fractal` on the calling thread alone, which is faster for a few positions."""
+    """Add noise octaves like `add_fractal`, but on the calling thread alone, which is faster for a few positions."""
     for r in range(out.shape[0]):
         _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
 
@@ -64,7 +64,7 @@ def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, se
 
 @parallel_kernel
 def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
-    """Fill `out` (R, C, 3) for positions near a line: distance aside (left is negative), distance along, height there.
+    """Fill `out` (R, C, 3) for positions near a line: distance aside (left is negative), distance along, line's height.
 
     `line` (N, 4): east, north, metres along, height of each vertex. Beyond `reach`, the distance aside is `reach`.
     """
@@ -151,7 +151,7 @@ def tile_block_tops(height: F32, out: F32) -> None:
 
 @kernel
 def _to_leave(x: float, step: float) -> int:
-    """Return the number of steps that stay inside the block."""
+    """Return the number of steps along one axis that stay inside the block."""
     inside = x - BLOCK * math.floor(x / BLOCK)
     if step > 0.0:
         return int((BLOCK - inside) / step)

@@ -79,7 +79,7 @@ def _scatter(
 
 @kernel
 def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
-    """Scatter stones, leaves, tufts smaller than a cell: WEIGHT = gain of colour, bumps of their domes, SHADE = shadow.
+    """Scatter stones, leaves and tufts: fill the slots WEIGHT (gain of colour) and SHADE (shadow), and add their bumps.
 
     Some cells of a lattice contain one, in four sizes. The shadow falls away from the sun, in proportion to the height.
     """

@@ -91,7 +91,7 @@ def floor32(x: np.float32) -> np.int32:
 
 @pixelwise
 def column32(i: np.int32, seed: np.uint32) -> np.uint32:
-    """Return the first half of the hash, common to a lattice column; `seed` is already multiplied (`seed32`)."""
+    """Return the first half of the hash, common to a lattice column; `seed` comes from `seed32`."""
     h = u32(u32(i) * _I + seed)
     h = u32(h ^ u32(h >> _16))
     h = u32(h * _FIRST)
@@ -111,7 +111,7 @@ def point32(column: np.uint32, j: np.int32) -> np.uint32:
 
 @pixelwise
 def seed32(seed: int) -> np.uint32:
-    """Return the seed, multiplied for the 32-bit hash."""
+    """Return a seed multiplied for the 32-bit hash."""
     return u32(((seed & MASK) * 0x4B1AB31F) & MASK)
 
 

@@ -194,7 +194,7 @@ def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64,
 def _fall(
     about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64, level: int
 ) -> bool:
-    """Lower `starts` (STRIP,) to the highest ground within 2^level cells; return whether one left its node first.
+    """Advance `starts` (STRIP,) to the highest ground within 2^level cells; return whether a ray left its node first.
 
     No ray meets the surface before: it stays over the 3 x 3 nodes around its position.
     """
@@ -214,7 +214,7 @@ def _fall(
 def _fall_freely(
     about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64
 ) -> None:
-    """Lower the starts of a strip's rays as far as the pyramid of maxima around each node allows."""
+    """Advance the starts of a strip's rays as far as the pyramid of maxima around each node allows."""
     for k in range(min(NEAR, offsets.size - 1) + 1):
         level = min(NEAR, offsets.size - 1) - k
         for _ in range(FALLS):

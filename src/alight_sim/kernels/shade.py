@@ -66,7 +66,7 @@ PAINT, GLASS = 30, 34  # codes of alight_sim.looks.Look
 
 @kernel
 def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) -> None:
-    """Fill four slots of `buf` with the rays of a block in the world, and the rays' parameters at the ground."""
+    """Fill four slots of `buf` with a block's rays in the world (x, y, z) and their parameters at the ground."""
     count = min(B, depth.shape[1] - first)
     for i in range(count):
         d0, d1, d2 = directions[r, first + i, 0], directions[r, first + i, 1], directions[r, first + i, 2]
@@ -95,7 +95,7 @@ def _aim(
     buf: F32, ways: F64, directions: F32, depth: F64, r: int, first: int, centre: F64, turn: F64, pixel: float,
     level: float, base: F64,
 ) -> bool:  # fmt: skip
-    """Fill positions, directions to the camera, distance (-1: sky) and footprint; return whether any pixel sees ground.
+    """Fill positions, directions to the camera, distances (-1: sky) and footprints; return whether ground is seen.
 
     `ways` (4 B,) is scratch.
     """
@@ -119,7 +119,7 @@ def _aim(
 
 @kernel
 def _unfold(buf: F32, base: F64) -> None:
-    """Fill TX, TY: from above on ground and roofs, from the side on walls, where a pixel's footprint is larger."""
+    """Fill the texture coordinates TX, TY: from above on ground and roofs, from the side on walls."""
     x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
     z0 = f32(base[2])
     for i in range(B):
@@ -138,7 +138,7 @@ def _unfold(buf: F32, base: F64) -> None:
 
 @kernel
 def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look: I32) -> bool:
-    """Give pixels on a car its look; return whether there are any. See `alight_sim.kernels.boxes`."""
+    """Give the pixels on cars their look; return whether there are any. See `alight_sim.kernels.boxes`."""
     any_car, last = False, faces.shape[1] - 1
     for i in range(B):
         code = int(faces[r, min(first + i, last)])

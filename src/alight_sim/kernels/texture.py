@@ -64,7 +64,7 @@ TILES, SLABS, SEAMS, JOINTS = 1, 2, 3, 4
 
 @kernel
 def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> int:
-    """Fill the parameter slots with columns below `last`; return the look of the block, -1 if it has several.
+    """Fill the slots of the looks' parameters below index `last`; return the block's look, -1 if it has several.
 
     `before`: the look that the slots already hold, -1: none; most blocks have the look of the previous block.
     """
@@ -85,7 +85,7 @@ def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> 
 
 @kernel
 def _spread_patches(buf: F32, w: float, slot: int) -> None:
-    """Add the noise to LARGE or MIDDLE, and its slope (as good as another noise) to ASIDE."""
+    """Add the noise in N to the slot LARGE or MIDDLE, and its slope (as good as another noise) to ASIDE."""
     g = f32(0.45 * w)
     if slot == LARGE:
         for i in range(B):
@@ -99,7 +99,7 @@ def _spread_patches(buf: F32, w: float, slot: int) -> None:
 
 @kernel
 def patches(buf: F32, base: F64, seed: int) -> None:
-    """Fill LARGE, MIDDLE, ASIDE with the variation within a class from area to area, 130 m down to 6 m."""
+    """Fill the slots LARGE, MIDDLE, ASIDE with the variation within a class from area to area, 130 m down to 6 m."""
     for slot in (LARGE, MIDDLE, ASIDE):
         fill(buf, slot, 0.0)
     for k, (wavelength, w) in enumerate(((131.0, 0.6), (53.0, 0.6), (23.0, 0.55), (11.0, 0.7), (5.5, 0.7))):
@@ -109,7 +109,7 @@ def patches(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
-    """Add the octave in N, DU, DV; a share P_RIDGE of it becomes ridges, which real ground has and noise has not."""
+    """Add the octave in N, DU, DV to the detail; a share P_RIDGE of it becomes ridges, as on real ground."""
     relief = min(F1, f32(0.4) / wavelength)  # long waves of relief belong to the height layer
     for i in range(B):
         w = buf[WEIGHT + i] * smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
@@ -125,7 +125,7 @@ def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) 
 
 @kernel
 def texture_detail(buf: F32, base: F64, seed: int) -> None:
-    """Fill VALUE (about unit deviation) and BUMP_E, BUMP_N: the octaves that a pixel resolves, 3 m to 1.2 cm."""
+    """Fill the slots VALUE (about unit deviation), BUMP_E, BUMP_N: the octaves that a pixel resolves, 3 m to 1.2 cm."""
     for slot in (VALUE, BUMP_E, BUMP_N):
         fill(buf, slot, 0.0)
     for i in range(B):  # octaves of unit sum of squares
@@ -149,7 +149,7 @@ def texture_detail(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _stain(buf: F32) -> None:
-    """Fill RED, GREEN, BLUE without detail: the three colours of a look, mixed by position."""
+    """Fill the colours RED, GREEN, BLUE without detail: the three colours of a look, mixed by position."""
     p = PARAM
     for i in range(B):
         value, large, middle = buf[VALUE + i], buf[LARGE + i], buf[MIDDLE + i]
@@ -204,7 +204,7 @@ def _cracks(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def colours(buf: F32, base: F64, seed: int) -> None:
-    """Fill RED, GREEN, BLUE with the reflectance: three colours mixed by position, times detail and small things."""
+    """Fill the colours RED, GREEN, BLUE: the three of a look mixed by position, times detail and small things."""
     _cracks(buf, base, seed)
     _stain(buf)
     _grain(buf)

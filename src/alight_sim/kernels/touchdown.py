@@ -36,7 +36,7 @@ def running_sums(height: F32, barred: B, base: float, sums: F64, count: I64) -> 
 
 @kernel
 def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[float, float, float], limit: float) -> bool:
-    """Return whether all cells of the disc lie within `limit` of a plane: mean, rise per column, rise per row."""
+    """Return whether the disc's cells lie within `limit` of a plane, given by mean, rise per column, rise per row."""
     mean, rise_x, rise_y = plane
     k = half.size // 2
     for i in range(-k, k + 1):
@@ -56,8 +56,8 @@ def touchdown(
     """Fill `out` (R, C), true if the disc has no barred cell, a slope of at most `steep` and deviations within `limit`.
 
     `steep`: rise per cell. `half` (2 k + 1,): half widths of the disc's rows in cells. On a full disc the normal
-    equations
-    are diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is not safe.
+    equations are diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is
+    not safe.
     """
     rows, cols = height.shape
     k = half.size // 2

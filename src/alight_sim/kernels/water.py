@@ -65,7 +65,7 @@ TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045
 
 @kernel
 def dive(buf: F32, looks: F32, look: I32) -> bool:
-    """Keep the water's own parameters and give its pixels the look of the bed; return whether the block has water."""
+    """Store the water's parameters and give its pixels the look of the bed; return whether the block has water."""
     wet = False
     for i in range(B):
         wet |= buf[WATER + i] > 0.0
@@ -93,7 +93,7 @@ def _add_train(buf: F32, w: np.float32, wavelength: np.float32, c: np.float32, s
 
 @kernel
 def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Fill the slopes of the waves: five lengths, each running both down the wind and across it at sqrt(g L / 2 pi)."""
+    """Fill the slopes of the waves: five wavelengths, each running down the wind and across it at sqrt(g L / 2 pi)."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     fill(buf, WAVE_E, 0.0)
@@ -125,7 +125,7 @@ def refract(buf: F32) -> None:
 
 @kernel
 def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
-    """Render one channel, N: the bed through water of colour V and attenuation U, and the mirrored sky."""
+    """Render one channel in the slot N: the bed through water of colour V and attenuation U, and the mirrored sky."""
     sx, sy, flat = towards[0], towards[1], towards[2]
     for i in range(B):
         v = buf[VX + i] * buf[WAVE_E + i] + buf[VY + i] * buf[WAVE_N + i]
