@@ -45,7 +45,7 @@ class Shutter:
         return cls(imaging.exposure_time, imaging.line_time, imaging.moments)
 
     def opened(self, rows: int, moment: int) -> F64:
-        """Return the time of one moment in each row, (rows,) s from the picture's time; (1,) for a global shutter."""
+        """Return when each row takes a moment of its exposure, (rows,) s from the picture's time; (1,): all at once."""
         part = (moment + 0.5) / self.moments - 0.5
         lines = np.arange(rows) - 0.5 * (rows - 1) if self.line_time else np.zeros(1)
         return np.asarray(part * self.exposure + self.line_time * lines)
@@ -53,7 +53,7 @@ class Shutter:
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """A camera with the rays of all its pixels, undistorted once."""
+    """A camera with the rays of all its pixels, computed once without distortion."""
 
     camera: Camera
     samples: int = 1  # rays per pixel
@@ -67,7 +67,7 @@ class Eye:
         object.__setattr__(self, "rays", tuple(rays))
 
     def depth(self, world: SceneWorld, world_from_cam: Pose, sample: int = 0) -> F64:
-        """Return the (H, W) depth of the ground at each pixel, metres along the optical axis; -1 without ground.
+        """Return the (H, W) depth of the ground at each pixel, metres along the optical axis; -1 if no ground is hit.
 
         Raises:
             InputError: the camera is below the ground.
@@ -107,7 +107,7 @@ class Eye:
         return out
 
     def footprint(self, world: SceneWorld, turns: F64, places: F64) -> tuple[float, float, float, float]:
-        """Return west, south, east, north (m) of the ground that the picture can show at poses (N, 3, 3) and (N, 3)."""
+        """Return west, south, east, north (m) of the ground that a picture shows, at turns (N, 3, 3), places (N, 3)."""
         edge = _border(self.rays[0])
         ends = [_reach(world, turns[k] @ edge.T, places[k]) for k in {0, len(turns) - 1}]
         spots = np.concatenate([*ends, places[:, :2]])
@@ -150,7 +150,7 @@ class Eye:
 
 
 def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:
-    """Return how often the cells of looks and light are halved: to no finer than a pixel on the ground below."""
+    """Return how often cells of looks and light are halved in resolution, so that none is finer than a pixel."""
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
@@ -174,7 +174,7 @@ def _border(rays: F32) -> F64:
 
 
 def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
-    """Return the (N, 2) east and north at which rays (3, N) reach the lowest ground, at most REACH heights away."""
+    """Return the (N, 2) east and north at which rays (3, N) reach the lowest ground, or REACH heights away."""
     height = max(float(place[2]) - world.low, 1.0)
     flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
     away = np.minimum(np.where(rays[2] < 0, height * flat / np.maximum(-rays[2], 1e-9), np.inf), REACH * height)

@@ -24,7 +24,7 @@ def mean_of(layer: F32, level: int) -> F32:
 
 
 def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
-    """Return the (R >> level, C >> level) most frequent code of each block, found in steps of two by two cells."""
+    """Return the (R >> level, C >> level) most frequent code of each block, reduced by two cells per step."""
     for _ in range(level):
         a, b, c, d = _quarters(codes)
         codes = np.where((a == b) | (a == c) | (a == d), a, np.where((b == c) | (b == d), b, d))
@@ -32,7 +32,7 @@ def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
 
 
 def mean_shadow(margin: F32, level: int) -> F32:
-    """Return the (R >> level, C >> level) shadow margins of blocks: the sun's share is averaged, not the margin."""
+    """Return the (R >> level, C >> level) shadow margins of blocks, which give the mean share of sun in each block."""
     if level == 0:
         return margin
     t = np.clip((margin - SHADED) / (LIT - SHADED), 0.0, 1.0)

@@ -76,7 +76,7 @@ class Sensor:
         return cls(imaging, _falloff(camera, imaging, dust), hot.integers(0, size, (count, 3)).astype(np.float32), tone)
 
     def expose(self, radiance: F32, gain: F64, key: int, covered: float = 0.0) -> U8:
-        """Return the picture (H, W, 3), RGB, of linear light (H, W, 3), by gains (3,) and noise of the seed `key`."""
+        """Return the picture (H, W, 3), RGB, from linear light (H, W, 3), with gains (3,) and noise of seed `key`."""
         s, light = self.imaging, radiance
         if s.blur_px > 0:
             light = cv2.GaussianBlur(radiance, (0, 0), s.blur_px)

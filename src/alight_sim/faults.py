@@ -48,7 +48,7 @@ class Calibration(Section):
     baseline: float = Field(0.0, gt=-0.9, lt=0.9, description="share by which the cameras are claimed too far apart")
 
     def claim(self, cam: RigCamera, first: RigCamera) -> RigCamera:
-        """Return a camera of the rig with the errors of the calibration; `first` is the rig's first camera."""
+        """Return a camera with the errors of the calibration; the errors of position are relative to camera `first`."""
         lens = cam.camera
         claimed = replace(
             lens,
@@ -116,7 +116,7 @@ class Exposures:
 
 
 def exposures(faults: Faults, beat_ns: I64, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
-    """Apply faults of timing and loss to even exposure times (N,) ns; each fault has its own random stream."""
+    """Return the exposures at even times (N,) ns after faults of timing and loss, each from its own random stream."""
     rngs = [np.random.default_rng(s) for s in seeds.spawn(6)]
     n, start = len(beat_ns), int(beat_ns[0])
     period = float(np.diff(beat_ns).min(initial=10**12))

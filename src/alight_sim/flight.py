@@ -211,7 +211,7 @@ class SimulatedFlight:
 
     @cached_property
     def biases(self) -> tuple[F64, F64]:
-        """True (N, 3) gyroscope and accelerometer biases at `imu_times`, rad/s and m/s^2."""
+        """True gyroscope biases, rad/s, and accelerometer biases, m/s^2, at `imu_times`, both (N, 3)."""
         return imu_biases(len(self.imu_times), self.imu, self.seeds(IMU_BIAS))
 
     # -- events
@@ -269,7 +269,7 @@ class SimulatedFlight:
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
-        """Return the seeds of one source of randomness."""
+        """Return the seeds of the source of randomness with the given key."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
 
@@ -289,7 +289,7 @@ def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
 
 
 def seen_box(flight: SimulatedFlight) -> Extent:
-    """Return west, south, east, north (m) of the box of the lowest ground within the pictures' borders."""
+    """Return west, south, east, north (m) of the box in the world that contains the ground seen by the cameras."""
     world = flight.world
     west, south, east, north = world.extent
     low, s = world.low, flight.since(flight.frame_times)

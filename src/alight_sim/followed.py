@@ -47,13 +47,13 @@ class ReportedTrack:
         self.places = deque[ReportedPlace]()
 
     def add_attitude(self, t_ns: int, world_from_body: F64) -> None:
-        """Append an attitude (3, 3), unless it is not later than the last one."""
+        """Append an attitude (3, 3) if it is later than the last one."""
         if not self._turns or t_ns > self._turns[-1][0]:
             self._turns.append((t_ns, world_from_body))
             _drop(self._turns, t_ns - KEPT_NS, lambda turn: turn[0])
 
     def add_place(self, place: ReportedPlace) -> None:
-        """Append a position, unless it is not later than the last one."""
+        """Append a position if it is later than the last one."""
         if not self.places or place.t_ns > self.places[-1].t_ns:
             self.places.append(place)
             _drop(self.places, place.t_ns - KEPT_NS, lambda p: p.t_ns)
@@ -89,7 +89,7 @@ class FollowedCameras:
         standing: height of the body's origin above the plane of the feet, metres.
 
     Raises:
-        InputError: the scene does not exist, or `size` has not the shape of the rig's pictures.
+        InputError: the scene does not exist, or `size` has another aspect ratio than the rig's pictures.
     """
 
     def __init__(
@@ -116,12 +116,12 @@ class FollowedCameras:
         self.track, self._offset, self._shift_ns, self._cameras.next = ReportedTrack(), None, None, 0
 
     def place(self, position: F64, above_home: float) -> None:
-        """Tie the reported frame to the scene, once, by a position (3,) and its height above the home, metres."""
+        """Set the offset from the reported frame to the scene, once, by a position and its height, metres."""
         if self._offset is None:
             self._offset = self._home + np.array([0.0, 0.0, above_home]) - position
 
     def take(self) -> list[tuple[int, Frame]]:
-        """Draw the exposures whose motion is known by now; return stamps on the reported clock, ns, and frames."""
+        """Draw the exposures whose motion is known by now; return their stamps (ns, reported clock) and frames."""
         span = self.track.span_ns
         if self._offset is None or span is None:
             return []

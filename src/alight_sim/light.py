@@ -84,7 +84,7 @@ class Light(Section):
         return Sun(azimuth, elevation, (direct[0], direct[1], direct[2]), (blue[0], blue[1], blue[2]))
 
     def numbers(self, time: float) -> F64:
-        """Return the (20,) light inputs of `kernels.shade`: sun (9), extinction, air light, clouds, wind and drift."""
+        """Return the (20,) light inputs of `kernels.shade`: sun (9), extinction, air, clouds, wind and drift."""
         sun, (e, n) = self.sun_at(time), self.wind.towards
         # the haze is a little darker than a white card that faces the sky: the brightness of the horizon
         air = [0.35 * a * math.sin(sun.elevation) + 1.6 * b for a, b in zip(sun.colour, sun.sky, strict=True)]

@@ -58,7 +58,7 @@ class Material:
     scum: float = 0.0  # share of water that algae or foam cover
 
     def row(self) -> list[float]:
-        """Return the parameters in the order of kernels.texture."""
+        """Return the parameters as numbers, in the order of kernels.texture."""
         return [
             *self.first, *self.second, *self.third, self.mix, self.patch, self.edge, self.contrast, self.uneven,
             self.vary, self.hue, 0.5**self.roughening, self.ridge, self.bump, self.crack, *self.things, self.tone,

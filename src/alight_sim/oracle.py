@@ -277,7 +277,7 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
 def _cells(
     surface: TrueSurface, centres: F64, radius: float, beside: tuple[int, int] = (0, 0)
 ) -> tuple[F64, F64, F64, U8, Mask]:
-    """Return the cells about centres (N, 2), each (N, M): east, north of the centre, height, class, within the radius.
+    """Return the cells around centres (N, 2), each (N, M): east, north of the centre, height, class, within the radius.
 
     Args:
         beside: rows and columns by which all cells are shifted, to compare them with their neighbours.

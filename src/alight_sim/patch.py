@@ -93,6 +93,6 @@ def _is_step(height: F32) -> Mask:
 
 
 def _max_about(pyramid: F32, offsets: NDArray[np.int64], widths: NDArray[np.int64]) -> F32:
-    """Return the pyramid after a maximum over the 3 x 3 nodes around each node."""
+    """Return the pyramid with each node replaced by the maximum over the 3 x 3 nodes around it."""
     levels = (p.reshape(-1, w) for p, w in zip(np.split(pyramid, offsets[1:]), widths, strict=True))
     return np.concatenate([cv2.dilate(p, np.ones((3, 3), np.uint8)).ravel() for p in levels])

@@ -90,7 +90,7 @@ class FlightPlan(Section):
 
 
 def line(plan: FlightPlan) -> F64:
-    """Return the (N, 3) way-points: east, north, height as the plan defines it, metres; one way-point is a hover."""
+    """Return the (N, 3) way-points: east, north, and height above the plan's zero, metres; one way-point is a hover."""
     if plan.waypoints:
         return np.array(plan.waypoints, dtype=np.float64)
     flat = {

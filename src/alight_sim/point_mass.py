@@ -94,7 +94,7 @@ class PointMass:
 
     @property
     def angular_velocity_body(self) -> F64:
-        """(3,) rad/s, of the last step."""
+        """Angular velocity in the body during the last step, (3,) rad/s."""
         return self._rates.copy()
 
     @property

@@ -82,7 +82,7 @@ class CameraModel(Section):
 
     @property
     def body_from_cam(self) -> Pose:
-        """Pose of the camera in the body; the top of the image points forward or up."""
+        """Pose of the camera in the body; the top of its picture points forward or up."""
         return self.T_BS.pose if self.T_BS else Pose(looking(math.radians(self.tilt_deg)), np.array(self.place))
 
 

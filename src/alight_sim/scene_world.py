@@ -215,7 +215,7 @@ class SceneWorld:
         return Grid(e0 + (i + 0.5) * self.cell, n0 + (j + 0.5) * self.cell, self.cell, rows, cols)
 
     def _window(self, i0: int, j0: int, i1: int, j1: int, names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the layers of the cells i0..i1 to the east and j0..j1 to the north, north up, by name."""
+        """Return the named layers of the cells i0..i1 to the east and j0..j1 to the north, with north up."""
         rows, cols = j1 - j0 + 1, i1 - i0 + 1
         out: dict[str, Any] = {}
         for tj in range(j0 // SIDE, j1 // SIDE + 1):
@@ -307,7 +307,7 @@ def _copy(out: dict[str, Any], name: str, layer: Any, to: Any, of: Any, shape: t
 
 
 def build(scene: str | Path | Scene, seed: int = 0) -> SceneWorld:
-    """Build the world of a built-in scene's name, a scene file or a scene; the same seed makes the same ground.
+    """Build the world of a scene, given by a built-in name, a file or a model; equal seeds give equal ground.
 
     Raises:
         InputError: the scene does not exist or has an error.

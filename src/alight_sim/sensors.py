@@ -86,7 +86,7 @@ class Sensors(Section):
 
 
 class MarkovNoise:
-    """Stationary first-order Gauss-Markov noise of deviations `sigma` (N,) and correlation time `tau` (s), in steps."""
+    """Stationary first-order Gauss-Markov noise with deviations `sigma` (N,) and correlation time `tau` (s)."""
 
     def __init__(self, rng: np.random.Generator, sigma: F64, tau: float) -> None:
         self._rng, self._sigma, self._tau = rng, sigma, tau
@@ -169,7 +169,7 @@ class NavStream:
         return out
 
     def heading_error(self, seconds: float) -> F64:
-        """Return the (3, 3) rotation in the world by the error of the heading."""
+        """Return the heading error as a rotation (3, 3) in the world."""
         tau = self.errors.yaw_tau
         fade = 1.0 if tau is None else math.exp(-max(seconds, 0.0) / tau)
         return so3_exp([0.0, 0.0, -math.radians(self.errors.yaw_start_deg) * fade])
@@ -193,7 +193,7 @@ def simulated_nav(
 
 
 def _bent(rng: np.random.Generator, scale: float, misalignment: float) -> F64:
-    """Return a (3, 3) matrix, measured from true: scales on the diagonal, small angles beside it."""
+    """Return a (3, 3) matrix, measured from true: scale errors on the diagonal, misalignments beside it."""
     M = np.diag(1.0 + scale * rng.standard_normal(3))
     return np.asarray(M + misalignment * rng.standard_normal((3, 3)) * (1.0 - np.eye(3)))
 
@@ -233,7 +233,7 @@ class ImuStream:
         self._sigmas = errors.gyroscope_noise_density * root, errors.accelerometer_noise_density * root
 
     def sample(self, t_ns: int, rate: F64, force: F64, biases: tuple[F64, F64]) -> ImuSample:
-        """Return the measured sample of an angular rate and specific force in the body, with all errors."""
+        """Return the measured sample of a true angular rate (3,) and specific force (3,) in the body."""
         measured = self._axes[0] @ rate + biases[0] + self._sigmas[0] * self._gyro.standard_normal(3)
         felt = self._axes[1] @ force + biases[1] + self._sigmas[1] * self._accel.standard_normal(3)
         return ImuSample(t_ns, measured, felt)

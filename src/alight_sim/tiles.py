@@ -109,7 +109,7 @@ def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
 
 
 class Lay:
-    """One layer in one world: its random stream, its things, and the ground before it."""
+    """One layer in one world: its random stream, its things, and access to the ground before it."""
 
     def __init__(self, stack: Stack, layer: Layer, index: int, seed: int) -> None:
         self.stack, self.layer, self.index, self.seed = stack, layer, index, seed
@@ -124,7 +124,7 @@ class Lay:
         return np.asarray(self._kept[key])
 
     def choose(self, i: NDArray[np.int64], j: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Choose a number below `count` for every cell (i, j) of a lattice, by its hash."""
+        """Return a pseudo-random number below `count` for every cell (i, j) of a lattice."""
         return np.asarray((_mixed(i, j, self.seed) % np.uint64(count)).astype(np.int64))
 
     def before(self, x: F64, y: F64) -> Sheet:
@@ -133,7 +133,7 @@ class Lay:
 
     @property
     def scattered(self) -> Scattered:
-        """The layer as a `Scattered` one."""
+        """The layer, which must be a `Scattered` one."""
         assert isinstance(self.layer, Scattered)
         return self.layer
 
@@ -180,7 +180,7 @@ class Lay:
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def ring(self, i: int, j: int) -> tuple[F64, F64]:
-        """Return (N, 1 + RING) positions of ground samples under a block's candidates: centre, then ring."""
+        """Return (N, 1 + RING) east and north of ground samples under a block's candidates: centre, then ring."""
         things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
         reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
@@ -207,7 +207,7 @@ class Lay:
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
-        """Return the (N,) mask of things without overlap with earlier layers' things or with a thing of precedence."""
+        """Return the (N,) mask of things that overlap no thing of an earlier layer, nor a preferred one of theirs."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room
@@ -227,7 +227,7 @@ class Lay:
 
 
 def _first(things: F64) -> F64:
-    """Return pseudo-random precedences of things of one layer, equal in every block; the smaller one keeps its site."""
+    """Return the pseudo-random precedence of each thing; of two that overlap, the smaller one keeps its site."""
     return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
 
 

@@ -41,7 +41,7 @@ class Dialect:
     target_delay: float  # s of reports before LAND uses a target; LAND waits for the first; infinite: never used
 
     def number(self, doing: Doing) -> int:
-        """Return the custom mode of a heartbeat."""
+        """Return the custom mode with which a heartbeat reports a mode."""
         main, sub = self.modes[doing]
         return main << self.mode_shift | sub << 24
 

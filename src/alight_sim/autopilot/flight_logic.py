@@ -52,12 +52,12 @@ class FlightLogic:
 
     @property
     def _is_blind(self) -> bool:
-        """Whether position set-points keep it from detecting the ground, as some dialects do."""
+        """Whether guided flight by positions keeps the autopilot from detecting the ground, as in some dialects."""
         guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
         return guided and not self.dialect.lands_in_guided
 
     def enter(self, doing: Doing, t: float) -> bool:
-        """Change the mode; return false if it is refused."""
+        """Change the mode at time `t` (s); return false if the change is refused."""
         stale = t - self._set_at > _SETPOINT_AGE / 2 or t - self._set_since < _STREAM
         if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
             return False
@@ -66,7 +66,7 @@ class FlightLogic:
         return True
 
     def arm(self, wanted: bool) -> bool:
-        """Start or stop the motors; return false if refused: a stop in the air, a start in modes without take-off."""
+        """Start (`wanted`) or stop the motors; return false if refused: a stop in the air, a start without take-off."""
         if not wanted:
             if not self._stands:
                 return False
@@ -79,7 +79,7 @@ class FlightLogic:
         return True
 
     def take_off(self, height: float) -> bool:
-        """Climb to a height above the home, metres; return false if it is refused."""
+        """Climb to a height above the home, metres; return false if the command is refused."""
         if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
             return False
         if self.interlock is False or not self._stands:
@@ -91,7 +91,7 @@ class FlightLogic:
         return True
 
     def guide(self, wanted: Wanted, t: float) -> None:
-        """Set the set-point of guided flight, received at time `t` (s)."""
+        """Store a set-point of guided flight, received at time `t` (s)."""
         if t - self._set_at > _STREAM:
             self._set_since = t
         self._set_at = t
@@ -106,7 +106,7 @@ class FlightLogic:
             self._speed = self._sink = math.inf
 
     def limit(self, kind: float, speed: float) -> bool:
-        """Limit the speed over the ground (SPEED_TYPE 0, 1) or downwards (3), m/s; return false if it is refused.
+        """Limit the speed over the ground (SPEED_TYPE 0, 1) or downwards (3), m/s; return false if not allowed.
 
         PX4 accepts every kind but applies it as ground speed in missions only, which are not simulated.
         """
@@ -121,13 +121,13 @@ class FlightLogic:
         return True
 
     def aim_landing(self, target: F64, t: float) -> None:
-        """Set the position of a landing target, (3,) metres, reported at time `t` (s)."""
+        """Store the reported position of a landing target, (3,) metres, received at time `t` (s)."""
         if self._target is None or t - self._target[0] > 0.5:
             self._target_since = t
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
-        """Return the vehicle's set-point at time `t`, seconds; None: the motors are off."""
+        """Return the vehicle's set-point at time `t` (s) and estimated position `here` (3,); None: motors off."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):

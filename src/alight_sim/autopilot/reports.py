@@ -48,7 +48,7 @@ class Reports:
         return True
 
     def step(self, t: float, now: SimulatedAutopilot) -> None:
-        """Send the messages that are due at time `t`, seconds."""
+        """Send the messages of the autopilot `now` that are due at time `t`, seconds."""
         mode = now.dialect.number(now.logic.doing)
         if t >= self._heartbeat or (now.dialect.reports_changes and mode != self._mode):
             self._heartbeat, self._mode = t + 1.0, mode
@@ -89,7 +89,7 @@ def _gps_raw_int(now: SimulatedAutopilot) -> Any:
 
 
 def _imu_values(now: SimulatedAutopilot) -> tuple[F64, F64] | None:
-    """Return specific force and angular rates in FRD; None: the IMU is silent."""
+    """Return specific force (m/s^2) and angular rates (rad/s) in FRD; None: the IMU is silent."""
     imu = now.vehicle.imu
     return None if imu is None else (_FLIP @ imu[1], _FLIP @ imu[0])
 

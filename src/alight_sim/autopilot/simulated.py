@@ -112,42 +112,42 @@ class SimulatedAutopilot:
 
     @property
     def boot_ms(self) -> int:
-        """Time since boot on its own clock, ms."""
+        """Time since boot on the autopilot's own clock, ms."""
         return round(self.boot * 1e3)
 
     @property
     def ready(self) -> bool:
-        """Whether it may be armed."""
+        """Whether the autopilot may be armed."""
         return self.located and self.boot > _START_UP and (self.logic.armed or not self.logic.interlock)
 
     @property
     def located(self) -> bool:
-        """Whether it has an absolute position; it keeps one for some time after the receiver's last position."""
+        """Whether an absolute position is known; it is kept for some time after the receiver's last position."""
         return self.healthy and self.estimate.now.blind < self.dialect.dead_reckoning
 
     @property
     def fixed(self) -> bool:
-        """Whether its receiver has a fix, which it loses after half a second without a position."""
+        """Whether the receiver has a fix; the fix is lost after half a second without a position."""
         return self.healthy and self.estimate.now.blind < 0.5
 
     @property
     def estimated(self) -> F64:
-        """(3,) metres, its estimate of its position."""
+        """Estimated position, (3,) metres from the home."""
         return self.vehicle.body.position + self.estimate.now.position
 
     @property
     def velocity(self) -> F64:
-        """(3,) m/s, its estimate of its velocity."""
+        """Estimated velocity, (3,) m/s."""
         return self.vehicle.body.velocity + self.estimate.now.velocity
 
     @property
     def attitude(self) -> F64:
-        """(3, 3) rotation, world from body, its estimate."""
+        """Estimated attitude, (3, 3) rotation, world from body."""
         errors = self.estimate.now
         return np.asarray(errors.heading @ self.vehicle.body.world_from_body.rotation @ errors.attitude)
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
-        """Put it in the air at the vehicle's position, armed, as after a take-off."""
+        """Put the vehicle in the air at its position, armed and in a mode, as after a take-off."""
         self.logic.armed, self.boot = True, _START_UP + 1.0
         self.logic.step(self.boot, self.estimated, False)
         self.logic.doing = Doing.TAKE_OFF
@@ -158,7 +158,7 @@ class SimulatedAutopilot:
         self._refuses_until = self.boot + seconds
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
-        """Change the mode as a pilot does."""
+        """Change the mode in the pilot's name, not by a command over the link."""
         self.logic.enter(doing, self.boot)
 
     def pending(self) -> list[bytes]:

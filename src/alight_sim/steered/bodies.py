@@ -39,12 +39,12 @@ class Body:
 
     @property
     def arrives(self) -> float:
-        """Time of the flight at which it stops at its goal, s."""
+        """Time of the flight at which the body stops at its goal, s."""
         reach = min(self.away, self.speed**2 / (2 * _BRAKING))  # under braking
         return self.since + (self.away - reach) / self.speed + math.sqrt(2 * reach / _BRAKING)
 
     def place_at(self, times: F64) -> F64:
-        """Return the (T, 3) centre of its base, metres, at times (s)."""
+        """Return the (T, 3) centre of the body's base, metres, at times (s)."""
         reach = min(self.away, self.speed**2 / (2 * _BRAKING))
         left = np.maximum(self.arrives - np.asarray(times, float), 0.0)
         braking = math.sqrt(2 * reach / _BRAKING)
@@ -60,7 +60,7 @@ class Body:
         return nodes, np.array([self.height_at(float(e), float(n)) for e, n in way])
 
     def boxes_at(self, times: F64) -> F64:
-        """Return its two boxes (T, 2, 12) in the format of `kernels.boxes`; their size is 0 before `since`."""
+        """Return the body's two boxes (T, 2, 12) as in `kernels.boxes`; their size is 0 before `since`."""
         places = self.place_at(times)[:, None]
         heading = self.heading if self.away == 0 else math.atan2(*np.subtract(self.goal, self.start)[::-1])
         turns = np.full((len(times), 1), heading)
@@ -70,7 +70,7 @@ class Body:
 
 
 def _person(places: F64, heading: F64) -> F64:
-    """Return the (T, 2, 12) boxes of trunk and head."""
+    """Return the (T, 2, 12) boxes of trunk and head of a person."""
     depth, width, height = PERSON
     out = np.zeros((len(places), 2, NUMBERS))
     out[:, :, 3], out[:, :, 4] = np.cos(heading), np.sin(heading)

@@ -118,7 +118,7 @@ class SteeredCameras:
         return float(self._planned(k).true_ns[k] - START_NS) * 1e-9
 
     def _planned(self, k: int) -> Exposures:
-        """Return the plan of the exposures, which is doubled in length whenever index `k` lies beyond its end."""
+        """Return the plan of the exposures; if index `k` lies beyond its end, the plan is made twice as long."""
         if self._plan is None or k >= len(self._plan.true_ns):
             count = 256 if self._plan is None else 2 * len(self._plan.true_ns)
             beat_ns = START_NS + np.round(np.arange(count) * 1e9 / self.rate_hz).astype(np.int64)

@@ -53,7 +53,7 @@ class MovingAir:
     leant: F64 = field(default_factory=lambda: np.zeros(3))  # m/s^2, learned part of the pushes
 
     def push(self, now: float, h: float, drag: float) -> F64:
-        """Return the push (3,) m/s^2 in a step of `h` seconds, without the part that the autopilot has learned."""
+        """Return the acceleration (3,) m/s^2 by wind and gusts in a step of `h` seconds, less the learned part."""
         share = 1.0 - math.exp(-h / _TRIM)
         self.learned = self.learned + share * (self.velocity - self.learned)
         gusts: F64 = sum((a for start, end, a in self.pushes if start <= now < end), np.zeros(3))
@@ -80,7 +80,7 @@ class SteeredFlight:
         radius: metres around the vehicle within which it strikes objects higher than its feet; 0: it strikes none.
 
     Raises:
-        InputError: the scene does not exist, or `size` has not the shape of the rig's pictures.
+        InputError: the scene does not exist, or `size` has another aspect ratio than the rig's pictures.
     """
 
     kind: Literal["flight"] = "flight"
@@ -279,7 +279,7 @@ class SteeredFlight:
 
     def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
              heading: float = 0.0) -> Body:  # fmt: skip
-        """Let a car drive in from `start` and park; None: it stands there at once, at `heading` (rad from east)."""
+        """Let a car drive in from `start` and park (None: it parks at once, at `heading`, rad from east to north)."""
         return self._come(True, east, north, start, speed, heading)
 
     def walk_in(
@@ -305,15 +305,15 @@ class SteeredFlight:
         self.air.velocity = self._vehicle.wind_world = np.array([east, north, up], float)
 
     def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
-        """Repeat the last picture with new stamps for `seconds`, in the camera of an index (None: in all)."""
+        """Repeat the last picture with new stamps for `seconds`, in one camera (by index) or in all (None)."""
         self._camera_fault("freeze", seconds, camera)
 
     def lose_camera(self, seconds: float, camera: int | None = None) -> None:
-        """Lose all pictures for `seconds`, of the camera of an index (None: of all)."""
+        """Lose all pictures for `seconds`, of one camera (by index) or of all (None)."""
         self._camera_fault("lose", seconds, camera)
 
     def cover_camera(self, seconds: float, share: float = 0.98, camera: int | None = None) -> None:
-        """Keep a share of the light out for `seconds`, from the camera of an index (None: from all)."""
+        """Keep a share of the light out for `seconds`, in one camera (by index) or in all (None)."""
         self._camera_fault("cover", seconds, camera, share)
 
     def delay_frames(self, seconds: float, by: float) -> None:
@@ -355,7 +355,7 @@ class FlownEstimate:
         self.now = flight.navigation
 
     def step(self, dt: float) -> None:
-        """Read the present errors of the flight; they advance with the flight itself."""
+        """Read the present errors of the flight, which advances its own sensors."""
         self.now = self._flight.navigation
 
 

@@ -110,7 +110,7 @@ class TrueContact:
 
 
 class ContactWatch:
-    """Detection of contacts of a vehicle that is stepped.
+    """Detector of the contacts of a vehicle that moves in steps.
 
     Args:
         below: the surface, with the radius within which it strikes objects higher than its feet; 0: it strikes none.

@@ -54,7 +54,7 @@ class TrueTrack:
 
 
 class SteeredSensors:
-    """IMU, GPS/INS and cameras of a vehicle that is stepped. Times: seconds of the flight.
+    """IMU, GPS/INS and cameras of a vehicle that moves in steps. Times: seconds of the flight.
 
     Args:
         imu, biases: produce one sample per step.

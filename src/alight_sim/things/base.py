@@ -111,7 +111,7 @@ class Sheet:
     def paint(
         self, index: Any, mask: Mask, kind: Terrain | None, look: Look = Look.BY_CLASS, tint: Sequence[float] = UNTINTED
     ) -> None:
-        """Set class, look and tint at the masked positions of an index; None as class: the ground's class is kept."""
+        """Set class, look and tint at the masked positions of an index; with None as `kind` the class is kept."""
         for layer, value in ((self.label, kind), (self.look, look), (self.tint, tint)):
             if value is None:
                 continue
@@ -179,11 +179,11 @@ class Scattered(Layer):
         return self.per_hectare
 
     def draw(self, rng: np.random.Generator, things: F64) -> None:
-        """Draw the remaining columns of things (N, COLUMNS), whose positions are set, in place."""
+        """Draw all columns of things (N, COLUMNS) except their positions, in place."""
         raise NotImplementedError
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """Return the (N,) mask of drawn random things that exist, as their density may vary over the ground."""
+        """Return the (N,) mask of drawn random things that exist; their density may vary over the ground."""
         return np.ones(len(things), bool)
 
     def parts(self, rng: np.random.Generator, things: F64) -> F64:

@@ -64,18 +64,18 @@ class Boxes(Scattered):
         return True
 
     def turns(self, rng: Generator, count: int) -> F64:
-        """Return (count,) turns in rad, random or as given; both use the random stream, so later draws are equal."""
+        """Return (count,) turns in rad, random or as set by the user; both draw equally often from the generator."""
         turns = rng.uniform(0.0, 2.0 * math.pi, count)
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 
     def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
-        """Draw a tint from the palette for each thing, and set its look."""
+        """Draw a tint for each thing, from the user's tints or from `otherwise`, and set its look."""
         palette = np.array(self.tints or otherwise)
         things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
         things[:, LOOK] = look
 
     def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
-        """Stamp all things that reach the sheet."""
+        """Stamp all boxes that reach the sheet."""
         stamp(sheet, lay.things(sheet.box), kind)
 
 

@@ -59,7 +59,7 @@ class Roughness(FractalRelief, Layer):
 
 
 class Terraces(Layer):
-    """Steps along the contours: treads nearly level, risers as steep as a share of the slope."""
+    """Steps along the contours, with nearly level treads and steep risers."""
 
     thing: Literal["terraces"]
     step: float = Field(1.0, gt=0.05, le=30.0, description="metres of height between two treads")

@@ -83,7 +83,7 @@ class Lined(Layer):
         return pieces(self.path, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
-        """Return the line at each position, (R, C, 3): distance aside, distance along, height; None: it is not near."""
+        """Return the line at each position, (R, C, 3): distance aside, distance along, height; None: it is far away."""
         west, south, east, north = sheet.box
         line, reach = lay.keep("line", lambda: self.line(lay)), self.reach()
         low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])

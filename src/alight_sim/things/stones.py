@@ -28,18 +28,18 @@ USUAL = 0.05  # share of the ground that sets the sizes of named stones if none 
 
 
 def decay(share: float) -> float:
-    """Return the decay of the share of ground under stones with their diameter, 1/m (Golombek and Rapp 1997)."""
+    """Return q(k), the decay of the share of ground under stones with diameter, 1/m (Golombek and Rapp 1997)."""
     return 1.79 + 0.152 / share
 
 
 def share_above(diameter: float, share: float) -> float:
-    """Return the share of ground under stones of at least a diameter, metres: F_k(D) = k exp(-q(k) D)."""
+    """Return the share of ground under stones of a diameter (m) and more: F_k(D) = k exp(-q(k) D)."""
     return share * math.exp(-decay(share) * diameter)
 
 
 @lru_cache(64)
 def _counts(share: float, size: Between) -> tuple[F64, F64]:
-    """Return diameters (m), and the number per square metre of stones of at least each, from share over stone area."""
+    """Return diameters (m), and the number of stones per square metre of each diameter and more."""
     diameter = np.geomspace(*size, 400) if size[0] < size[1] else np.array(size)
     q = decay(share)
     density = share * q * np.exp(-q * diameter) / (0.25 * math.pi * diameter**2)
@@ -119,7 +119,7 @@ class Stones(Scattered):
         things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # random numbers for existence and outline
 
     def share_at(self, east: F64, north: F64, seed: int) -> F64:
-        """Return (N,) k at positions (N,): evenly spread between the logarithms of fewest and most."""
+        """Return the share of ground under stones, k, at positions (N,), from fewest to most on a logarithmic scale."""
         few, most = self.share or (USUAL, USUAL)
         field = noise(east, north, seed + 5, self.patch, 0.2 * self.patch)
         return np.asarray(few * (most / few) ** ndtr(field))

@@ -27,7 +27,7 @@ FREEBOARD = 0.8  # share of `below` to which low ground beside the water is rais
 
 
 def above(field: F64, share: float) -> F64:
-    """Return the excess of a field of unit deviation over the level that leaves `share` of it, in deviations."""
+    """Return a field of unit deviation minus the level that a `share` of it exceeds, in deviations."""
     return np.asarray(field - NormalDist().inv_cdf(min(max(1.0 - share, 1e-6), 1.0 - 1e-6)))
 
 
