@@ -74,7 +74,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name from the module that has it."""
+    """Import a public name from its module at the first use."""
     if name not in _HOME:
         raise AttributeError(f"module 'alight' has no attribute {name!r}")
     value = getattr(import_module(f"alight.{_HOME[name]}"), name)
@@ -83,5 +83,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, for completion."""
+    """Return the public names, for completion."""
     return sorted([*__all__, "__version__"])

@@ -56,9 +56,7 @@ class Result:
     def hazards(self) -> HazardMap | None:
         """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell of `hazards.grid`.
 
-        These cells may be larger than the cells of the heights; `hazards.on(elevation.grid)` resamples the map. None:
-        the
-        ground was not judged.
+        The cells may be larger than those of the heights: `hazards.on(elevation.grid)` resamples. None: not judged.
         """
         return self.record.hazards
 

@@ -136,10 +136,10 @@ def clearest(offsets: F64, left: F64) -> ClockOffset:
 
 
 def predicted_motion(motion: BodyMotion, body_from_cam: Pose, spots: F64, span: float) -> PredictedMotion:
-    """Predict the flow at (S, 2) points of a picture from gyroscope and GPS/INS.
+    """Predict the flow at points of a picture from gyroscope and GPS/INS.
 
     Args:
-        spots: (S, 2) normalised coordinates.
+        spots: (S, 2) normalised coordinates of the points.
         span: s between the two pictures of a pair.
     """
     t = np.arange(motion.span[0] + span / 2, motion.span[1] - span / 2, STEP)

@@ -35,7 +35,7 @@ class StreamTable:
 
     @classmethod
     def of(cls, samples: Sequence[NavSample] | Sequence[ImuSample]) -> Self:
-        """Return a table of samples, with one column for each of its fields."""
+        """Return the table of samples, with one column for each field of the table."""
         columns: list[F64 | I64] = [np.array([s.t_ns for s in samples], dtype=np.int64)]
         for name in (f.name for f in fields(cls)[1:]):
             blank = np.full((3, 3) if name == "world_from_body" else 3, np.nan)
@@ -107,7 +107,7 @@ class CameraEvidence:
     _edges_ns: int = -(2**62)  # time of the last of `edges`
 
     def add(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure one picture, `seconds` after the first exposure; it is skipped within 0.08 s of the last one."""
+        """Measure one picture, taken `seconds` after the first exposure, unless the last is less than 0.08 s old."""
         if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
         small, factor = downscaled(image, 640)

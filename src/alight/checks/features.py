@@ -36,7 +36,7 @@ def downscaled(image: U8, longest: int) -> tuple[U8, int]:
 
 
 def full_size(pixels: F32 | F64, factor: int) -> F64:
-    """Convert pixel coordinates of a picture reduced by `factor` to those of the full picture."""
+    """Convert pixel coordinates in a picture reduced by `factor` to pixel coordinates in the full picture."""
     return np.asarray((pixels.astype(np.float64) + 0.5) * factor - 0.5)
 
 

@@ -68,7 +68,7 @@ def _centred(vectors: F64) -> F64:
 
 
 class NavAndImu:
-    """GPS/INS and IMU of one part, to test hypotheses on their conventions.
+    """GPS/INS and IMU of the same part of a recording, to test hypotheses about their conventions.
 
     Args:
         nav: rows with an attitude, in order of time.
@@ -106,7 +106,7 @@ class NavAndImu:
         )  # fmt: skip
 
     def unexplained(self, attitudes: F64, turns: Sequence[F64]) -> F64:
-        """Return the unexplained share of the turns at the best clock lag, for each assumption on the IMU axes."""
+        """Return the unexplained share of the turns at the best clock lag, for each assumption on the IMU's axes."""
         lags = (0.05 * k for k in range(-6, 7))  # s
         tables = [t for lag in lags if (t := self.turns(attitudes, lag)).enough]
         return np.array([min((t.unexplained(m) for t in tables), default=0.0) for m in turns])
@@ -132,7 +132,7 @@ class NavAndImu:
         return size > 1e-3 and float(np.arccos(np.clip(force[2] / size, -1, 1))) < 0.35  # rad
 
     def fitting(self, attitudes: F64, turns: Sequence[F64]) -> list[F64]:
-        """Return the assumptions on the IMU axes that agree with gravity and the turns, the best first."""
+        """Return the assumed rotations of the IMU axes that agree with gravity and the turns, the best first."""
         upright = [m for m in turns if self.is_upright(attitudes, m)]
         left = self.unexplained(attitudes, upright)
         return [upright[k] for k in np.argsort(left, kind="stable") if left[k] < AGREES]
@@ -192,7 +192,7 @@ def _attitude_wrong(evidence: str, mend: str) -> list[CheckResult]:
 
 
 def check_attitude_alone(nav: NavTable) -> list[CheckResult]:
-    """Check the IMU axes and the attitude convention if one of both streams is missing."""
+    """Check IMU axes and attitude convention by the attitude alone, if the IMU or the attitude is missing."""
     if len(nav.t_ns) < 10:
         return [unknown(n, "no attitude of GPS/INS") for n in (AXES, ATTITUDE)]
     upright = float(np.median(nav.world_from_body[:, 2, 2]))
@@ -206,7 +206,7 @@ def check_attitude_alone(nav: NavTable) -> list[CheckResult]:
 
 
 def check_attitude(streams: NavAndImu) -> list[CheckResult]:
-    """Check the IMU axes and the attitude convention, by gravity and by the turns of both streams."""
+    """Check IMU axes and attitude convention by gravity and by the turns of both streams."""
     R, eye = streams.nav.world_from_body, np.eye(3)
     upright = float(np.median(R[:, 2, 2]))
     turned = streams.turns(R).enough

@@ -67,7 +67,7 @@ class StaticMap:
     _sums: list[F64] = field(default_factory=list)  # at the pixel, at the ground, contrast here, elsewhere, weight
 
     def add(self, picture: U8, shift: F64) -> None:
-        """Add the next grey picture and the (2,) motion of the ground since the last, as share of the longer side."""
+        """Add the next grey picture and the (2,) motion of the ground since the last, as shares of the longer side."""
         self._way = self._way + shift
         now = downscaled(picture, 320)[0]
         then, self._then = self._then, self._then if self._then is not None else now
@@ -118,7 +118,7 @@ class StaticMap:
 
 
 def _fine(image: U8) -> F32:
-    """Return the picture without slow changes of brightness: vignetting is static too, but is no dirt."""
+    """Return the picture without slow changes of brightness, because vignetting is static too, but no dirt."""
     x = image.astype(np.float32)
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), max(image.shape) / 40.0), dtype=np.float32)
 

@@ -99,7 +99,7 @@ class FlowFit:
 
     @property
     def depth_error(self) -> float:
-        """1-sigma of the scale error of all inverse depths, as a share: that of the focal length."""
+        """1-sigma of the common scale error of all inverse depths, as a share; the focal length causes it."""
         return float(self.sigma[FOCAL])
 
 

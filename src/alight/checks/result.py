@@ -47,7 +47,7 @@ def warning(name: str, evidence: str, mend: str) -> CheckResult:
 
 
 def unknown(name: str, why: str) -> CheckResult:
-    """Return the result of a check that the recording does not allow, with the reason."""
+    """Return the result of a check for which the recording does not suffice, with the reason."""
     return CheckResult(name, Judged.UNKNOWN, why)
 
 
@@ -62,7 +62,7 @@ class Check:
     separator: str = "; "
 
     def judge(self, *rows: tuple[bool, str] | tuple[bool, str, str]) -> None:
-        """Judge rows (is a fault, remedy, optional text): of each fault, record the remedy and the text."""
+        """Record the remedy and the optional text of each row (is a fault, remedy, text) that is a fault."""
         for is_fault, remedy, *words in rows:
             if is_fault:
                 self.remedies.append(remedy)

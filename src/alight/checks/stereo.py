@@ -43,7 +43,7 @@ class CameraPair:
         return cls(first.rays(a)[:, :2], other.rays(b)[:, :2], first.fu)
 
     def residuals(self, other_from_first: Pose) -> F64:
-        """Return the (N,) signed distances from the epipolar line, px, the mean of both pictures (Sampson)."""
+        """Return (N,) signed distances from the epipolar line, px, averaged over both pictures (Sampson)."""
         E = skew(other_from_first.translation) @ other_from_first.rotation
         a, b = (np.hstack([x, np.ones((len(x), 1))]) for x in (self.first, self.other))
         lines, back = a @ E.T, b @ E
@@ -172,7 +172,7 @@ def fitted_turn(pair: CameraPair, as_is: Pose, lens: bool) -> tuple[F64, float]:
     A turn that moves the points along their epipolar lines is hardly observable; a weak prior constrains it.
 
     Args:
-        lens: whether the focal length is free.
+        lens: whether the focal length is free; otherwise its correction is 0.
 
     Returns:
         the corrections from the calibrated camera to the true one, and the residual after them, px RMS.

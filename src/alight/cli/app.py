@@ -108,7 +108,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
 
 
 def _end(number: int, frame: object) -> None:
-    """Treat a terminating signal like Ctrl-C; errors of objects that it leaves incomplete are silenced."""
+    """Treat a terminating signal like Ctrl-C, and silence errors of objects that it leaves incomplete."""
     if number != signal.SIGINT:
         _signals.append(number)
     sys.unraisablehook = lambda _: None

@@ -20,7 +20,7 @@ stdout_errors: list[str] = []  # errors of writing to stdout, reported when the 
 
 
 def discard(stream: TextIO) -> None:
-    """Redirect a stream that cannot be written to the null device, or the interpreter fails on it at exit."""
+    """Redirect a stream that cannot be written to the null device; otherwise the interpreter fails on it at exit."""
     with suppress(OSError):  # the stream has no file descriptor
         number = stream.fileno()
         os.dup2(os.open(os.devnull, os.O_WRONLY), number)
@@ -72,7 +72,7 @@ def progress_bar() -> AbstractContextManager[Callable[[str, float], None]]:
 
 
 def live_table() -> AbstractContextManager[Callable[[Iterable[tuple[str, str]], Iterable[str]], None]]:
-    """Yield a function that shows a table of (name, value) and lines below it; without a terminal it does nothing."""
+    """Return a context manager for a table of (name, value) rows with lines below it; idle without a terminal."""
     if not is_terminal():
         return nullcontext(lambda rows, lines: None)
     from alight.cli import display

@@ -76,12 +76,12 @@ def _route(r: RunResult) -> Contents:
 
 
 def report_file(result: RunResult) -> Contents:
-    """Return the entry of report.html."""
+    """Return the report as an entry for `write_folder`."""
     return {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNENCODABLE)}
 
 
 def contents(r: RunResult) -> Contents:
-    """Return every file but run.json, in the order of writing; a reason in `r.not_written` replaces the file."""
+    """Return every file but run.json, in the order of writing; a reason in `r.not_written` replaces its file."""
     makers = {"trajectory.tum": vectors.tum, "trajectory.csv": vectors.csv}
     motion: Contents = {
         name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
@@ -126,7 +126,7 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
 
 
 def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
-    """Return the common error of all heights, with the values in dem.tif's tags; None: the poses have no covariance."""
+    """Return the common error of all heights, as in dem.tif's tags; None: the poses have no covariance."""
     if elevation is None or elevation.datum is None:
         return None
     g = elevation.datum

@@ -96,7 +96,7 @@ def flags_raster(elevation: ElevationMap) -> RasterFile:
 
 
 def terrain_raster(terrain: TerrainMap) -> RasterFile:
-    """Return the class codes, with their names and colours."""
+    """Return the class codes as a raster with the names and colours of the classes."""
     tags = {f"class_{t.value}": t.name.lower() for t in Terrain}
     colours = {t.value: (*rgb(colour), 255) for t, colour in TERRAIN_COLOURS.items()} | {0: (0, 0, 0, 0)}
     bands, names = terrain.label[None], ("terrain class",)
@@ -104,13 +104,13 @@ def terrain_raster(terrain: TerrainMap) -> RasterFile:
 
 
 def measures_raster(hazards: HazardMap, names: Sequence[str], units: Sequence[str]) -> RasterFile:
-    """Return hazard measures as bands: `names` are fields of the hazard map, `units` their units."""
+    """Return hazard measures as bands: `names` are fields of the hazard map, and `units` their units."""
     bands = np.stack([getattr(hazards, name) for name in names]).astype(np.float32)
     return RasterFile(hazards.grid, bands, names, units, np.nan)
 
 
 def safe_raster(hazards: HazardMap) -> RasterFile:
-    """Return P(safe) at the worst heading, its factors, and the height of the smallest detectable obstacle."""
+    """Return bands of P(safe) at the worst heading, its factors, and the smallest detectable obstacle's height."""
     return measures_raster(hazards, SAFE_BANDS, ("", "", "", "", "m"))
 
 

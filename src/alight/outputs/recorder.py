@@ -1,8 +1,8 @@
 """The recorder of a live run: all events, the schedule and every decision, as MCAP.
 
-A thread writes the messages without chunks and flushes the file to the disk every half second. So however the run
-ends, only its last second may be lost. A disk that is full or too slow costs messages, but never the flight. Lost
-messages are counted and reported.
+A thread writes the messages without chunks and flushes the file to the disk every half second. So however the run ends,
+only its last second may be lost. A disk that is full or too slow costs messages, but never the flight. Lost messages
+are counted and reported.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Message = tuple[str, int, "list[bytes | memoryview]"]  # topic, stamp in ns, par
 
 
 def make_room(path: Path) -> Path | None:
-    """Make room for a recording: remove that of a finished run with its run.json, and rename any other recording.
+    """Make room for a recording: delete a finished run's recording and run.json, and rename any other recording.
 
     So a run.json never lies next to the recording of a later run that did not finish.
 
@@ -76,7 +76,7 @@ def make_room(path: Path) -> Path | None:
 
 
 class Recorder:
-    """Writes one recording.
+    """Writer of one recording.
 
     Raises:
         OutputError: the file cannot be created.

@@ -91,7 +91,7 @@ def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -
 
 
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
-    """Return sites and candidates in order of rank, as GeoJSON; without a site, it has the `reason`.
+    """Return sites and candidates in order of rank, as GeoJSON; if there is no site, it contains the reason.
 
     Args:
         covariance: (3, 3) m^2, east, north, up, of the whole map's position on Earth; None: unknown.
@@ -111,7 +111,7 @@ def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None
 
 
 def collection(features: list[dict[str, Any]], sites: Sites) -> dict[str, Any]:
-    """Return a GeoJSON collection of features; if there is no site, it has the reason."""
+    """Return a GeoJSON collection of features; if there is no site, it contains the reason."""
     none = {} if sites.sites else {"reason": sites.reason or "no site was found"}
     return {"type": "FeatureCollection", "features": features, **none}
 

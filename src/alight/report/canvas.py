@@ -38,7 +38,7 @@ class Canvas:
         return WIDTH / (self.grid.cols * self.grid.cell)
 
     def xy(self, east: float, north: float) -> tuple[float, float]:
-        """Return the position in the picture, page units, of a position in the world, metres."""
+        """Convert a position in the world, metres, to a position in the picture, page units."""
         row, col = self.grid.index(np.asarray(east), np.asarray(north))
         unit = WIDTH / self.grid.cols
         return round(float(col + 0.5) * unit, 2), round(float(row + 0.5) * unit, 2)

@@ -218,7 +218,7 @@ def details(result: RunResult) -> list[tuple[str, str]]:
 
 
 def times(timings: Mapping[str, Sequence[float]]) -> list[tuple[str, int, str, str, str, float]]:
-    """Return one row per stage: name, steps, median, 95th percentile, total, and share of all time in percent."""
+    """Return one row per stage: name, steps, median, 95th percentile, total, and share of the whole time in percent."""
     everything = sum(sum(steps) for steps in timings.values()) or 1.0
     found = []
     for stage, steps in timings.items():

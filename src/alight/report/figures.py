@@ -89,7 +89,7 @@ def scale_bar(c: Canvas, share: float = 0.22) -> Bar:
 
 
 def marks(result: RunResult, c: Canvas) -> list[Mark]:
-    """Return the marks of sites and candidates on a picture, the best one last so that it lies on top."""
+    """Return the marks of sites and candidates on a picture; the best one is last, so that it is drawn on top."""
     radius = result.settings.lander.radius * c.per_metre
     out = []
     for s in result.sites.listed:

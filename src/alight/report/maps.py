@@ -123,7 +123,7 @@ def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
-    """Return all maps below the answer, in the order in which a reader asks for them."""
+    """Return all maps below the answer, in the order of a reader's questions."""
     figures = []
     if (hazards := result.hazards_as_mapped) is not None:
         figures += [reasons_figure(hazards, elevation, c), p_safe_figure(hazards, c)]

@@ -39,7 +39,7 @@ def settings_page() -> str:
 
 
 def effects() -> dict[str, dict[str, Any]]:
-    """Return measured effects of tuned constants by key: `effect`, the result `on` which it acts, `why` the value."""
+    """Return the measured effects of tuned constants by key: size, affected result, and why the value was chosen."""
     return dict(yaml.safe_load((Path(__file__).parent / "tuning" / "effects.yaml").read_text(encoding="utf-8")))
 
 
