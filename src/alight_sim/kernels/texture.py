@@ -204,7 +204,7 @@ def _cracks(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def colours(buf: F32, base: F64, seed: int) -> None:
-    """Fill the colours RED, GREEN, BLUE: the three of a look mixed by position, times detail and small things."""
+    """Fill the slots RED, GREEN, BLUE: the three colours of a look mixed by position, times detail and small things."""
     _cracks(buf, base, seed)
     _stain(buf)
     _grain(buf)
