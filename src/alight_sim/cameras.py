@@ -150,7 +150,7 @@ class Eye:
 
 
 def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:
-    """Return how often cells of looks and light are halved in resolution, so that none is finer than a pixel."""
+    """Return how often the resolution of looks and light is halved: a cell is at most a pixel's size on the ground."""
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
@@ -174,7 +174,7 @@ def _border(rays: F32) -> F64:
 
 
 def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
-    """Return the (N, 2) east and north at which rays (3, N) reach the lowest ground, or REACH heights away."""
+    """Return the (N, 2) east and north at which rays (3, N) reach the lowest ground, at most REACH heights away."""
     height = max(float(place[2]) - world.low, 1.0)
     flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
     away = np.minimum(np.where(rays[2] < 0, height * flat / np.maximum(-rays[2], 1e-9), np.inf), REACH * height)

@@ -18,7 +18,7 @@ class CampaignWorld:
     safe: bool = True  # whether some sites are safe for a small lander
 
     def build(self, seed: int = 0) -> SceneWorld:
-        """Build the world of a seed."""
+        """Build the world of this kind for a seed."""
         return build(self.scene, seed)
 
 

@@ -84,7 +84,7 @@ def _is_plain(codes: NDArray[np.uint16]) -> Mask:
 
 
 def _is_step(height: F32) -> Mask:
-    """Return the (R, C) mask of cells whose 2 x 2 cells to the south-east differ by `EDGE`; false near the border."""
+    """Return the (R, C) mask of cells that begin a 2 x 2 block with heights `EDGE` or more apart; false at the rim."""
     out = np.zeros(height.shape, bool)
     a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
     top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))

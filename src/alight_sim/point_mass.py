@@ -34,7 +34,7 @@ class FlightLimits:
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Set-point of the vehicle; None: not commanded."""
+    """Set-point of the vehicle; a field that is None is not commanded."""
 
     position: F64 | None = None  # (3,) metres
     velocity: F64 | None = None  # (3,) m/s; with a position: added to the velocity towards it
@@ -99,7 +99,7 @@ class PointMass:
 
     @property
     def imu(self) -> tuple[F64, F64]:
-        """(3,) rad/s and (3,) m/s^2 in the body, as an ideal gyroscope and accelerometer measure them."""
+        """Angular rate (3,) rad/s and specific force (3,) m/s^2 in the body, as an ideal IMU measures them."""
         return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + UPWARDS))
 
     def step(self, dt: float, wanted: Wanted | None) -> Sequence[Event]:

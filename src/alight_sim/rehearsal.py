@@ -36,7 +36,7 @@ class CameraFolder:
         self._names = [c.name for c in rig.cameras]
 
     def write(self, frame: Frame, t_ns: int) -> None:
-        """Write an exposure with a stamp: each image first, then its row."""
+        """Write the images of an exposure under the stamp `t_ns`, each before its row in the table."""
         for name, image, table in zip(self._names, frame.images, self._tables, strict=True):
             if image is not None:
                 (self._root / name / "data" / f"{t_ns}.png").write_bytes(encode_image(image, "png"))
@@ -75,7 +75,7 @@ class Rehearsal:
         self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
     def _expose(self, events: Sequence[Event]) -> None:
-        """Write the new exposures, stamped by the steady clock: simulated time plus the clock at its start."""
+        """Write the new exposures, stamped by the steady clock: simulated time plus the clock's time at the start."""
         self._shift_ns = self._shift_ns or time.monotonic_ns() - self.flight.time_ns
         for frame in events:
             if isinstance(frame, Frame):

@@ -73,7 +73,7 @@ class ImuErrors(Section):
 
     @property
     def densities(self) -> dict[str, float]:
-        """Noise densities and random walks as a maker states them, by the keys of imu0/sensor.yaml."""
+        """Noise densities and random walks as the IMU's maker states them, by the keys of imu0/sensor.yaml."""
         names = [f"{s}_{n}" for s in ("gyroscope", "accelerometer") for n in ("noise_density", "random_walk")]
         return {k: float(getattr(self, k)) for k in names}
 

@@ -227,7 +227,7 @@ class Lay:
 
 
 def _first(things: F64) -> F64:
-    """Return the pseudo-random precedence of each thing; of two that overlap, the smaller one keeps its site."""
+    """Return a pseudo-random precedence per thing; of two overlapping things, that with the larger value stays."""
     return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
 
 

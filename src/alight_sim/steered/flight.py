@@ -207,7 +207,7 @@ class SteeredFlight:
 
     @property
     def imu(self) -> tuple[F64, F64] | None:
-        """(3,) rad/s and (3,) m/s^2 in the body, as measured; None: the newest sample is older than 30 ms."""
+        """Measured angular rate (3,) rad/s and specific force (3,) m/s^2 in the body; None: none in the last 30 ms."""
         sample = self.sensors.newest_imu
         if sample is None or self.time_ns - sample.t_ns > 30_000_000:
             return None

@@ -59,7 +59,7 @@ class GroundBelow:
         return max(ground, self._top(east, north))
 
     def highest(self, east: float, north: float) -> float:
-        """Return the height of the highest object within the radius of a position, metres above the origin."""
+        """Return the height of the highest ground or object within the radius of a position, above the origin (m)."""
         self._hold(east, north)
         cell, radius, (west, south) = self._cell, self.radius, self._place
         col, row = int((east - radius - west) / cell), int((north - radius - south) / cell)

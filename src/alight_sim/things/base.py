@@ -219,7 +219,7 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
 
 
 def covered(inside: F64, cell: float) -> F64:
-    """Return the share of a cell inside an edge that is `inside` metres from its centre; it makes straight edges."""
+    """Return the share of a cell that is inside an edge, from its centre's distance inside the edge, metres."""
     return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
 
 

@@ -94,7 +94,7 @@ class Rocks(Dome):
 
 
 class Trees(Dome):
-    """Trees: crowns of clumps of leaves with holes between them; no view below."""
+    """Trees: crowns of clumps of leaves with holes between them; the ground below the crowns is not visible."""
 
     thing: Literal["trees"]
     radius: Between = Field((1.6, 3.2), description="metres, of the crown")
