@@ -23,7 +23,7 @@ from alight.settings.base import (
 
 
 class SourcesKeys(FrozenModel):
-    """Reading of the recording."""
+    """How the recording is read."""
 
     calibration: str | None = Field(
         None,
@@ -49,7 +49,7 @@ class SourcesKeys(FrozenModel):
 
 
 class FilterKeys(FrozenModel):
-    """Clock and mounting of the cameras, for flights."""
+    """Settings for the clock and mounting of the cameras, used for flights."""
 
     mounting_sigma: NonNegative | None = Field(
         None,
@@ -63,7 +63,7 @@ class FilterKeys(FrozenModel):
 
 
 class BundleKeys(FrozenModel):
-    """Calibration of the camera, for photos."""
+    """Settings for the calibration of the camera, used for photos."""
 
     focal: Literal["held", "trusted", "free"] = Field(
         "held",
@@ -76,7 +76,7 @@ class BundleKeys(FrozenModel):
 
 
 class MotionKeys(FrozenModel):
-    """Estimation of the poses of the cameras."""
+    """Settings for the estimation of the camera poses."""
 
     method: Literal["auto", "filter", "bundle"] = Field(
         "auto",
@@ -99,7 +99,7 @@ class MotionKeys(FrozenModel):
 
 
 class ParallaxKeys(FrozenModel):
-    """Measurement of heights."""
+    """Settings for the measurement of heights."""
 
     method: Literal["batch", "recursive"] = Field(
         "batch",
@@ -129,7 +129,7 @@ class ParallaxKeys(FrozenModel):
 
 
 class ElevationKeys(FrozenModel):
-    """The height map."""
+    """Settings of the height map."""
 
     max_sigma: Positive | None = Field(
         None, description="Heights with a larger 1-sigma are left out, m; null: 0.65 % of the height above ground"
@@ -143,7 +143,7 @@ class ElevationKeys(FrozenModel):
 
 
 class TerrainKeys(FrozenModel):
-    """Land cover."""
+    """Settings of the land cover."""
 
     enabled: bool = Field(True, description="Classify the ground and refuse water, plants, trees and structures")
     model: str | None = Field(
@@ -233,7 +233,7 @@ class Lander(FrozenModel):
 
 
 class HazardsKeys(FrozenModel):
-    """Strictness of the hazard judgement."""
+    """Settings for the strictness of the hazard judgement."""
 
     p_safe: Fraction = Field(0.95, description="Least probability of a safe touchdown at a site")
     alpha: NonNegative = Field(1.0, description="Weight of flatness in the quality Q of a site (paper, eq. 5)")
@@ -244,7 +244,7 @@ class HazardsKeys(FrozenModel):
 
 
 class SitesKeys(FrozenModel):
-    """Listing of sites."""
+    """Settings for the list of sites."""
 
     count: int = Field(8, ge=1, le=10_000, description="Most sites listed")
     margin: NonNegative = Field(0.5, description="Least distance between the footprint and the nearest hazard, m")
@@ -261,7 +261,7 @@ class SitesKeys(FrozenModel):
 
 
 class RouteKeys(FrozenModel):
-    """The route to the best site."""
+    """Settings of the route to the best site."""
 
     approach_height: Positive = Field(10.0, description="Height above the site at which the final descent starts, m")
     clearance: Positive = Field(
@@ -279,7 +279,7 @@ class RouteKeys(FrozenModel):
 
 
 class ExecutiveKeys(FrozenModel):
-    """Flight of a landing: search, look, look closer, land or go around."""
+    """Settings of a landing in flight: search, look, look closer, land or go around."""
 
     search_height: Positive = Field(30.0, description="Height above the ground at which a place is searched, m")
     search_speed: Positive = Field(7.0, description="Speed over the ground while a place is searched, m/s")

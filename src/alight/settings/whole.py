@@ -38,11 +38,11 @@ class ImuNoise:
 
 
 class TracksSettings(tuned.TracksTuning):
-    """Feature tracks."""
+    """Settings of the feature tracks."""
 
 
 class FilterSettings(tuned.FilterTuning, user.FilterKeys):
-    """The filter and its smoother, with the noise of the IMU."""
+    """Settings of the filter and its smoother, with the noise of the IMU."""
 
     gyro_noise: Positive = Field(5e-4, description="rad/s per sqrt(Hz)")
     gyro_walk: Positive = Field(3e-5, description="rad/s^2 per sqrt(Hz)")
@@ -51,42 +51,42 @@ class FilterSettings(tuned.FilterTuning, user.FilterKeys):
 
 
 class BundleSettings(tuned.BundleTuning, user.BundleKeys):
-    """Bundle adjustment."""
+    """Settings of the bundle adjustment."""
 
 
 class MotionSettings(user.MotionKeys):
-    """Estimation of the poses."""
+    """Settings for the estimation of the poses."""
 
     filter: FilterSettings = FilterSettings()
     bundle: BundleSettings = BundleSettings()
 
 
 class ParallaxSettings(tuned.ParallaxTuning, user.ParallaxKeys):
-    """Planar parallax."""
+    """Settings of planar parallax."""
 
 
 class ElevationSettings(tuned.ElevationTuning, user.ElevationKeys):
-    """The elevation map."""
+    """Settings of the elevation map."""
 
 
 class TerrainSettings(tuned.TerrainTuning, user.TerrainKeys):
-    """Land cover."""
+    """Settings of the land cover."""
 
 
 class HazardsSettings(tuned.HazardsTuning, user.HazardsKeys):
-    """The hazard judgement."""
+    """Settings of the hazard judgement."""
 
 
 class SitesSettings(tuned.SitesTuning, user.SitesKeys):
-    """The choice of sites."""
+    """Settings for the choice of sites."""
 
 
 class RouteSettings(tuned.RouteTuning, user.RouteKeys):
-    """The route."""
+    """Settings of the route."""
 
 
 class ExecutiveSettings(tuned.ExecutiveTuning, user.ExecutiveKeys):
-    """The executive."""
+    """Settings of the executive."""
 
 
 @dataclass(frozen=True)
