@@ -106,7 +106,7 @@ def run(
         source: a folder (flight log or photos), an opened source, or a simulated flight.
         lander: footprint and limits of the aircraft; replaces the lander of `settings`.
         settings: a `Settings` model, a mapping of keys, or the name of a YAML file. If both this and `lander` are None,
-            the defaults apply, or the settings stored with a recording of a live run.
+            the defaults apply; the recording of a live run is run with the settings of its flight.
         poses: `truth`, or the name of a TUM file of body poses in ENU, to be used instead of the estimated motion.
         prior_dem: height raster from another source, used to begin the search for heights and for comparison.
         home: position where the vehicle that flies the route is armed, `LAT,LON,ALT_MSL`. It needs `geoid`, or the

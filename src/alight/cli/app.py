@@ -58,7 +58,7 @@ def _top(
 
 
 def _smaller(words: Sequence[str]) -> str:
-    """Return advice for less memory by the command's arguments; settings that they assign are named first."""
+    """Return advice for less memory; settings that are assigned on the command line are named first."""
     command = next((w for w in words if not w.startswith("-")), "")
     usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def command_of(options: type) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
-    """Return a decorator that makes a command of a function of one record, whose fields become the options."""
+    """Return a decorator that turns a function of one record into a command with the record's fields as options."""
     hints = get_type_hints(options, include_extras=True)
     parameters = [
         Parameter(

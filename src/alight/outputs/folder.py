@@ -149,7 +149,7 @@ def is_run(folder: Path) -> bool:
 
 
 def is_work(path: Path) -> bool:
-    """Whether a path is the folder of unfinished work."""
+    """Whether a path is the folder with the saved work of an interrupted run."""
     return path.name == WORK and path.is_dir() and not path.is_symlink()
 
 

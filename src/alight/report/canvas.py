@@ -44,7 +44,7 @@ class Canvas:
         return round(float(col + 0.5) * unit, 2), round(float(row + 0.5) * unit, 2)
 
     def cut(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Return the window of a map array (R, C, ...), zero outside the map."""
+        """Return the part of a map array (R, C, ...) in this window, zero outside the map."""
         out = np.zeros((*self.grid.shape, *array.shape[2:]), array.dtype)
         r0, c0 = max(self.row, 0), max(self.col, 0)
         r1, c1 = min(self.row + self.grid.rows, array.shape[0]), min(self.col + self.grid.cols, array.shape[1])
@@ -53,7 +53,7 @@ class Canvas:
         return out
 
     def uri(self, rgba: U8) -> str:
-        """Return the window of an RGBA picture of the whole map as a data URI, shrunk to page size."""
+        """Return the part of a full-map RGBA picture in this window as a data URI, shrunk to page size."""
         return embedded(webp(shrink(self.cut(rgba))))
 
 
@@ -70,7 +70,7 @@ def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -
 
 
 def _thick(count: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the indices of rows (or columns) whose cell count is more than that of stray cells."""
+    """Return the indices of the rows (or columns) that contain more than stray cells."""
     return np.flatnonzero(count > 0.03 * count.max())
 
 

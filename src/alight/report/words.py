@@ -94,7 +94,7 @@ def counted(number: int, name: str) -> str:
 
 
 def place(result: RunResult, at: Site | NextView) -> str:
-    """Return the horizontal position of a site or view as text: geographic, or from the origin if not on Earth."""
+    """Return the horizontal position of a site or view as text, geographic or relative to the origin."""
     if not result.georeferenced:
         ew, ns = ("east" if at.east >= 0 else "west"), ("north" if at.north >= 0 else "south")
         return f"{abs(at.east):.1f} m {ew}, {abs(at.north):.1f} m {ns} of the origin"
