@@ -1,7 +1,7 @@
 """Upright boxes that move over the ground, such as cars, drawn at their exact positions at the time of each ray.
 
-A box is 12 numbers: east, north and height of the centre of its base, cosine and sine of its heading (of its length,
-from east to north), half length, half width, height, red, green, blue, and 1 if its sides are glass.
+A box is 12 numbers: east, north and height of the centre of its base, cosine and sine of its direction (of the
+length, from east to north), half length, half width, height, red, green, blue, and 1 if its sides are glass.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ def _hash_point(column: int, j: int) -> int:
 def hash3(i: int, j: int, seed: int) -> int:
     """Return 32 well mixed bits of two lattice indices and a seed.
 
-    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other. Combining the indices first, by XOR of
-    their multiples, gave one lattice point in six the bits of another.
+    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other. When the indices were first
+    combined by XOR of their multiples, one lattice point in six had the bits of another one.
     """
     h: int = _hash_point(_hash_column(i, seed), j)
     return h

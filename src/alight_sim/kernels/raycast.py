@@ -80,7 +80,7 @@ def _clip(origin: Three, ray: Three, shape: tuple[int, int], top: float) -> tupl
 def _walk(
     height: F32, pyramid: F32, offsets: I64, widths: I64, origin: Three, ray: Three, span: Three, level: int
 ) -> float:
-    """Follow a ray over the grid from `span[0]` to `span[1]`, down and up the pyramid; see `cast_ray`."""
+    """Return the first hit of a ray between parameters `span[0]` and `span[1]`, or MISS; see `cast_ray`."""
     rows, cols, last = height.shape[0], height.shape[1], offsets.size - 1
     ox, oy, oz = origin
     rx, ry, rz = ray
@@ -196,7 +196,7 @@ def _fall(
 ) -> bool:
     """Advance `starts` (STRIP,) to the highest ground within 2^level cells; return whether a ray left its node first.
 
-    No ray meets the surface before: it stays over the 3 x 3 nodes around its position.
+    No ray meets the surface earlier, because it stays over the 3 x 3 nodes around its position.
     """
     aside = False
     for k in range(STRIP):
@@ -214,7 +214,7 @@ def _fall(
 def _fall_freely(
     about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64
 ) -> None:
-    """Advance the starts of a strip's rays as far as the pyramid of maxima around each node allows."""
+    """Advance the starts of a strip's rays through space that the pyramid of local maxima `about` shows to be empty."""
     for k in range(min(NEAR, offsets.size - 1) + 1):
         level = min(NEAR, offsets.size - 1) - k
         for _ in range(FALLS):

@@ -80,7 +80,7 @@ def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) 
 
 @kernel
 def _settle_base(ways: F64, centre: F64, base: F64) -> bool:
-    """Fill `base` with the first hit on the ground, rounded down to whole metres; return whether there is a hit."""
+    """Fill `base` with the first ground point of a block, floored to metres; return whether the block has one."""
     for i in range(B):
         t = ways[3 * B + i]
         if t > 0.0:

@@ -29,7 +29,7 @@ FORM_ANGULAR, FORM_ROCK_FROM, FORM_HIDDEN, FORM_LOOK, FORM_TINT = range(5)
 
 @kernel
 def _outline(u: float, v: float, bits: int) -> float:
-    """Return the distance of a point from the centre of a polygon with `FACES` sides, relative to its outline (1)."""
+    """Return the distance of a point from the centre of a polygon with `FACES` sides; 1 on the polygon's outline."""
     far = 0.0
     for k in range(FACES):
         h = hash3(bits, k, 11)

@@ -99,7 +99,7 @@ def _spread_patches(buf: F32, w: float, slot: int) -> None:
 
 @kernel
 def patches(buf: F32, base: F64, seed: int) -> None:
-    """Fill the slots LARGE, MIDDLE, ASIDE with the variation within a class from area to area, 130 m down to 6 m."""
+    """Fill the slots LARGE, MIDDLE, ASIDE with the variation within a class at wavelengths from 130 m to 6 m."""
     for slot in (LARGE, MIDDLE, ASIDE):
         fill(buf, slot, 0.0)
     for k, (wavelength, w) in enumerate(((131.0, 0.6), (53.0, 0.6), (23.0, 0.55), (11.0, 0.7), (5.5, 0.7))):
@@ -109,7 +109,7 @@ def patches(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
-    """Add the octave in N, DU, DV to the detail; a share P_RIDGE of it becomes ridges, as on real ground."""
+    """Add the octave in the slots N, DU, DV to the detail; a share P_RIDGE of it becomes ridges."""
     relief = min(F1, f32(0.4) / wavelength)  # long waves of relief belong to the height layer
     for i in range(B):
         w = buf[WEIGHT + i] * smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
@@ -125,7 +125,7 @@ def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) 
 
 @kernel
 def texture_detail(buf: F32, base: F64, seed: int) -> None:
-    """Fill the slots VALUE (about unit deviation), BUMP_E, BUMP_N: the octaves that a pixel resolves, 3 m to 1.2 cm."""
+    """Fill the slots VALUE (about unit deviation), BUMP_E, BUMP_N: octaves of 3 m to 1.2 cm that a pixel resolves."""
     for slot in (VALUE, BUMP_E, BUMP_N):
         fill(buf, slot, 0.0)
     for i in range(B):  # octaves of unit sum of squares

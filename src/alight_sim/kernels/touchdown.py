@@ -53,7 +53,7 @@ def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[floa
 def touchdown(
     height: F32, base: float, sums: F64, count: I64, half: I64, steep: float, limit: float, out: B
 ) -> None:  # fmt: skip
-    """Fill `out` (R, C), true if the disc has no barred cell, a slope of at most `steep` and deviations within `limit`.
+    """Fill `out` (R, C): whether the disc around a cell has no barred cell, slope <= `steep`, deviations <= `limit`.
 
     `steep`: rise per cell. `half` (2 k + 1,): half widths of the disc's rows in cells. On a full disc the normal
     equations are diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is

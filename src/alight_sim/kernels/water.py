@@ -65,7 +65,7 @@ TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045
 
 @kernel
 def dive(buf: F32, looks: F32, look: I32) -> bool:
-    """Store the water's parameters and give its pixels the look of the bed; return whether the block has water."""
+    """Store the parameters of water, and set the look of its pixels to the bed's; return whether there is water."""
     wet = False
     for i in range(B):
         wet |= buf[WATER + i] > 0.0
