@@ -130,7 +130,7 @@ class SimulatedFlight:
 
     @property
     def schedule(self) -> None:
-        """None: the flight was not flown live."""
+        """None, because the flight was not flown live."""
 
     @property
     def photos(self) -> tuple[()]:
@@ -139,7 +139,7 @@ class SimulatedFlight:
 
     @property
     def flown_with(self) -> None:
-        """None: the flight was not flown live."""
+        """None, because the flight was not flown live."""
 
     # -- time
 

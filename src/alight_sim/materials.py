@@ -20,7 +20,7 @@ Four = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """Material of one look; reflectances are linear RGB. Texture is noise of the position, 130 m down to 1.2 cm."""
+    """Material of one look; reflectances are linear RGB. Texture is noise with waves of 130 m to 1.2 cm."""
 
     first: Colour  # mixed with `second` over areas of 6 to 130 m
     second: Colour

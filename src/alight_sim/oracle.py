@@ -160,7 +160,7 @@ class SafePlaces:
         return np.asarray(self.safe_at.any(axis=2))
 
     def with_margin(self, margin: float) -> Mask:
-        """Return the (R, C) mask of centres that are safe, with all centres within `margin` m; False off the grid."""
+        """Return the (R, C) mask of centres that are safe with all centres within `margin` m; unsafe off the grid."""
         step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
         k = math.floor(margin / step + 1e-9)
         padded = np.pad(self.safe, k, constant_values=False)

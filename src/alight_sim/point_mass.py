@@ -79,7 +79,7 @@ class PointMass:
 
     @property
     def body(self) -> PointMass:
-        """This object, for the interface `TrueVehicle`."""
+        """This object itself, as the interface `TrueVehicle` requires."""
         return self
 
     @property

@@ -44,7 +44,7 @@ Beside = Annotated[Path, AfterValidator(_beside)]
 class SceneRaster(Section):
     """GeoTIFFs of a world, in any coordinate system; without an origin, the centre of the height raster is the origin.
 
-    Without a size the world is as large as the height raster. Layers may be laid on it, and relief if it is given.
+    Without a size the world is as large as the height raster. Layers may be added; relief is added only if given.
     """
 
     height: Beside = Field(description="heights of the surface, metres above the ellipsoid (band 1)")

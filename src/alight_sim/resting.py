@@ -13,10 +13,10 @@ _TIE = 1e-6  # metres: all resting poses whose heights differ by less are possib
 
 
 def resting_on_feet(at: F64, height: F64) -> F64:
-    """Return (N, P, 3) planes on which a lander rests with feet `at` (K, 2) on ground `height` (N, K); P by repetition.
+    """Return (N, P, 3) planes on which a lander with feet `at` (K, 2) rests on ground `height` (N, K).
 
     At rest the centre is as low as possible without a foot below the ground: a plane through three feet. Several planes
-    for one centre mean that the lander may rock between them.
+    for one centre mean that the lander may rock between them; if fewer than P, they are repeated.
     """
     found = []
     for three in combinations(range(len(at)), 3):

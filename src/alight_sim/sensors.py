@@ -181,7 +181,7 @@ class NavStream:
 def simulated_nav(
     flight: TrueTrajectory, t_ns: I64, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
 ) -> Iterator[NavSample]:
-    """Yield the navigation solution at times `t_ns` of the clock, which are `seconds` of the trajectory."""
+    """Yield the rows of GPS/INS with stamps `t_ns`, which correspond to the times `seconds` of the trajectory."""
     then, stream = seconds - errors.latency, NavStream(errors, seeds)
     places, velocities = flight.place_world(then), flight.velocity_world(then)
     turns, rates = flight.rotations(then), flight.angular_velocity_body(then)

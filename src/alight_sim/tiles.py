@@ -207,7 +207,7 @@ class Lay:
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
-        """Return the (N,) mask of things that overlap no thing of an earlier layer, nor a preferred one of theirs."""
+        """Return the (N,) mask of things that overlap no earlier layer's thing, and no own one with precedence."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room

@@ -190,7 +190,7 @@ class _Line:
 
 
 def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool) -> _Line:
-    """Return a timed polyline: legs within speed, climb and sink, slow corners, at most `most` m/s^2 in total."""
+    """Return a polyline with speeds at its points. `most`: m/s^2 at most; `rolling`: not at rest at the ends."""
     legs = np.diff(points, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     units = legs / lengths[:, None]

@@ -23,7 +23,7 @@ class NavigationError:
 
 
 class Estimate(Protocol):
-    """Interface of the present errors of an estimate, and their change with time."""
+    """Interface of a simulated estimate: its present errors, and a step forward in time."""
 
     @property
     def now(self) -> NavigationError: ...

@@ -66,7 +66,7 @@ class FlightLogic:
         return True
 
     def arm(self, wanted: bool) -> bool:
-        """Start (`wanted`) or stop the motors; return false if refused: a stop in the air, a start without take-off."""
+        """Start (`wanted`) or stop the motors; return false if refused (stop in the air, start without take-off)."""
         if not wanted:
             if not self._stands:
                 return False
@@ -127,7 +127,7 @@ class FlightLogic:
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
-        """Return the vehicle's set-point at time `t` (s) and estimated position `here` (3,); None: motors off."""
+        """Return the set-point at time `t` (s) for position `here` (3,); `stands`: on the ground. None: motors off."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):

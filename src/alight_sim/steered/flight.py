@@ -53,7 +53,7 @@ class MovingAir:
     leant: F64 = field(default_factory=lambda: np.zeros(3))  # m/s^2, learned part of the pushes
 
     def push(self, now: float, h: float, drag: float) -> F64:
-        """Return the acceleration (3,) m/s^2 by wind and gusts in a step of `h` seconds, less the learned part."""
+        """Return the acceleration (3,) m/s^2 by wind and gusts in a step of `h` s, minus the learned part."""
         share = 1.0 - math.exp(-h / _TRIM)
         self.learned = self.learned + share * (self.velocity - self.learned)
         gusts: F64 = sum((a for start, end, a in self.pushes if start <= now < end), np.zeros(3))
@@ -197,7 +197,7 @@ class SteeredFlight:
 
     @property
     def wind_world(self) -> F64:
-        """(3,) m/s, velocity of the air as the autopilot has learned it."""
+        """(3,) m/s, velocity of the air as estimated by the autopilot."""
         return self.air.learned.copy()
 
     @property

@@ -39,7 +39,7 @@ def share_above(diameter: float, share: float) -> float:
 
 @lru_cache(64)
 def _counts(share: float, size: Between) -> tuple[F64, F64]:
-    """Return diameters (m), and the number of stones per square metre of each diameter and more."""
+    """Return diameters (m), and for each the number of stones per square metre that are at least as large."""
     diameter = np.geomspace(*size, 400) if size[0] < size[1] else np.array(size)
     q = decay(share)
     density = share * q * np.exp(-q * diameter) / (0.25 * math.pi * diameter**2)
