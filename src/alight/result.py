@@ -88,14 +88,14 @@ class Result:
         return self.record.settings
 
     def latitude_longitude(self, site: Site) -> tuple[float, float] | None:
-        """Return latitude and longitude of a site, degrees, WGS84; None if the recording has no place on Earth."""
+        """Return latitude and longitude of a site, degrees, WGS84; None if the recording is not georeferenced."""
         if not self.record.georeferenced:
             return None
         latitude, longitude, _ = self.record.local.to_geodetic([site.east, site.north, site.up])
         return float(latitude), float(longitude)
 
     def ellipsoid_height(self, site: Site) -> float | None:
-        """Return a site's height above the WGS84 ellipsoid, metres; None if the recording has no place on Earth."""
+        """Return a site's height above the WGS84 ellipsoid, metres; None if the recording is not georeferenced."""
         if not self.record.georeferenced:
             return None
         return float(self.record.local.to_geodetic([site.east, site.north, site.up])[2])

@@ -85,7 +85,7 @@ class _Observed:
         return self._seconds[0] - predicted.start - first * STEP, np.array(left) / whole
 
     def refined(self, offset: float, predicted: PredictedMotion) -> ClockOffset:
-        """Refine an offset (s) by Gauss-Newton with robust weights; its sigma is from the spread of the windows."""
+        """Refine an offset (s) by robust Gauss-Newton; its sigma follows from the spread of the windows."""
         for _ in range(10):
             r, later, earlier = (self._interpolated(offset + d, predicted) for d in (0.0, STEP / 2, -STEP / 2))
             J, length = (later - earlier) / STEP, np.linalg.norm(r, axis=1)
@@ -160,7 +160,7 @@ def predicted_motion(motion: BodyMotion, body_from_cam: Pose, spots: F64, span: 
 
 
 def offset_of_frames(rig: Rig, frames: Iterable[Frame], nav: NavTable, imu: ImuTable) -> ClockOffset:
-    """Find the offset between the clocks of the frames and of GPS/INS and IMU, from the first part that shows it.
+    """Find the offset between the clocks of the frames and of GPS/INS and IMU, from the first usable part.
 
     Args:
         frames: exposures in order of time; camera 0 is used.

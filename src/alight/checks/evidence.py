@@ -107,7 +107,7 @@ class CameraEvidence:
     _edges_ns: int = -(2**62)  # time of the last of `edges`
 
     def add(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure one picture, taken `seconds` after the first exposure, unless the last is less than 0.08 s old."""
+        """Measure a picture, `seconds` after the first exposure; skip it less than 0.08 s after the last one."""
         if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
         small, factor = downscaled(image, 640)

@@ -54,7 +54,7 @@ class TurnWindows:
 
     @property
     def difference(self) -> float:
-        """Unexplained share of the turns with the IMU axes as recorded, over all axes."""
+        """Share of the turns that the IMU does not explain with its axes as recorded, over all axes."""
         return trimmed_rms(_centred(self.imu - self.nav)) / max(trimmed_rms(_centred(self.nav)), 1e-9)
 
     @property
@@ -301,7 +301,7 @@ def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[floa
 
 
 def check_nav_clock(streams: NavAndImu) -> CheckResult:
-    """Check the clock of GPS/INS against the clock of the IMU: the lag at which their turns agree best."""
+    """Check the clock of GPS/INS against the clock of the IMU: find the lag at which their turns agree best."""
     lags = np.arange(-0.5, 0.501, 0.02)
     tables = [streams.turns(streams.nav.world_from_body, float(lag)) for lag in lags]
     here = tables[len(tables) // 2]

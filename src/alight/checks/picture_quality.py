@@ -118,7 +118,7 @@ class StaticMap:
 
 
 def _fine(image: U8) -> F32:
-    """Return the picture without slow changes of brightness, because vignetting is static too, but no dirt."""
+    """Return the picture without slow changes of brightness, because vignetting is as static as dirt."""
     x = image.astype(np.float32)
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), max(image.shape) / 40.0), dtype=np.float32)
 

@@ -20,7 +20,7 @@ stdout_errors: list[str] = []  # errors of writing to stdout, reported when the 
 
 
 def discard(stream: TextIO) -> None:
-    """Redirect a stream that cannot be written to the null device; otherwise the interpreter fails on it at exit."""
+    """Redirect an unwritable stream to the null device; otherwise the interpreter fails on it at exit."""
     with suppress(OSError):  # the stream has no file descriptor
         number = stream.fileno()
         os.dup2(os.open(os.devnull, os.O_WRONLY), number)

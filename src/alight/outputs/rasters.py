@@ -38,7 +38,7 @@ class RasterFile:
 
 
 def raster_crs(local: LocalFrame, georeferenced: bool) -> CRS:
-    """Return the CRS of the rasters: transverse Mercator about the origin, or a local one without a place on Earth."""
+    """Return the CRS of the rasters: transverse Mercator about the origin, or a local one if not georeferenced."""
     return CRS.from_string(local.crs) if georeferenced else CRS.from_wkt(LOCAL_WKT)
 
 

@@ -117,7 +117,7 @@ def name(key: str) -> str:
 
 
 def value(thing: object) -> str:
-    """Return a note's value as text: four figures, lists with commas, mappings with colons."""
+    """Return a note's value as text: numbers with four figures, lists with commas, mappings with colons."""
     if isinstance(thing, Mapping):
         return ", ".join(f"{k}: {value(v)}" for k, v in thing.items())
     if isinstance(thing, (list, tuple, np.ndarray)):

@@ -23,7 +23,7 @@ class ImuNoise:
     accelerometer_random_walk: float | None = None  # m/s^3 per sqrt(Hz)
 
     def stated(self) -> dict[str, float]:
-        """Return the stated values by field."""
+        """Return the stated values, by the name of the field."""
         return {k: v for k, v in asdict(self).items() if v is not None}
 
     def in_flight(self, margin: float) -> dict[str, float]:
@@ -123,7 +123,7 @@ class Settings(FrozenModel):
 
     @property
     def too_low(self) -> str:
-        """Reason why no landing may be flown with these settings; empty: it may. Recordings can be read in any case."""
+        """Why no landing may be flown with these settings, empty if one may. Recordings can be read in any case."""
         given, k = self.executive.commit_height, self.tuning.executive
         least = k.abort_height + k.unchecked
         if given >= least:
