@@ -1,11 +1,11 @@
-"""Alight: a safe place to land, from an aircraft's cameras and its GPS/INS.
+"""Alight: find a safe place to land, from an aircraft's cameras and its GPS/INS.
 
 >>> import alight
 >>> result = alight.run("photos/", lander=alight.Lander(radius=0.8))
 >>> result.sites, result.reason
 >>> result.save("out/first")
 
-Names are imported when they are first used, so that `import alight` costs nothing (PEP 562).
+Names are imported when they are first used, so that `import alight` takes almost no time (PEP 562).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name from the module that has it."""
+    """Import a public name from its module at the first use."""
     if name not in _HOME:
         raise AttributeError(f"module 'alight' has no attribute {name!r}")
     value = getattr(import_module(f"alight.{_HOME[name]}"), name)
@@ -83,5 +83,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, for completion."""
+    """Return the public names, for completion."""
     return sorted([*__all__, "__version__"])

@@ -1,4 +1,4 @@
-"""The functions of `import alight`, one a command; `live`, `fly`, `rehearse` and `settings` are commands only."""
+"""The functions of `import alight`, one per command; `live`, `fly`, `rehearse` and `settings` are commands only."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ SettingsLike = Settings | Mapping[str, Any] | str | Path | None
 
 
 def _quiet(stage: str, share: float) -> None:
-    """Report no progress."""
+    """Discard a report of progress."""
 
 
 @contextmanager
 def single_threaded_algebra() -> Iterator[None]:
-    """Keep linear algebra on one thread: the filter's matrices are too small to share between threads.
+    """Run linear algebra on one thread: the filter's matrices are too small to be shared between threads.
 
-    With several, 30 of 52 s of CPU were spent waiting, and sums in another order gave other last bits.
+    With several threads, 30 of 52 s of CPU time were spent waiting, and sums in another order changed the last bits.
     """
     from threadpoolctl import threadpool_limits
 
@@ -44,10 +44,14 @@ def single_threaded_algebra() -> Iterator[None]:
 
 
 def settings_of(settings: SettingsLike = None, lander: Lander | None = None) -> Settings:
-    """Return settings from a model, a mapping (`{"parallax.cell": 0.1}` or nested), or a YAML file; `lander` wins.
+    """Return settings from a model, a mapping (`{"parallax.cell": 0.1}` or nested), or a YAML file.
+
+    Args:
+        settings: the settings, or the name of their YAML file; None: the defaults.
+        lander: replaces the lander of `settings`; None: it is kept.
 
     Raises:
-        SettingsError: an unknown key, a value out of range, or a file that cannot be read.
+        SettingsError: a key is unknown, a value is out of range, or the file cannot be read.
     """
     try:
         if settings is None:
@@ -66,7 +70,7 @@ def settings_of(settings: SettingsLike = None, lander: Lander | None = None) -> 
 
 
 def _plain_value(key: str, value: Any) -> Any:
-    """Return the value of a key, which may be a model, a path, or a scalar or an array of NumPy, as JSON has it."""
+    """Return a setting's value (a model, a path, a NumPy scalar or array, or plain data) as JSON types."""
     import json
 
     def plain(value: Any) -> Any:
@@ -100,17 +104,17 @@ def run(
 
     Args:
         source: a folder (flight log or photos), an opened source, or a simulated flight.
-        lander: the aircraft's footprint and limits; wins over `settings`.
-        settings: a `Settings` model, a mapping of keys, or the name of a YAML file. None, and no `lander`: the
-            defaults, or those of the flight where its recording is run.
-        poses: `truth`, or a TUM file of body poses in ENU, instead of the estimated motion.
-        prior_dem: heights from elsewhere, to begin the search with and to compare with.
-        home: place where the vehicle that flies the route is armed: `LAT,LON,ALT_MSL`, with `geoid`, or with the
-            separation there (ellipsoid minus sea level) as a fourth number. None: heights of `route.plan` are above the
-            site.
-        geoid: grid of geoid heights in metres, on degrees.
-        scheduler: address of a Dask cluster that does the work of photos, such as tcp://host:8786.
-        progress: called with the stage and the share of it that is done.
+        lander: footprint and limits of the aircraft; replaces the lander of `settings`.
+        settings: a `Settings` model, a mapping of keys, or the name of a YAML file. If both this and `lander` are None,
+            the defaults apply; the recording of a live run is run with the settings of its flight.
+        poses: `truth`, or the name of a TUM file of body poses in ENU, to be used instead of the estimated motion.
+        prior_dem: height raster from another source, used to begin the search for heights and for comparison.
+        home: position where the vehicle that flies the route is armed, `LAT,LON,ALT_MSL`. It needs `geoid`, or the
+            separation there (ellipsoid minus sea level, metres) as a fourth number. None: heights of `route.plan` are
+            relative to the landing site.
+        geoid: raster of geoid heights in metres, on a grid of degrees.
+        scheduler: address of a Dask cluster that processes the photos, such as tcp://host:8786.
+        progress: called with the name of the stage and the share of it that is done.
 
     Raises:
         AlightError: the input or a setting cannot be used; the message gives the remedy.
@@ -139,13 +143,13 @@ def judge(
     lander: Lander | None = None,
     settings: SettingsLike = None,
 ) -> Result:
-    """Judge heights from another source: P(safe) and reasons of each cell, and the landing sites of this lander.
+    """Judge a height raster from another source: P(safe) and reasons of each cell, and the landing sites.
 
     Args:
-        dem: a height raster on square cells, in metres or feet.
+        dem: a height raster with square cells, in metres or feet.
         sigma: 1-sigma of the heights, metres or a raster; None: the raster's second band, or `hazards.usual_sigma`.
-        image: the same ground seen from above; two or more pixels a cell sharpen the heights.
-        lander, settings: as for `run`.
+        image: image of the same ground from above; with two or more pixels per cell it sharpens the heights.
+        lander, settings: see `run`.
 
     Raises:
         AlightError: a raster or a setting cannot be used; the message gives the remedy.
@@ -162,15 +166,15 @@ def judge(
 
 
 def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -> SimulatedFlight:
-    """Make a flight over simulated ground: a source that `run` takes; `alight_sim.write` makes it a folder.
+    """Simulate a flight and return it as a source for `run`; `alight_sim.write` writes it to a folder.
 
     Args:
         scene: the name of a built-in scene, a scene file (YAML), or a scene.
-        seed: of the random ground and flight; another seed gives another place.
-        wishes: `height` [m], `duration` [s], `speed` [m/s] and others of `alight_sim.fly`.
+        seed: seed of the random ground and flight; another seed gives another site.
+        wishes: `height` [m], `duration` [s], `speed` [m/s] and other arguments of `alight_sim.fly`.
 
     Raises:
-        InputError: no such scene, or the flight cannot be flown.
+        InputError: the scene does not exist, or the flight cannot be flown.
     """
     import alight_sim
 
@@ -178,10 +182,10 @@ def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -
 
 
 def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
-    """Compare a run, or the folder that it left, with a flight's truth or a structure-from-motion reference.
+    """Compare a run with the truth of a simulated flight or with a structure-from-motion reference.
 
     Raises:
-        InputError: `out` is no run, or `truth` holds no truth.
+        InputError: `out` is not a run, or the folder `truth` holds neither `truth/` nor `sfm_reference.npz`.
     """
     from alight.evaluation import evaluate as compare
 
@@ -195,16 +199,16 @@ def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
 def check(
     source: str | Path | Source, *, seconds: float = 10.0, start: float = 0.0, settings: SettingsLike = None
 ) -> list[CheckResult]:
-    """Check a rig, or whether photos will do: each result has a name, a verdict, the evidence and a remedy.
+    """Check the rig of a flight, or whether photos can be used; return each check's name, verdict, evidence and remedy.
 
     Args:
         source: a flight log, a recording (.mcap), a folder of photos, an opened source, or a simulated flight.
         seconds: length of the part of a flight that is read.
-        start: s from the first exposure at which to begin.
-        settings: as for `run`; `sources` counts only where `source` is a name.
+        start: begin of that part, s from the first exposure.
+        settings: see `run`; its section `sources` is used only if `source` is a name.
 
     Raises:
-        InputError: the input cannot be used, or has no exposure there.
+        InputError: the input cannot be used, or has no exposure in that part.
         SettingsError: a setting cannot be used.
     """
     from alight.runner.checking import check_opened
@@ -217,12 +221,14 @@ def check(
 
 
 def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet, overwrite: bool = False) -> Result:
-    """Land a simulated vehicle (search, look, look again from lower down, touch down) and write the folder `out`.
+    """Fly a simulated landing (search, look, look again from lower down, touch down) and write the folder `out`.
 
-    An earlier run in the folder is replaced; `overwrite` writes also into a folder that holds other files.
+    Args:
+        out: output folder; an earlier run in it is replaced.
+        overwrite: whether to write into a folder that holds other files.
 
     Raises:
-        OutputError: the folder holds other files (and not `overwrite`), or cannot be written.
+        OutputError: the folder holds other files and `overwrite` is false, or it cannot be written.
     """
     from alight.trials.demo import fly_demo
 
@@ -243,20 +249,20 @@ def campaign(
     scheduler: str | None = None,
     settings: SettingsLike = None,
 ) -> CampaignNumbers:
-    """Fly simulated landings in closed loop; those that the folder `out` holds already are not flown again.
+    """Fly simulated landings in closed loop; landings that the folder `out` already holds are not flown again.
 
     Args:
         scenes: names, scene files, `package.module:factory` of other worlds, or `all`.
         out: folder of the campaign.
-        landings: number of landings, those that the folder holds included; None: as many as the folder's campaign was
-            begun with, or 20.
-        seed: of all random numbers.
-        jobs: processes of this machine.
-        scheduler: address of a Dask cluster instead.
-        settings: as for `run`.
+        landings: total number of landings, including the landings in the folder; None: the number of the folder's
+            campaign, or 20 for a new one.
+        seed: seed of all random numbers.
+        jobs: number of processes on this machine.
+        scheduler: address of a Dask cluster, used instead of processes.
+        settings: see `run`.
 
     Raises:
-        AlightError: no such scene, or the folder is another campaign's, or has more landings.
+        AlightError: a scene does not exist, or the folder holds another campaign or more landings.
     """
     from alight.trials.campaign.run import Campaign, fly_campaign, wanted_landings
 
@@ -265,7 +271,7 @@ def campaign(
 
 
 def warmup(progress: Progress = _quiet) -> None:
-    """Compile all loops, so that the first run does not wait for it."""
+    """Compile all loops, so that the first run does not wait for the compiler."""
     from alight.trials.warmup import compile_kernels
 
     with single_threaded_algebra():
@@ -273,10 +279,10 @@ def warmup(progress: Progress = _quiet) -> None:
 
 
 def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05, progress: Progress = _quiet) -> str:
-    """Train the model of appearance on a folder of pictures by class and write it to `out`; return its provenance.
+    """Train the appearance model on a folder of pictures by class, write it to `out`, and return its provenance.
 
     Args:
-        sampling: metres a pixel, where no index.csv gives it.
+        sampling: metres per pixel of pictures without an entry in index.csv.
 
     Raises:
         AlightError: the pictures cannot be used, or the file cannot be written.
@@ -289,13 +295,13 @@ def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05
 def evaluate_appearance(
     folder: str | Path, model: str | Path | None = None, sampling: float = 0.05, progress: Progress = _quiet
 ) -> Confusion:
-    """Compare a model of appearance (default: the package's own) with labelled pictures; return the confusion matrix.
+    """Compare the classes of an appearance model with labelled pictures; return the confusion matrix.
 
     Args:
         folder: pictures by class, or `images/` with `labels/`.
-        model: a trained model; None: the package's own.
-        sampling: metres a pixel, where no index.csv gives it.
-        progress: called with the stage and the share of it that is done.
+        model: file of a trained model; None: the model of the package.
+        sampling: metres per pixel of pictures without an entry in index.csv.
+        progress: called with the name of the stage and the share of it that is done.
 
     Raises:
         InputError: the pictures or the model cannot be used.

@@ -1,4 +1,4 @@
-"""The result of a run, for Python: sites, maps with their grid, motions; one call writes the folder."""
+"""The result of a run, for Python: sites, maps with their grid, and motions; `save` writes the folder."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from alight.settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Result of one run: landing sites, and the maps and motions that they follow from.
+    """Result of one run: landing sites, and the maps and motions from which they were computed.
 
-    Maps carry their `grid`: cell (row 0, column 0) is the northernmost and westernmost, `grid.xy()` gives the metres
-    east and north of the columns and rows. Heights are metres above the origin of the recording; NaN is unknown.
+    Each map has a `grid`: cell (row 0, column 0) is the north-west corner, and `grid.xy()` returns the east and north
+    coordinates of the columns and rows, metres. Heights are metres above the recording's origin; NaN is unknown.
     """
 
     record: RunResult
-    writer: Callable[[RunResult, Path, bool], list[Path]] = write_run  # of the folder
+    writer: Callable[[RunResult, Path, bool], list[Path]] = write_run  # writes the folder
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """Landing sites, best first; empty if there is none (see `reason`)."""
+        """Landing sites, best first; empty if there are none (see `reason`)."""
         return self.record.sites.sites
 
     @property
     def candidates(self) -> tuple[Site, ...]:
-        """Places that nothing refuses, P(safe) below the limit: `doubt` is the cause, `look` the view to settle it."""
+        """Places that no limit refuses, with too low a P(safe): `doubt` is the cause, `look` the view to settle it."""
         return self.record.sites.candidates
 
     @property
@@ -39,35 +39,35 @@ class Result:
 
     @property
     def reason(self) -> str:
-        """Reason why there is no site; empty if there is one."""
+        """Reason why there is no site; empty if there are sites."""
         return self.record.sites.reason
 
     @property
     def elevation(self) -> ElevationMap | None:
-        """Heights with sigma and flags, (R, C) arrays on `elevation.grid`."""
+        """Heights with sigma and flags, (R, C) arrays on `elevation.grid`; None: no heights were found."""
         return self.record.elevation
 
     @property
     def land_cover(self) -> TerrainMap | None:
-        """Class codes and the probability that this kind of ground may be landed on."""
+        """Class of each cell, and the probability that ground of its class is landable; None: not judged."""
         return self.record.terrain
 
     @property
     def hazards(self) -> HazardMap | None:
         """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell of `hazards.grid`.
 
-        Its cells may be larger than those of the heights; `hazards.on(elevation.grid)` gives it on theirs.
+        The cells may be larger than those of the heights: `hazards.on(elevation.grid)` resamples. None: not judged.
         """
         return self.record.hazards
 
     @property
     def route(self) -> Route | None:
-        """Way-points to the best site."""
+        """Way-points to the best site; None: no route was planned."""
         return self.record.route
 
     @property
     def motions(self) -> Sequence[Motion]:
-        """Estimated motion of every exposure that could be placed."""
+        """Estimated motion at every exposure with a known pose."""
         return self.record.motions
 
     @property
@@ -79,7 +79,7 @@ class Result:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Frames and rows read, left out and why."""
+        """Numbers of frames and rows that were read, and that were left out by reason."""
         return self.record.counts
 
     @property
@@ -88,22 +88,22 @@ class Result:
         return self.record.settings
 
     def latitude_longitude(self, site: Site) -> tuple[float, float] | None:
-        """Return degrees on WGS84; None if the recording has no place on Earth."""
+        """Return latitude and longitude of a site, degrees, WGS84; None if the recording is not georeferenced."""
         if not self.record.georeferenced:
             return None
         latitude, longitude, _ = self.record.local.to_geodetic([site.east, site.north, site.up])
         return float(latitude), float(longitude)
 
     def ellipsoid_height(self, site: Site) -> float | None:
-        """Return metres above the WGS84 ellipsoid; None if the recording has no place on Earth."""
+        """Return a site's height above the WGS84 ellipsoid, metres; None if the recording is not georeferenced."""
         if not self.record.georeferenced:
             return None
         return float(self.record.local.to_geodetic([site.east, site.north, site.up])[2])
 
     def save(self, out: str | Path, overwrite: bool = False) -> list[Path]:
-        """Write the folder of results (docs/formats/outputs.md) and return the files written.
+        """Write the folder of results (docs/formats/outputs.md) and return the paths of the files written.
 
         Raises:
-            OutputError: the folder holds other files (and not `overwrite`), or cannot be written.
+            OutputError: the folder holds other files and `overwrite` is false, or it cannot be written.
         """
         return self.writer(self.record, Path(out), overwrite)

@@ -1,4 +1,4 @@
-"""Cameras of the simulator: rays through the distorted lens, cast at the moment that each row is exposed."""
+"""Cameras of the simulator: rays through the distorted lens, cast at the time at which each row is exposed."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from alight_sim.world import Poses
 if TYPE_CHECKING:  # which draws its pictures with these cameras
     from alight_sim.scene_world import SceneWorld
 
-COARSEST = 4  # halvings of the layers of looks, at most
-REACH = 12.0  # distance to which the ground is made, in heights above ground; beyond it goes on level
+COARSEST = 4  # largest number of halvings of the layers of looks
+REACH = 12.0  # distance to which the ground is built, in heights above ground; it continues level beyond
 FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 
 
 @dataclass(frozen=True)
 class Shutter:
-    """Exposure times of the rows. Row r is open about `time + (r - (H - 1) / 2) * line_time`."""
+    """Exposure times of the rows. Row r is exposed around `time + (r - (H - 1) / 2) * line_time`."""
 
     exposure: float = 0.0  # s
     line_time: float = 0.0  # s from one row to the next: rolling shutter
@@ -41,11 +41,11 @@ class Shutter:
 
     @classmethod
     def of(cls, imaging: Imaging) -> Shutter:
-        """The shutter of an imaging."""
+        """Return the shutter of the imaging settings."""
         return cls(imaging.exposure_time, imaging.line_time, imaging.moments)
 
     def opened(self, rows: int, moment: int) -> F64:
-        """(rows,) seconds of one moment of each row, from the picture's time; (1,) where all rows open together."""
+        """Return when each row takes a moment of its exposure, (rows,) s from the picture's time; (1,): all at once."""
         part = (moment + 0.5) / self.moments - 0.5
         lines = np.arange(rows) - 0.5 * (rows - 1) if self.line_time else np.zeros(1)
         return np.asarray(part * self.exposure + self.line_time * lines)
@@ -53,11 +53,11 @@ class Shutter:
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """A camera with the rays of all its pixels, undistorted once."""
+    """A camera with the rays of all its pixels, computed once without distortion."""
 
     camera: Camera
-    samples: int = 1  # rays a pixel
-    rays: tuple[F32, ...] = field(init=False)  # one (H, W, 3) a sample, z = 1
+    samples: int = 1  # rays per pixel
+    rays: tuple[F32, ...] = field(init=False)  # one (H, W, 3) array per sample, z = 1
 
     def __post_init__(self) -> None:
         u, v = np.meshgrid(np.arange(self.camera.width, dtype=float), np.arange(self.camera.height, dtype=float))
@@ -67,7 +67,7 @@ class Eye:
         object.__setattr__(self, "rays", tuple(rays))
 
     def depth(self, world: SceneWorld, world_from_cam: Pose, sample: int = 0) -> F64:
-        """(H, W) depth of the ground point of each pixel, metres along the optical axis; -1 where it sees no ground.
+        """Return the (H, W) depth of the ground at each pixel, metres along the optical axis; -1 if no ground is hit.
 
         Raises:
             InputError: the camera is below the ground.
@@ -84,10 +84,12 @@ class Eye:
         shutter: Shutter | None = None,
         bodies: Sequence[Moving] = (),
     ) -> F32:
-        """(H, W, 3) linear light of an exposure whose middle is at `time`, seconds.
+        """Return the linear light (H, W, 3) of one exposure.
 
-        `poses` gives the camera's poses at given times; a Pose is a camera that stands still. `bodies` are drawn
-        beside the world's own.
+        Args:
+            poses: the camera's poses as a function of time; a Pose is a static camera.
+            time: middle of the exposure, s.
+            bodies: moving objects that are drawn in addition to those of the world.
 
         Raises:
             InputError: the camera is below the ground.
@@ -105,7 +107,7 @@ class Eye:
         return out
 
     def footprint(self, world: SceneWorld, turns: F64, places: F64) -> tuple[float, float, float, float]:
-        """West, south, east, north of the ground that the picture can show: a function of the poses and the lens."""
+        """Return west, south, east, north (m) of the ground that a picture shows, at turns (N, 3, 3), places (N, 3)."""
         edge = _border(self.rays[0])
         ends = [_reach(world, turns[k] @ edge.T, places[k]) for k in {0, len(turns) - 1}]
         spots = np.concatenate([*ends, places[:, :2]])
@@ -148,13 +150,13 @@ class Eye:
 
 
 def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:
-    """Number of halvings of the cells of looks and light: no finer than a pixel's footprint on the ground below."""
+    """Return how often the resolution of looks and light is halved: a cell is at most a pixel's size on the ground."""
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
 
 def rays_in_pixel(samples: int) -> NDArray[np.float64]:
-    """(samples, 2) offsets of a pixel's rays from its centre, pixels: R2 sequence; a turned square for four."""
+    """Return (samples, 2) offsets of a pixel's rays from its centre, px: R2 sequence; for four, a rotated square."""
     if samples == 4:
         return np.array(FOUR)
     k = np.arange(samples)[:, None]
@@ -163,18 +165,16 @@ def rays_in_pixel(samples: int) -> NDArray[np.float64]:
 
 
 def still(pose: Pose, count: int) -> tuple[F64, F64]:
-    """A pose as the rotations and places of `count` moments."""
     return np.repeat(pose.rotation[None], count, axis=0), np.repeat(pose.translation[None], count, axis=0)
 
 
 def _border(rays: F32) -> F64:
-    """(N, 3) rays of every 16th pixel of the picture's border."""
     sides = (rays[0, ::16], rays[-1, ::16], rays[::16, 0], rays[::16, -1], rays[-1:, -1])
     return np.concatenate(sides).astype(np.float64)
 
 
 def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
-    """(N, 2) east and north where rays (3, N) meet the lowest ground, or REACH heights away."""
+    """Return the (N, 2) east and north at which rays (3, N) reach the lowest ground, at most REACH heights away."""
     height = max(float(place[2]) - world.low, 1.0)
     flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
     away = np.minimum(np.where(rays[2] < 0, height * flat / np.maximum(-rays[2], 1e-9), np.inf), REACH * height)
@@ -182,7 +182,7 @@ def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
 
 
 def _near(boxes: F64, patch: GroundPatch) -> F64:
-    """The boxes that are on the patch at some time, or whose shadow may fall on it."""
+    """Return the boxes that are on the patch at some time, or whose shadow may fall on it."""
     x, y = patch.grid.xy()
     over = (boxes[..., 0] > x[0] - 30) & (boxes[..., 0] < x[-1] + 30) & (boxes[..., 1] > y[-1] - 30)
     over &= boxes[..., 1] < y[0] + 30

@@ -1,4 +1,4 @@
-"""Worlds to fly campaigns over: kinds with safe places and kinds without any. The seed changes each."""
+"""Kinds of worlds for campaigns, some with safe sites and some without any. The seed varies each world."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from alight_sim.scene_world import SceneWorld, build
 
 @dataclass(frozen=True)
 class CampaignWorld:
-    """One kind of world."""
+    """One kind of campaign world."""
 
     name: str
     scene: str | Scene  # a built-in scene's name, or a scene
-    safe: bool = True  # there are places where a small lander is safe
+    safe: bool = True  # whether some sites are safe for a small lander
 
     def build(self, seed: int = 0) -> SceneWorld:
-        """Build the world of a seed."""
+        """Build the world of this kind for a seed."""
         return build(self.scene, seed)
 
 
@@ -28,7 +28,7 @@ def _scene(name: str, description: str, **ground: Any) -> Scene:
 
 
 def campaign_worlds() -> dict[str, CampaignWorld]:
-    """All kinds of campaign worlds by name."""
+    """Return all kinds of campaign worlds by name."""
     rough = [{"height": 1.5, "longest": 60, "shortest": 6, "fall": 1.7}]
     rubble = _scene(
         "rubble", "Dense rubble everywhere: boulders and scree without a gap.", cover="bare", look="scree",

@@ -1,4 +1,4 @@
-"""Layers of a tile in blocks of 2^level cells, for pictures with pixels of that size: small things would alias."""
+"""Layers of a tile averaged over blocks of 2^level cells, to avoid aliasing in pictures with pixels of that size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _quarters(layer: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 
 
 def mean_of(layer: F32, level: int) -> F32:
-    """(R >> level, C >> level, ...) means of blocks of a layer."""
+    """Return the (R >> level, C >> level, ...) means of blocks of 2^level cells of a layer."""
     for _ in range(level):
         a, b, c, d = _quarters(layer)
         layer = np.float32(0.25) * ((a + b) + (c + d))
@@ -24,7 +24,7 @@ def mean_of(layer: F32, level: int) -> F32:
 
 
 def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
-    """(R >> level, C >> level) most frequent code of each block, found two by two cells."""
+    """Return the (R >> level, C >> level) most frequent code of each block, reduced by two cells per step."""
     for _ in range(level):
         a, b, c, d = _quarters(codes)
         codes = np.where((a == b) | (a == c) | (a == d), a, np.where((b == c) | (b == d), b, d))
@@ -32,7 +32,7 @@ def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
 
 
 def mean_shadow(margin: F32, level: int) -> F32:
-    """(R >> level, C >> level) margins of the mean light of blocks: the sun's share is averaged, not the margin."""
+    """Return the (R >> level, C >> level) shadow margins of blocks, which give the mean share of sun in each block."""
     if level == 0:
         return margin
     t = np.clip((margin - SHADED) / (LIT - SHADED), 0.0, 1.0)

@@ -15,18 +15,18 @@ from alight_sim.world import World
 
 LEAD = 0.5  # s that the inertial sensors run before the first frame and after the last
 CLEAR = 2.0  # metres, least height of the vehicle above the surface
-AROUND, LOW = 5.0, 0.1  # metres and share: "the ground under the start" is the low tenth of the heights around
+AROUND, LOW = 5.0, 0.1  # metres and share: "the ground under the start" is the lowest tenth of the surrounding heights
 LONGEST = 7200.0  # s
 
 Extent = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
 def chart(world: SceneWorld, plan: FlightPlan, rng: np.random.Generator) -> TrueTrajectory:
-    """Fly the plan over the world.
+    """Fly the plan over the world; return the true trajectory.
 
     Raises:
-        InputError: a way-point is inside the ground or something on it, the flight leaves the world, comes within
-            2 m of its surface, lasts too long, or wind and speed lean the vehicle over its limit.
+        InputError: a way-point is inside the ground or an object on it, or the flight leaves the world, comes within
+            2 m of its surface, lasts too long, or needs a lean beyond the vehicle's limit.
     """
     points = line(plan)
     _inside(world, points)
@@ -48,7 +48,7 @@ def chart(world: SceneWorld, plan: FlightPlan, rng: np.random.Generator) -> True
 
 
 def ground_at(world: World, place: F64) -> float:
-    """Height of the ground around a place, metres; trees and houses are left out where ground lies between them."""
+    """Return the height of the ground around a position, metres, mostly without the trees and houses on it."""
     steps = np.arange(-AROUND, AROUND + 0.5, 1.0)
     heights = [world.height_at(place[0] + e, place[1] + n) for e in steps for n in steps]
     return float(np.nanquantile(heights, LOW))
@@ -75,7 +75,6 @@ def _above_ground(world: SceneWorld, points: F64) -> None:
 
 
 def _what(world: SceneWorld, p: F64) -> str:
-    """Name of the thing at a place, for messages."""
     reach = 0.6 * world.cell  # at least one cell's centre
     around = world.truth((p[0] - reach, p[1] - reach, p[0] + reach, p[1] + reach))
     kind = Terrain(int(around.label.flat[np.argmax(around.height)]))
@@ -87,7 +86,7 @@ def _what(world: SceneWorld, p: F64) -> str:
 
 
 def _keeps_clear(world: SceneWorld, trajectory: TrueTrajectory) -> None:
-    """Check extent and clearance along the flight, every metre or tenth of a second."""
+    """Raise InputError if the flight leaves the world or comes too close to its surface."""
     west, south, east, north = world.extent
     fastest = float(np.linalg.norm(np.diff(trajectory.position.c, axis=0), axis=1).max() / 0.25)
     step = min(0.1, 1.0 / max(fastest, 1e-3))

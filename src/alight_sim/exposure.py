@@ -1,4 +1,4 @@
-"""Model of lens and sensor: blur, falloff, exposure control, noise, tone; one random stream each."""
+"""Model of lens and sensor: blur, falloff, exposure control, noise, tone; each has its own random stream."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from alight_sim.kernels.exposure import LEVELS, develop
 from alight_sim.section import Section
 from alight_sim.vehicle import correlated
 
-HOT = 0.9  # of full scale: signal that a hot pixel adds
-CONTROL_RANGE = math.log(16.0)  # exposure control changes the gain by no larger factor, either way
+HOT = 0.9  # share of full scale that a hot pixel adds
+CONTROL_RANGE = math.log(16.0)  # exposure control changes the gain by at most this factor (logarithm) up or down
 Seeds = np.random.SeedSequence
 
 
@@ -53,21 +53,21 @@ class Imaging(Section):
     dust: int = Field(0, ge=0, le=1000, description="specks on the sensor, soft and dark")
 
 
-QUIET = {"gain_drift": 0.0, "white_balance": 0.0, "noise": 0.0}  # an imaging without random effects
+QUIET = {"gain_drift": 0.0, "white_balance": 0.0, "noise": 0.0}  # imaging without random effects
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """Lens and sensor of one camera with their flaws: made once, used for every exposure."""
+    """Lens and sensor of one camera with their flaws, made once and used for every exposure."""
 
     imaging: Imaging
-    falloff: F32  # (H, W) share of light that gets through
+    falloff: F32  # (H, W) share of the light that reaches the sensor
     hot: F32  # (N, 3) row, column, channel of hot pixels
-    tone: U8  # (LEVELS,) grey value by the root of the signal
+    tone: U8  # (LEVELS,) grey value by the square root of the signal
 
     @classmethod
     def of(cls, camera: Camera, imaging: Imaging, seeds: Seeds) -> Sensor:
-        """Make the sensor of a camera, with flaws of its own: dust and hot pixels."""
+        """Return the sensor of a camera, with dust and hot pixels drawn from its own seeds."""
         dust, hot = (np.random.default_rng(s) for s in seeds.spawn(2))
         size = (camera.height, camera.width, 3)
         count = round(imaging.hot_pixels * camera.height * camera.width)
@@ -76,7 +76,7 @@ class Sensor:
         return cls(imaging, _falloff(camera, imaging, dust), hot.integers(0, size, (count, 3)).astype(np.float32), tone)
 
     def expose(self, radiance: F32, gain: F64, key: int, covered: float = 0.0) -> U8:
-        """(H, W, 3) RGB of linear light (H, W, 3); `gain` (3,) RGB, `key` of the noise, `covered` share of the lens."""
+        """Return the picture (H, W, 3), RGB, from linear light (H, W, 3), with gains (3,) and noise of seed `key`."""
         s, light = self.imaging, radiance
         if s.blur_px > 0:
             light = cv2.GaussianBlur(radiance, (0, 0), s.blur_px)
@@ -102,9 +102,10 @@ def _falloff(camera: Camera, imaging: Imaging, rng: np.random.Generator) -> F32:
 
 
 def gains(imaging: Imaging, seconds: F64, seeds: Seeds, metered: F64 | None = None) -> F64:
-    """(N, 3) gains of one camera for red, green and blue at rising times in seconds.
+    """Return the (N, 3) gains of one camera for red, green and blue, at ascending times (s).
 
-    `metered` (N,) is the mean linear light of each exposure: the input of exposure control.
+    Args:
+        metered: (N,) mean linear light of each exposure, the input of exposure control; None: it is off.
     """
     drift, white = (np.random.default_rng(s) for s in seeds.spawn(2))
     log = np.full((len(seconds), 3), math.log(imaging.gain))
@@ -118,7 +119,6 @@ def gains(imaging: Imaging, seconds: F64, seeds: Seeds, metered: F64 | None = No
 
 
 def _control(imaging: Imaging, seconds: F64, metered: F64) -> F64:
-    """(N,) logarithm of the factor of exposure control on the gain."""
     out, before = np.empty(len(metered)), None
     for i, light in enumerate(metered):
         step = controlled(imaging, before, float(light), seconds[i] - seconds[max(i - 1, 0)])
@@ -130,7 +130,7 @@ def _control(imaging: Imaging, seconds: F64, metered: F64) -> F64:
 class ControlStep:
     """State of exposure control at one exposure."""
 
-    free: float  # logarithm of the factor on the gain, before it ends at 1/16 and 16
+    free: float  # logarithm of the factor on the gain, before it is limited to 1/16 and 16
     wanted: float  # logarithm of the factor that would have brought the mean to its target
 
     @property
@@ -140,9 +140,12 @@ class ControlStep:
 
 
 def controlled(imaging: Imaging, before: ControlStep | None, metered: float, seconds: float) -> ControlStep:
-    """Step exposure control, `seconds` after the previous exposure: a first-order lag towards the target mean.
+    """Step exposure control: a first-order lag towards the target mean.
 
-    `metered` is the mean linear light now; the gain follows from the previous exposure. `before` None: it has settled.
+    Args:
+        before: state at the previous exposure, from which the gain follows; None: the control has settled.
+        metered: mean linear light now.
+        seconds: time since the previous exposure.
     """
     wanted = math.log(imaging.auto_target / max(metered * imaging.gain, 1e-6))
     if before is None:
@@ -152,9 +155,9 @@ def controlled(imaging: Imaging, before: ControlStep | None, metered: float, sec
 
 
 def irregular_gauss_markov(rng: np.random.Generator, seconds: F64, width: int, tau: float) -> F64:
-    """(N, width) Gauss-Markov noise of unit deviation at any rising times: drawn every tau / 20 and interpolated.
+    """Return (N, width) Gauss-Markov noise of unit deviation at ascending times: drawn every tau / 20, interpolated.
 
-    The draws do not depend on the times, so that a lost exposure leaves the others as they were.
+    The draws do not depend on the times, so a lost exposure does not change the noise of the others.
     """
     step = tau / 20.0
     first = math.floor(float(seconds.min(initial=0.0)) / step)

@@ -1,6 +1,6 @@
 """Faults between cameras and log: lost, late or wrongly stamped pictures, wrong calibration, covered lenses.
 
-The pictures themselves are drawn with the true rig; a wrong calibration or mounting is only claimed.
+The pictures are drawn with the true rig; a wrong calibration or mounting appears only in the log.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Span(Section):
     seconds: float = Field(gt=0, description="s that it lasts")
 
     def holds(self, seconds: F64) -> NDArray[np.bool_]:
-        """(N,): true for times within the interval, the start included and the end not."""
+        """Return the (N,) mask of times within the interval, including its start but not its end."""
         return np.asarray((seconds >= self.at) & (seconds < self.at + self.seconds))
 
 
@@ -48,7 +48,7 @@ class Calibration(Section):
     baseline: float = Field(0.0, gt=-0.9, lt=0.9, description="share by which the cameras are claimed too far apart")
 
     def claim(self, cam: RigCamera, first: RigCamera) -> RigCamera:
-        """Return a camera with the errors of the calibration. `first`: the rig's first camera."""
+        """Return a camera with the errors of the calibration; the errors of position are relative to camera `first`."""
         lens = cam.camera
         claimed = replace(
             lens,
@@ -86,7 +86,7 @@ class Faults(Section):
     covered: tuple[Cover, ...] = Field((), description="lenses that see nothing")
 
     def claimed(self, true: Rig) -> Rig:
-        """Return the rig that the log claims, from the true one."""
+        """Return the rig that the log claims for a true rig."""
         if self.calibration == Calibration() and not any(self.mounting_deg):
             return true
         turn = Pose(so3_exp(np.radians(self.mounting_deg)), np.zeros(3))
@@ -94,29 +94,29 @@ class Faults(Section):
         return Rig(tuple(replace(c, body_from_cam=turn @ c.body_from_cam) for c in cams))
 
     def cover(self, seconds: float, cam: int) -> float:
-        """Share of the light that is kept out of a camera at a time, seconds."""
+        """Return the share of the light that a cover keeps out of a camera at a time (s)."""
         over = [c.share for c in self.covered if c.camera in (None, cam) and bool(c.holds(np.array([seconds])).item())]
         return max(over, default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Exposures:
-    """True time, stamp and arrival of each exposure, and the pictures lost. All (N,), in order of true time."""
+    """True time, stamp and arrival of each exposure (N,), and its lost pictures, in order of true time."""
 
     true_ns: I64
     stamp_ns: I64
     arrival_ns: I64
-    seen: NDArray[np.bool_]  # (N, cameras)
+    seen: NDArray[np.bool_]  # (N, cameras), False for a lost picture
 
     @property
     def order(self) -> NDArray[np.intp]:
-        """(M,) exposures with at least one picture left, in order of arrival."""
+        """(M,) indices of the exposures with at least one picture, in order of arrival."""
         there = np.flatnonzero(self.seen.any(axis=1))
         return np.asarray(there[np.argsort(self.arrival_ns[there], kind="stable")])
 
 
 def exposures(faults: Faults, beat_ns: I64, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
-    """Apply faults of timing and loss to the even beat `beat_ns` (N,); each fault has its own random stream."""
+    """Return the exposures at even times (N,) ns after faults of timing and loss, each from its own random stream."""
     rngs = [np.random.default_rng(s) for s in seeds.spawn(6)]
     n, start = len(beat_ns), int(beat_ns[0])
     period = float(np.diff(beat_ns).min(initial=10**12))

@@ -1,4 +1,4 @@
-"""A simulated flight: a source of events like any other, plus the truth."""
+"""A simulated flight: a source of events like a recording, with the truth."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from alight_sim.vehicle import Limits, TrueTrajectory
 from alight_sim.world import Poses, World
 
 START_NS = 1_700_000_000_000_000_000
-NAV_OFFSET_NS = 13_000_000  # of the GPS/INS rows, which do not fall on exposures
-METER = 16  # pixels across, of the picture that exposure control meters
-# one random stream for each source of randomness; a new one goes at the end
+NAV_OFFSET_NS = 13_000_000  # offset of the GPS/INS rows, which do not coincide with exposures
+METER = 16  # width in pixels of the picture that exposure control meters
+# one random stream for each source of randomness; append new ones
 WIND, NAV, IMU_BIAS, IMU_NOISE, IMAGE, FAULTS, GAIN, FLAWS = range(8)
 
 S = TypeVar("S", bound=Section)
@@ -56,12 +56,12 @@ class SimulatedFlight:
 
     @property
     def name(self) -> str:
-        """The scene and the seed."""
+        """Name of the scene and seed of the flight."""
         return f"{self.world.name}-{self.seed}"
 
     @property
     def local(self) -> LocalFrame:
-        """Local frame of the world: its origin on Earth."""
+        """Local frame of the world, with its origin on Earth."""
         return self.world.local
 
     @cached_property
@@ -81,7 +81,7 @@ class SimulatedFlight:
 
     @property
     def faults(self) -> Faults:
-        """Faults between shutter and log."""
+        """Faults between the shutter and the log."""
         return self.scene.faults
 
     @property
@@ -91,7 +91,7 @@ class SimulatedFlight:
 
     @property
     def rate_hz(self) -> float:
-        """Exposures a second."""
+        """Exposures per second."""
         return self.imaging.rate_hz
 
     @property
@@ -106,12 +106,12 @@ class SimulatedFlight:
 
     @property
     def length(self) -> int:
-        """Exposures of which at least one camera's picture arrives."""
+        """Number of exposures with a picture of at least one camera."""
         return len(self.exposures.order)
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of exposures that arrive, and of lost images by camera where there are any."""
+        """Number of exposures that arrive, and of lost images by camera if there are any."""
         lost = {
             f"{cam.name} images lost": int((~self.exposures.seen[:, k]).sum())
             for k, cam in enumerate(self.true_rig.cameras)
@@ -130,39 +130,39 @@ class SimulatedFlight:
 
     @property
     def schedule(self) -> None:
-        """None: it was not flown live."""
+        """None, because the flight was not flown live."""
 
     @property
     def photos(self) -> tuple[()]:
-        """Empty: a flight is no set of photos."""
+        """Empty: a flight has no photos."""
         return ()
 
     @property
     def flown_with(self) -> None:
-        """None: it was not flown live."""
+        """None, because the flight was not flown live."""
 
     # -- time
 
     @cached_property
     def exposures(self) -> Exposures:
-        """True times, stamps and arrivals of the exposures, and the pictures lost."""
+        """True times, stamps and arrivals of the exposures, and the lost pictures."""
         beats = np.arange(int(self.seconds * self.rate_hz + 1e-9) + 1)
         beat_ns = START_NS + np.round(beats * 1e9 / self.rate_hz).astype(np.int64)
         return exposures(self.faults, beat_ns, len(self.true_rig.cameras), self.seeds(FAULTS))
 
     @property
     def frame_times(self) -> I64:
-        """(N,) ns: true times of all exposures, the lost ones included."""
+        """(N,) ns, true times of all exposures, including the lost ones."""
         return self.exposures.true_ns
 
     @cached_property
     def imu_times(self) -> I64:
-        """(N,) ns: times of the inertial samples."""
+        """(N,) ns, times of the inertial samples."""
         return self._clock(self.imu.rate_hz, 0)
 
     @cached_property
     def nav_times(self) -> I64:
-        """(N,) ns: times of the GPS/INS rows."""
+        """(N,) ns, times of the GPS/INS rows."""
         return self._clock(self.nav.rate_hz, NAV_OFFSET_NS)
 
     def _clock(self, rate_hz: float, offset_ns: int) -> I64:
@@ -171,24 +171,24 @@ class SimulatedFlight:
 
     @staticmethod
     def since(t_ns: I64) -> F64:
-        """(N,) seconds of the trajectory at times (N,), ns."""
+        """Convert times (N,) ns to seconds of the trajectory."""
         return np.asarray((t_ns - START_NS).astype(np.float64) * 1e-9)
 
     # -- truth
 
     @cached_property
     def seen(self) -> Extent:
-        """West, south, east, north of a box that holds all the ground that the cameras saw, within the world."""
+        """West, south, east, north (m) of a box in the world that contains all ground seen by the cameras."""
         return seen_box(self)
 
     @cached_property
     def truth(self) -> SceneTruth:
-        """True ground within `seen`."""
+        """True ground within the box `seen`."""
         return self.world.truth(self.seen)
 
     @cached_property
     def truth_trajectory(self) -> tuple[I64, list[Pose]]:
-        """True body poses at the times of all inertial samples and exposures."""
+        """Times (ns) of all inertial samples and exposures, and the true body poses at these times."""
         t = np.union1d(self.imu_times, self.frame_times)
         s = self.since(t)
         return t, [
@@ -196,11 +196,11 @@ class SimulatedFlight:
         ]
 
     def pose(self, t_ns: int) -> Pose:
-        """True `world_from_body`."""
+        """Return the true `world_from_body` at a time."""
         return self.trajectory.pose((t_ns - START_NS) * 1e-9)
 
     def camera_at(self, cam: int) -> Poses:
-        """True `world_from_cam` as a function of the trajectory's seconds (N,): rotations and places."""
+        """Return a function from the trajectory's seconds (N,) to true `world_from_cam`: rotations and positions."""
         body_from_cam = self.true_rig.cameras[cam].body_from_cam
 
         def poses(seconds: F64) -> tuple[F64, F64]:
@@ -211,15 +211,15 @@ class SimulatedFlight:
 
     @cached_property
     def biases(self) -> tuple[F64, F64]:
-        """True (N, 3) gyroscope and accelerometer biases at `imu_times`, rad/s and m/s^2."""
+        """True gyroscope biases, rad/s, and accelerometer biases, m/s^2, at `imu_times`, both (N, 3)."""
         return imu_biases(len(self.imu_times), self.imu, self.seeds(IMU_BIAS))
 
     # -- events
 
     def events(self) -> Iterator[Event]:
-        """Yield navigation and inertial samples and frames as they arrive; pictures are drawn on demand.
+        """Yield navigation and inertial samples and frames in order of arrival; pictures are drawn on demand.
 
-        Frames carry the time that the cameras claim; only late ones arrive out of the order of stamps.
+        Frames carry the time that the cameras claim. Only late frames are out of the order of stamps.
         """
         nav = simulated_nav(self.trajectory, self.nav_times, self.since(self.nav_times), self.nav, self.seeds(NAV))
         seconds = self.since(self.imu_times)
@@ -237,7 +237,7 @@ class SimulatedFlight:
         return Frame(int(x.stamp_ns[k]), images, str(x.true_ns[k]))
 
     def image(self, index: int, cam: int) -> U8:
-        """Draw one picture, (H, W, 3) RGB, lost or not; the order of calls does not matter."""
+        """Draw one picture (H, W, 3), RGB, even of a lost exposure; the order of calls does not matter."""
         seconds = float(self.since(self.frame_times[index : index + 1])[0])
         light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, Shutter.of(self.imaging))
         key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
@@ -256,13 +256,12 @@ class SimulatedFlight:
 
     @cached_property
     def _gains(self) -> list[F64]:
-        """(N, 3) gains of each camera."""
         seconds = self.since(self.frame_times)
         cams = range(len(self.true_rig.cameras))
         return [gains(self.imaging, seconds, self.seeds(GAIN, cam), self._metered(cam, seconds)) for cam in cams]
 
     def _metered(self, cam: int, seconds: F64) -> F64 | None:
-        """(N,) mean light of every exposure, from a picture of a few pixels; None: exposure control is off."""
+        """Return the (N,) mean light of all exposures, from pictures of few pixels; None if exposure control is off."""
         if not self.imaging.auto:
             return None
         lens, at = self.true_rig.cameras[cam].camera, self.camera_at(cam)
@@ -270,12 +269,12 @@ class SimulatedFlight:
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
-        """Seeds of one source of randomness."""
+        """Return the seeds of the source of randomness with the given key."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
 
 def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
-    """Facts about a simulated flight for the report."""
+    """Return facts about a simulated flight for the report."""
     lens = rig.cameras[0].camera
     return {
         "cameras": [c.name for c in rig.cameras],
@@ -290,7 +289,7 @@ def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
 
 
 def seen_box(flight: SimulatedFlight) -> Extent:
-    """West, south, east, north of the box where the pictures' border meets the lowest ground, within the world."""
+    """Return west, south, east, north (m) of the box in the world that contains the ground seen by the cameras."""
     world = flight.world
     west, south, east, north = world.extent
     low, s = world.low, flight.since(flight.frame_times)
@@ -303,7 +302,7 @@ def seen_box(flight: SimulatedFlight) -> Extent:
         sides += [np.stack(np.broadcast_arrays(k, v), -1) for k in u[[0, -1]]]
         rays = lens.rays(np.concatenate(sides)) @ (turns @ cam.body_from_cam.rotation).swapaxes(1, 2)
         centres = (places + turns @ cam.body_from_cam.translation)[:, None]
-        down = np.maximum(-rays[..., 2:], 1e-6)  # a ray that looks up ends far away
+        down = np.maximum(-rays[..., 2:], 1e-6)  # a ray that points up ends far away
         hits.append((centres + rays * (centres[..., 2:] - low) / down)[..., :2].reshape(-1, 2))
     least, most = np.concatenate(hits).min(axis=0), np.concatenate(hits).max(axis=0)
     return (
@@ -329,13 +328,15 @@ def fly(
     imu: ImuErrors | None = None,
     faults: Faults | None = None,
 ) -> SimulatedFlight:
-    """Fly over a scene by its own settings and the arguments given; nothing is drawn before `events` is read.
+    """Fly over a scene with its own settings and the given arguments; pictures are drawn when `events` is read.
 
-    `waypoints`: (east, north, height) in metres, heights counted like those of the plan. The same arguments give the
-    same events, bit for bit.
+    The same arguments give the same events, bit for bit.
+
+    Args:
+        waypoints: (east, north, height) in metres, with heights relative to the same zero as the plan's.
 
     Raises:
-        InputError: no such scene, or the flight cannot be flown: `alight_sim.course.chart`.
+        InputError: the scene does not exist, or the flight cannot be flown: see `alight_sim.course.chart`.
     """
     world = scene if isinstance(scene, SceneWorld) else build(scene, seed)
     s = world.scene or Scene()
@@ -356,7 +357,6 @@ def fly(
 
 
 def _with(section: S, wishes: dict[str, Any]) -> S:
-    """Return the section with those wishes that are not None."""
     try:
         return type(section).model_validate(dict(section) | {k: v for k, v in wishes.items() if v is not None})
     except ValidationError as e:

@@ -23,16 +23,16 @@ from alight_sim.steered.cameras import SteeredCameras
 from alight_sim.steered.flight import sized_rig
 from alight_sim.world import World
 
-KEPT_NS = 60_000_000_000  # length of track that is kept
+KEPT_NS = 60_000_000_000  # length of the track that is kept
 LEAD_NS = 200_000_000  # from the first pose to the first exposure
-LATEST_NS = 1_000_000_000  # delay from which exposures are left out
-FEET_OFF = 0.15  # m above its place on the ground: a higher vehicle flies
+LATEST_NS = 1_000_000_000  # exposures with a larger delay are left out
+FEET_OFF = 0.15  # m above its position on the ground: a higher vehicle flies
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class ReportedPlace:
-    """A reported position and velocity, in any frame that is level and points north."""
+    """A reported position and velocity, in any level frame with axes east, north, up."""
 
     t_ns: int
     position: F64  # (3,) metres east, north, up
@@ -40,27 +40,27 @@ class ReportedPlace:
 
 
 class ReportedTrack:
-    """Motion between reports: slerp of attitudes, Hermite's cubics of positions. Nanoseconds of one clock."""
+    """Motion between reports: slerp of attitudes and cubic Hermite interpolation of positions, in ns of one clock."""
 
     def __init__(self) -> None:
         self._turns = deque[tuple[int, F64]]()
         self.places = deque[ReportedPlace]()
 
     def add_attitude(self, t_ns: int, world_from_body: F64) -> None:
-        """Append an attitude (3, 3); one that is no later than the last is left out."""
+        """Append an attitude (3, 3) if it is later than the last one."""
         if not self._turns or t_ns > self._turns[-1][0]:
             self._turns.append((t_ns, world_from_body))
             _drop(self._turns, t_ns - KEPT_NS, lambda turn: turn[0])
 
     def add_place(self, place: ReportedPlace) -> None:
-        """Append a position; one that is no later than the last is left out."""
+        """Append a position if it is later than the last one."""
         if not self.places or place.t_ns > self.places[-1].t_ns:
             self.places.append(place)
             _drop(self.places, place.t_ns - KEPT_NS, lambda p: p.t_ns)
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """Start and end of the time with known motion, ns; None: there is none."""
+        """Start and end of the time with known motion, ns; None: no motion is known."""
         if len(self._turns) < 2 or len(self.places) < 2:
             return None
         begin = max(self._turns[0][0], self.places[0].t_ns)
@@ -68,7 +68,7 @@ class ReportedTrack:
         return (begin, end) if begin < end else None
 
     def at(self, t_ns: float) -> tuple[F64, F64]:
-        """Attitude (3, 3) and position (3,) at a time within the span."""
+        """Return the attitude (3, 3) and position (3,) at a time within the span."""
         (t0, a), (t1, b) = _about(self._turns, t_ns, lambda turn: turn[0])
         p, q = _about(self.places, t_ns, lambda place: place.t_ns)
         return np.asarray(slerp(a, b, _share(t_ns, t0, t1))), _cubic(p, q, t_ns)
@@ -77,19 +77,19 @@ class ReportedTrack:
 class FollowedCameras:
     """The cameras of a scene on a vehicle whose track is reported.
 
-    The first reported position is put over `start` of the scene, at the reported height above the home. The scene's
-    ground at `start` counts as the ground of the home.
+    The first reported position is mapped to `start` of the scene, at the reported height above the home. The home's
+    ground is the scene's ground at `start`.
 
     Args:
         scene: a built-in scene's name, or a scene file.
-        seed: of all random draws.
-        size: of the pictures, pixels.
-        rate_hz: exposures a second.
+        seed: seed of all random draws.
+        size: width and height of the pictures, pixels.
+        rate_hz: exposures per second.
         start: east and north in the scene, metres.
-        standing: metres from the plane of the feet to the body's origin.
+        standing: height of the body's origin above the plane of the feet, metres.
 
     Raises:
-        InputError: no such scene, or `size` is not of the shape of the rig's pictures.
+        InputError: the scene does not exist, or `size` has another aspect ratio than the rig's pictures.
     """
 
     def __init__(
@@ -112,16 +112,16 @@ class FollowedCameras:
         return np.random.SeedSequence(self._seed, spawn_key=key)
 
     def restart(self) -> None:
-        """Forget the track: later reports are in another frame."""
+        """Forget the track, because later reports are in another frame."""
         self.track, self._offset, self._shift_ns, self._cameras.next = ReportedTrack(), None, None, 0
 
     def place(self, position: F64, above_home: float) -> None:
-        """Tie the reported frame to the scene, once: position (3,) and height above the home at one instant, metres."""
+        """Set the offset from the reported frame to the scene, once, by a position and its height, metres."""
         if self._offset is None:
             self._offset = self._home + np.array([0.0, 0.0, above_home]) - position
 
     def take(self) -> list[tuple[int, Frame]]:
-        """Draw the exposures whose motion is known by now; return stamps on the reported clock, ns, and frames."""
+        """Draw the exposures whose motion is known by now; return their stamps (ns, reported clock) and frames."""
         span = self.track.span_ns
         if self._offset is None or span is None:
             return []
@@ -139,7 +139,7 @@ class FollowedCameras:
         return out
 
     def touchdown(self) -> Touchdown | None:
-        """Judge the place where the vehicle stands, with its last velocity in the air; None: it has not flown."""
+        """Judge the touchdown where the vehicle stands, with its last velocity in flight; None: it has not flown."""
         span = self.track.span_ns
         if self._offset is None or span is None or self._shift_ns is None:
             return None
@@ -178,7 +178,6 @@ def _share(t_ns: float, begin_ns: int, end_ns: int) -> float:
 
 
 def _cubic(a: ReportedPlace, b: ReportedPlace, t_ns: float) -> F64:
-    """(3,) metres: Hermite's cubic between two places with their velocities."""
     whole, s = (b.t_ns - a.t_ns) * 1e-9, _share(t_ns, a.t_ns, b.t_ns)
     bend = s * (1.0 - s)
     along = a.position + s * s * (3.0 - 2.0 * s) * (b.position - a.position)

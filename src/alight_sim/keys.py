@@ -14,7 +14,7 @@ HEAD = "| key | default | what |\n| --- | --- | --- |"
 
 
 def reference() -> str:
-    """All sections, then all things that layers are made of, as Markdown tables."""
+    """Return Markdown tables of all sections, then of all things that layers may hold."""
     parts = ["# Keys of a scene file", _table("The scene", Scene, "", 2)]
     parts += [_table(f"`{path}`", model, path, 3) for path, model in _sections(Scene, "")]
     parts.append("## Things\n\nItems of `ground.layers`, drawn in their order: `{thing: rocks, per_hectare: 400}`.")
@@ -23,7 +23,7 @@ def reference() -> str:
 
 
 def _sections(model: type[Section], path: str) -> Iterator[tuple[str, type[Section]]]:
-    """Yield the paths and sections within a section, depth first, without the things."""
+    """Yield the path and model of each section within a section, depth first, without the things."""
     for name, field in model.model_fields.items():
         inner = section_of(field)
         if inner is not None and "thing" not in inner.model_fields:
@@ -32,7 +32,7 @@ def _sections(model: type[Section], path: str) -> Iterator[tuple[str, type[Secti
 
 
 def section_of(field: FieldInfo) -> type[Section] | None:
-    """The section that a field holds, alone or in a list."""
+    """Return the model of the section that a field holds, alone or in a list; None: it holds no section."""
     return _find(field.annotation)
 
 
@@ -53,7 +53,6 @@ def _row(name: str, field: FieldInfo) -> str:
 
 
 def _default(field: FieldInfo) -> str:
-    """The default as a scene file would write it."""
     if field.is_required():
         return "needed"
     return f"`{_plain(field.default)}`" if section_of(field) is None else "see below"

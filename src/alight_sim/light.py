@@ -1,4 +1,4 @@
-"""Sun, sky, haze, clouds and wind of a scene, as they change with time."""
+"""Sun, sky, haze, clouds and wind of a scene as functions of time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from scipy.special import ndtri
 from alight.arrays import F64
 from alight_sim.section import Section
 
-SUN_STEP = math.radians(0.1)  # rad of the sun's turn after which shadows are computed anew
+SUN_STEP = math.radians(0.1)  # rad, turn of the sun after which shadows are computed again
 
 
 @dataclass(frozen=True)
 class Sun:
-    """Direction of the sun, radians, and linear colours of sun and sky on a white flat surface."""
+    """Direction of the sun in radians, and linear colours of sun and sky on a white flat surface."""
 
     azimuth: float = math.radians(140.0)  # clockwise from north
     elevation: float = math.radians(43.0)
@@ -32,7 +32,7 @@ class Sun:
 
     @property
     def numbers(self) -> F64:
-        """(9,) direction, colour, sky."""
+        """(9,) direction, colour, sky: input of the kernels."""
         return np.array([*self.direction, *self.colour, *self.sky])
 
 
@@ -46,7 +46,7 @@ class Clouds(Section):
 
 
 class Wind(Section):
-    """Wind at the ground: it moves leaves, grass and waves (the vehicle has its own, in the flight section)."""
+    """Wind at the ground: it moves leaves, grass and waves (the vehicle's own wind is in the flight section)."""
 
     speed: float = Field(2.5, ge=0, le=40, description="m/s")
     from_deg: float = Field(260.0, description="where it comes from, clockwise from north")
@@ -71,11 +71,11 @@ class Light(Section):
     wind: Wind = Wind()
 
     def sun_step(self, time: float) -> int:
-        """Number of the sun's step at a time, seconds: within a step all shadows stand still."""
+        """Return the index of the sun's step at a time (s); within one step all shadows are static."""
         return round(math.radians(self.turn_deg_per_s) * time / SUN_STEP)
 
     def sun_at(self, time: float) -> Sun:
-        """The sun at a time, seconds: its place in steps of 0.1 degrees, redder when low."""
+        """Return the sun at a time (s): its direction in steps of 0.1 degrees, and its colour, redder if low."""
         azimuth = math.radians(self.azimuth_deg) + self.sun_step(time) * SUN_STEP
         elevation = math.radians(self.elevation_deg)
         path = 1.0 / (math.sin(elevation) + 0.15 * (self.elevation_deg + 3.885) ** -1.253)  # Kasten, 1965
@@ -84,7 +84,7 @@ class Light(Section):
         return Sun(azimuth, elevation, (direct[0], direct[1], direct[2]), (blue[0], blue[1], blue[2]))
 
     def numbers(self, time: float) -> F64:
-        """(20,) input of `kernels.shade`: the sun's nine, extinction, air light, clouds, wind and drift."""
+        """Return the (20,) light inputs of `kernels.shade`: sun (9), extinction, air, clouds, wind and drift."""
         sun, (e, n) = self.sun_at(time), self.wind.towards
         # the haze is a little darker than a white card that faces the sky: the brightness of the horizon
         air = [0.35 * a * math.sin(sun.elevation) + 1.6 * b for a, b in zip(sun.colour, sun.sky, strict=True)]

@@ -1,4 +1,4 @@
-"""A simulated flight as a folder: formats/flight-log.md, truth included."""
+"""A simulated flight as a folder in the format of formats/flight-log.md, with its truth."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from alight.records import Frame, ImuSample, NavSample, OutputError, Pixels, Rig
 from alight_sim.flight import SimulatedFlight
 from alight_sim.rasters import EARTH_RADIUS
 
-BAND = 512  # rows of a raster at a time: a multiple of its tiles
+BAND = 512  # rows of a raster written at once: a multiple of its tiles
 JPEG_QUALITY = 90  # of small cameras
-LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # of a pixel on the disk, at least: plain ground in haze
+LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # least bytes per pixel on the disk: plain ground in haze
 NAV_COLUMNS = (
     "timestamp,latitude,longitude,height,q_w,q_x,q_y,q_z,v_e,v_n,v_u,w_x,w_y,w_z,"
     "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,sigma_ve,sigma_vn,sigma_vu"
@@ -38,11 +38,11 @@ TRUTH_COLUMNS = (
     " v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1],"
     " b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
 )
-SCENE_USED = "scene-used.yaml"  # `alight simulate` of it with the same seed makes the same flight
+SCENE_USED = "scene-used.yaml"  # `alight simulate` with this scene and the same seed makes the same flight
 SECTIONS = ("origin", "light", "traffic", "flight", "imaging", "sensors", "faults")
 EXPOSURE_COLUMNS = "true time [ns],stamp [ns],arrival [ns]"
 
-Progress = Callable[[int, int], None]  # exposures done, exposures in all
+Progress = Callable[[int, int], None]  # exposures done, all exposures
 
 
 def write(
@@ -53,11 +53,11 @@ def write(
     image: Literal["jpg", "png"] = "jpg",
     overwrite: bool = False,
 ) -> None:
-    """Write the flight as a folder, whole or not at all: it gets its name when everything is in it.
+    """Write the flight as a folder, completely or not at all: it is written under a temporary name, then renamed.
 
     Raises:
-        OutputError: the folder exists and is not empty (and not `overwrite` of a simulated flight), cannot be
-            written, or the images alone need more than is free on the disk.
+        OutputError: the folder is not empty (unless it is a simulated flight and `overwrite` is true), cannot be
+            written, or the images alone need more than the free space on the disk.
     """
     _refuse(out, overwrite)
     _refuse_too_large(flight, out, image)
@@ -86,7 +86,7 @@ def _refuse(out: Path, overwrite: bool) -> None:
 
 
 def _refuse_too_large(flight: SimulatedFlight, out: Path, image: str) -> None:
-    """Refuse a flight whose images do not fit on the disk, before the first of them is drawn."""
+    """Raise OutputError if the images do not fit on the disk, before the first of them is drawn."""
     pixels = sum(c.camera.width * c.camera.height for c in flight.rig.cameras)
     needed = LEAST_BYTES[image] * flight.length * pixels
     there = next((p for p in (out, *out.resolve().parents) if p.is_dir()), Path("/"))
@@ -125,7 +125,7 @@ def _camera_yaml(cam: RigCamera, rate_hz: float) -> dict[str, Any]:
 
 
 def write_calibration(rig: Rig, rate_hz: float, root: Path) -> None:
-    """Write the calibration of all cameras, and make the folders for their images."""
+    """Write the calibration of all cameras, and create the folders for their images."""
     for cam in rig.cameras:
         _dump(root / cam.name / "sensor.yaml", _camera_yaml(cam, rate_hz))
         (root / cam.name / "data").mkdir()
@@ -182,7 +182,7 @@ def _truth_rows(flight: SimulatedFlight) -> Iterable[str]:
 
 
 def encode_image(image: Pixels, kind: str) -> bytes:
-    """An RGB image (H, W, 3) as the bytes of a `jpg` or `png` file."""
+    """Return an RGB image (H, W, 3) encoded as a `jpg` or `png` file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if kind == "jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 3]
     return bytes(cv2.imencode(f".{kind}", np.ascontiguousarray(np.asarray(image)[..., ::-1]), options)[1])
 
@@ -203,13 +203,13 @@ def _write_streams(flight: SimulatedFlight, root: Path, image: str, progress: Pr
     _table(root / "nav0" / "data.csv", NAV_COLUMNS, nav)
     _table(root / "imu0" / "data.csv", IMU_COLUMNS, imu)
     rows = [_join(int(t), [f"{name}.{image}"]) for t, name in zip(flight.exposures.stamp_ns, names, strict=True)]
-    for cam in flight.rig.cameras:  # a lost picture has its row and no file
+    for cam in flight.rig.cameras:  # a lost picture has a row but no file
         _table(root / cam.name / "data.csv", "timestamp [ns],filename", rows)
     _table(root / "state_groundtruth_estimate0" / "data.csv", TRUTH_COLUMNS, _truth_rows(flight))
 
 
 def file_names(flight: SimulatedFlight) -> list[str]:
-    """One name for each exposure: its stamp, and a number where the stamp is repeated."""
+    """Return one name per exposure: its stamp, with a suffix number if the stamp is repeated."""
     stamps = flight.exposures.stamp_ns.tolist()
     first = {t: k for k, t in reversed(list(enumerate(stamps)))}
     return [str(t) if first[t] == k else f"{t}-{k - first[t]}" for k, t in enumerate(stamps)]
@@ -230,7 +230,7 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
     east, north = truth.grid.xy()
 
     def height(rows: slice) -> NDArray[Any]:
-        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
+        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * EARTH_RADIUS)  # fall of the ellipsoid below the plane
         return np.asarray((local.height + truth.height[rows] + fall).astype(np.float32))
 
     _raster(flight, root / "dem.tif", height, "float32", math.nan)
@@ -243,7 +243,7 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
 
 
 def _raster(flight: SimulatedFlight, path: Path, rows: Callable[[slice], NDArray[Any]], dtype: str, no: float) -> None:
-    """Write a raster band by band, so that a large world does not need its copies in memory."""
+    """Write a raster in bands of rows, so that a large world is not copied in memory."""
     grid = flight.truth.grid
     profile = {
         "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": dtype, "nodata": no,
@@ -263,7 +263,7 @@ def _exposure_rows(flight: SimulatedFlight) -> Iterable[str]:
 
 
 def scene_yaml(flight: SimulatedFlight) -> dict[str, Any]:
-    """Contents of truth/scene.yaml: the scene, the flight, the faults, and the safe share of the ground."""
+    """Return the content of truth/scene.yaml: the scene, the flight, the faults, and the safe share of the ground."""
     world, truth = flight.world, flight.truth
     share = np.bincount(truth.label.ravel(), minlength=len(Terrain)) / truth.label.size
     return {

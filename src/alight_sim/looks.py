@@ -1,4 +1,4 @@
-"""Names of the looks of ground, beside its class: one class has many looks."""
+"""Names for the looks of ground: ground of one class can have many looks."""
 
 from enum import IntEnum
 

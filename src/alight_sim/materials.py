@@ -20,17 +20,17 @@ Four = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """One look; reflectances are linear RGB. Texture is noise of the place, 130 m down to 1.2 cm."""
+    """Material of one look; reflectances are linear RGB. Texture is noise with waves of 130 m to 1.2 cm."""
 
-    first: Colour  # mixed with `second` by places of 6 to 130 m
+    first: Colour  # mixed with `second` over areas of 6 to 130 m
     second: Colour
-    third: Colour = (0.2, 0.16, 0.12)  # patches: moss, soil that shows, stains
+    third: Colour = (0.2, 0.16, 0.12)  # patches: moss, bare soil, stains
     mix: float = 0.0  # more (to 1) or less (to -1) of `second`
     patch: float = -1.5  # more (0 = half) or less (-2 = hardly any) of `third`
     edge: float = 0.5  # softness of a patch's border
     contrast: float = 0.25  # standard deviation of the reflectance over its mean, octaves of 3 m to 1.2 cm
-    uneven: float = 0.5  # variation of that contrast from place to place
-    vary: float = 0.2  # variation of the reflectance over places of 6 to 130 m
+    uneven: float = 0.5  # variation of that contrast from area to area
+    vary: float = 0.2  # variation of the reflectance over areas of 6 to 130 m
     hue: float = 0.06  # variation of the colour
     roughening: float = 0.0  # amplitude of an octave is proportional to its wavelength to this power
     ridge: float = 0.0  # share of creases in the noise
@@ -42,9 +42,9 @@ class Material:
         0.0,
         0.0,
     )  # share of lattice cells with a stone or leaf of up to 1.2, 3, 8, 22 cm
-    tone: float = 0.0  # brightness of a thing over that of the ground, less 1
+    tone: float = 0.0  # brightness of a thing over the ground's, less 1
     spread: float = 0.4  # variation of that brightness
-    tall: float = 0.3  # height of a thing over its radius: its shadow
+    tall: float = 0.3  # height of a thing over its radius, for its shadow
     deep: float = 0.0  # metres, visible depth between leaves
     lift: float = 0.0  # metres of its tips above the true height, which is the mean of the visible heights
     open: float = 0.0  # more (1) or less (-1) gaps between the leaves
@@ -52,13 +52,13 @@ class Material:
     sway: float = 0.0  # metres, in a wind of 4 m/s
     hot: float = 0.1  # gain of brightness with the sun behind the camera
     gloss: float = 0.0
-    pattern: int = 0  # laid by people: see kernels.texture
-    bed: Look = Look.MUD  # below water
-    waves: float = 1.0  # factor on their slope
+    pattern: int = 0  # man-made pattern: see kernels.texture
+    bed: Look = Look.MUD  # look of the bed below water
+    waves: float = 1.0  # factor on the slope of waves
     scum: float = 0.0  # share of water that algae or foam cover
 
     def row(self) -> list[float]:
-        """The columns in the order of kernels.texture."""
+        """Return the parameters as numbers, in the order of kernels.texture."""
         return [
             *self.first, *self.second, *self.third, self.mix, self.patch, self.edge, self.contrast, self.uneven,
             self.vary, self.hue, 0.5**self.roughening, self.ridge, self.bump, self.crack, *self.things, self.tone,
@@ -156,7 +156,7 @@ MATERIALS: dict[Look, Material] = {
     Look.GLASS: _laid((0.02, 0.022, 0.025), (0.02, 0.022, 0.025), (0.02, 0.02, 0.02), contrast=0.02, gloss=1.0,
                       patch=-3.0, bump=0.0),
     Look.TWIGS: _crown((0.13, 0.115, 0.10), (0.20, 0.18, 0.155), deep=2.0, open=0.9, coarse=0.0, hot=0.1, sway=0.02),
-    # nothing on these is larger than 6 cm: larger things stand in the height layer
+    # no texture of these is larger than 6 cm: larger objects are in the height layer
     Look.FINE_GRAVEL: Material((0.215, 0.20, 0.18), (0.27, 0.25, 0.225), (0.18, 0.16, 0.14), patch=-1.2, edge=0.9,
                                contrast=0.13, uneven=0.4, vary=0.11, hue=0.03, bump=0.11, roughening=-0.05,
                                things=(0.55, 0.4, 0.0, 0.0), tone=0.05, spread=0.45, tall=0.7),
@@ -203,7 +203,7 @@ BY_CLASS: dict[Terrain, Look] = {
 
 @cache
 def tables() -> tuple[F32, NDArray[np.int32], F32]:
-    """(L, PARAMS) numbers of the looks, (9,) look of each class, (L,) 1 for water: input of the kernels."""
+    """Return the inputs of the kernels: (L, PARAMS) parameters of the looks, (9,) look per class, (L,) 1 for water."""
     looks = np.array([MATERIALS[k].row() for k in Look], np.float32)
     wet = np.array([k in (Look.CLEAR_WATER, Look.MURKY_WATER, Look.STILL_WATER) for k in Look], np.float32)
     return looks, np.array([BY_CLASS[k] for k in Terrain], np.int32), wet

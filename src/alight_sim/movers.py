@@ -1,4 +1,4 @@
-"""Cars that drive along lines: boxes at exact places, for the pictures and for the truth."""
+"""Cars that drive along lines: boxes at exact positions, for the pictures and for the truth."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from alight_sim.section import Coordinate, Section
 Height = Callable[[float, float], float]
 COLOURS = ((0.75, 0.75, 0.74), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.40, 0.04, 0.03), (0.05, 0.09, 0.25))
 CABIN = (0.55, 0.86, 0.42)  # of the length, the width and the height: the glass house on the body
-NODE = 1.0  # metres along the path between the heights of the ground that a car rides on
+NODE = 1.0  # metres along the path between the ground heights under a car
 
 
 class Moving(Protocol):
-    """Interface of moving things: upright boxes whose places are functions of time."""
+    """Interface of moving objects: upright boxes whose positions are functions of time."""
 
     def boxes_at(self, times: F64) -> F64:
-        """(T, M, 12) boxes at times in seconds, as `kernels.boxes` takes them."""
+        """Return the (T, M, 12) boxes at times (s), in the format of `kernels.boxes`."""
 
 
 class Traffic(Section):
@@ -49,7 +49,7 @@ class Traffic(Section):
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """The cars of one line of traffic; they leave at its end and come again at its start."""
+    """The cars of one line of traffic; at its end they leave, and reappear at its start."""
 
     traffic: Traffic
     height_at: Height
@@ -57,13 +57,12 @@ class Mover:
 
     @cached_property
     def corners(self) -> tuple[F64, F64]:
-        """(N, 2) corners and (N,) metres along the path."""
+        """(N, 2) corners of the path, and (N,) distance of each along the path, metres."""
         path = np.array(self.traffic.path, float)
         return path, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
 
     @cached_property
     def _ride(self) -> tuple[F64, F64]:
-        """Nodes along the path, metres, and the height of the ground there."""
         path, along = self.corners
         nodes = np.linspace(0.0, along[-1], max(2, round(along[-1] / NODE) + 1))
         east, north = (np.interp(nodes, along, path[:, k]) for k in range(2))
@@ -71,7 +70,7 @@ class Mover:
 
     @cached_property
     def starts(self) -> F64:
-        """(M,) metres along the path of each car at time 0."""
+        """(M,) distance of each car along the path at time 0, metres."""
         length = self.corners[1][-1]
         count = max(1, int(length / self.traffic.gap))
         rng = np.random.default_rng(np.random.SeedSequence([self.seed & 0xFFFFFFFF, 77]))
@@ -86,7 +85,7 @@ class Mover:
         return np.array(COLOURS)[rng.integers(0, len(COLOURS), len(self.starts))]
 
     def places_at(self, times: F64) -> tuple[F64, F64]:
-        """(T, M, 3) middle of each car's base and (T, M) heading, rad from east to north, at times in seconds."""
+        """Return the (T, M, 3) centre of each car's base and (T, M) heading, rad from east to north, at times (s)."""
         path, along = self.corners
         s = np.mod(self.starts + self.traffic.speed * np.asarray(times, float)[:, None], along[-1])
         leg = np.clip(np.searchsorted(along, s, "right") - 1, 0, len(along) - 2)
@@ -96,15 +95,15 @@ class Mover:
         return np.stack([east, north, np.interp(s, *self._ride)], -1), heading
 
     def boxes_at(self, times: F64) -> F64:
-        """(T, 2 M, 12) body and cabin of each car at times in seconds, as `kernels.boxes` takes them."""
+        """Return the (T, 2 M, 12) body and cabin of each car at times (s), in the format of `kernels.boxes`."""
         places, heading = self.places_at(times)
         return car_boxes(places, heading, self.traffic.size, self.paint)
 
 
 def car_boxes(places: F64, heading: F64, size: tuple[float, float, float], paint: F64) -> F64:
-    """(T, 2 M, 12) body and cabin of cars at places (T, M, 3) with headings (T, M), rad from east to north.
+    """Return the (T, 2 M, 12) body and cabin of cars (`kernels.boxes`) at places (T, M, 3) and headings (T, M).
 
-    `size`: length, width, height, metres; `paint` (M, 3).
+    `heading`: rad from east to north. `size`: length, width, height, metres. `paint` (M, 3): linear RGB.
     """
     length, width, height = size
     out = np.zeros((*heading.shape, 2, NUMBERS))
@@ -120,6 +119,6 @@ def car_boxes(places: F64, heading: F64, size: tuple[float, float, float], paint
 
 
 def boxes_at(movers: Sequence[Moving], times: F64) -> F64:
-    """(T, M, 12) all boxes at times in seconds."""
+    """Return the (T, M, 12) boxes of all moving objects at times (s)."""
     none = np.zeros((len(times), 0, NUMBERS))
     return np.concatenate([none, *(m.boxes_at(times) for m in movers)], axis=1)

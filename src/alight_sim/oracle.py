@@ -1,7 +1,7 @@
 """Safety of touchdowns of the true lander on the true surface, by brute force. Shares no code with site selection.
 
-The surface is bilinear between the world's cell centres, so above any plane it is highest at cell centres. Moving
-bodies are on it at their places at the given time. Metres, radians, headings clockwise from north.
+The surface is bilinear between the world's cell centres, so above any plane it is highest at cell centres. It includes
+moving objects at their positions at the given time. Metres, radians, headings clockwise from north.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from alight_sim.things.base import Box
 from alight_sim.world import World
 
 BEARS = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED, Terrain.ROCK)
-GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # rad: any number of them is spread over any symmetry of the gear
-ASIDE = ("headings", "support", "foot_contact")  # settings of a map alone: here all is tried, feet stand on the highest
-_RIM = 8  # places on the rim of a foot
-_BATCH = 4_000_000  # heights evaluated together
+GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # rad: headings at this step cover any symmetry of the gear
+ASIDE = ("headings", "support", "foot_contact")  # settings of a map alone: here all is tried on the highest ground
+_RIM = 8  # points on the rim of a foot
+_BATCH = 4_000_000  # heights evaluated at once
 
 
 @dataclass(frozen=True)
@@ -34,27 +34,27 @@ class OracleLander:
     """The vehicle that touches down. Without feet and skids it stands on its whole footprint."""
 
     radius: float = 1.5  # of the footprint
-    max_slope: float = math.radians(10.0)  # of the plane that it stands on
-    max_roughness: float = 0.15  # largest deviation from the footprint's plane; with gear: where no clearance is given
+    max_slope: float = math.radians(10.0)  # of the plane on which it stands
+    max_roughness: float = 0.15  # largest deviation from the footprint's plane; unused if gear has a clearance
     belly_clearance: float | None = None  # from the plane of the feet to the belly
     feet: tuple[tuple[float, float], ...] | None = None  # forward, left of each
     foot_radius: float = 0.0
     skids: tuple[float, float] | None = None  # length, distance
-    max_step: float | None = None  # between neighbouring cells of the footprint; None: only the roughness counts
+    max_step: float | None = None  # between neighbouring cells of the footprint; None: limited by the roughness alone
     rotor_radius: float | None = None  # None: within the footprint
-    rotor_rise: float = 0.3  # largest height of things beside the footprint above the plane
+    rotor_rise: float = 0.3  # largest height of objects beside the footprint above the plane
     max_sink: float = 1.0  # m/s
     max_drift: float = 0.5  # m/s over the ground
-    upon: tuple[Terrain, ...] = BEARS  # classes that bear it
+    upon: tuple[Terrain, ...] = BEARS  # classes that bear the lander
 
     @classmethod
     def of(cls, numbers: Mapping[str, Any], **more: Any) -> OracleLander:
-        """Make a lander from a mapping, such as the dump of a lander's settings; keys of `ASIDE` are ignored."""
+        """Return a lander from a mapping, such as a dump of lander settings; keys in `ASIDE` are ignored."""
         return cls(**{k: v for k, v in numbers.items() if k not in ASIDE}, **more)
 
     @property
     def reach(self) -> float:
-        """Radius about the centre within which the ground counts, metres."""
+        """Radius about the centre within which the ground is judged, metres."""
         feet = max((math.hypot(*f) for f in self.feet or ()), default=0.0) + self.foot_radius
         skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
         return max(self.radius, self.rotor_radius or 0.0, feet, skids)
@@ -62,7 +62,7 @@ class OracleLander:
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """A piece of the world with all that stands on it at one time."""
+    """A part of the world with all objects on it at one time."""
 
     east: float  # of the centre of cell (0, 0), south-west
     north: float
@@ -72,7 +72,7 @@ class TrueSurface:
 
     @classmethod
     def of(cls, world: World, box: Box, seconds: float | None = None, bodies: Sequence[Moving] = ()) -> TrueSurface:
-        """The surface of a box (west, south, east, north) with all that moves at a time, s; None: without it."""
+        """Return the surface of a box (west, south, east, north), with moving objects at a time (s; None: without)."""
         truth = world.truth(box)
         height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
         grid = truth.grid
@@ -83,24 +83,24 @@ class TrueSurface:
         return out
 
     def _stand(self, body: F64) -> None:
-        """Put an upright box of 12 numbers (`alight_sim.kernels.boxes`) on the surface."""
+        """Add an upright box of 12 numbers (`alight_sim.kernels.boxes`) to the surface."""
         rows, cols = self.height.shape
         dx = self.east + self.cell * np.arange(cols)[None] - body[0]
         dy = self.north + self.cell * np.arange(rows)[:, None] - body[1]
-        spare = 0.5 * self.cell  # at least the cells that it touches with their middle half
+        spare = 0.5 * self.cell  # at least the cells of which it covers half
         along, across = body[3] * dx + body[4] * dy, body[3] * dy - body[4] * dx
         under = (np.abs(along) <= body[5] + spare) & (np.abs(across) <= body[6] + spare) & (body[7] > 0)
         self.height[under] = np.maximum(self.height[under], body[2] + body[7])
         self.label[under] = Terrain.STRUCTURE
 
     def index(self, places: F64) -> tuple[F64, F64]:
-        """Fractional row and column of places (..., 2) east, north."""
+        """Return the fractional row and column of positions (..., 2) east, north."""
         rows, cols = self.height.shape
         row, col = (places[..., 1] - self.north) / self.cell, (places[..., 0] - self.east) / self.cell
         return np.clip(row, 0.0, rows - 1.0), np.clip(col, 0.0, cols - 1.0)
 
     def heights(self, places: F64) -> F64:
-        """(...) bilinear heights at places (..., 2), metres."""
+        """Return the (...) bilinear heights at positions (..., 2), metres."""
         row, col = self.index(places)
         i = np.minimum(row.astype(np.int64), self.height.shape[0] - 2)
         j = np.minimum(col.astype(np.int64), self.height.shape[1] - 2)
@@ -109,15 +109,15 @@ class TrueSurface:
         return np.asarray((1 - v) * low + v * high)
 
     def labels(self, places: F64) -> U8:
-        """(...) class of the nearest cell."""
+        """Return the (...) class of the cell nearest to positions (..., 2)."""
         row, col = self.index(places)
         return np.asarray(self.label[np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)])
 
 
 class Disc(NamedTuple):
-    """The cell centres about each of N places, padded to the same number M."""
+    """The cell centres around each of N positions, padded to the same number M."""
 
-    forward: F64  # (N, M) from the place, in the body's axes at its heading
+    forward: F64  # (N, M) from the position, in body axes at the heading
     left: F64
     height: F64
     label: U8
@@ -130,10 +130,10 @@ class Touchdown:
 
     safe: bool
     reasons: tuple[str, ...]  # broken limits: slope, roughness, step, belly, rotor, ground, sink, drift
-    tilt: float  # rad, of the plane that it stands on, the worst where it rocks
-    belly_gap: float  # metres between the belly (plane of the feet, where no clearance is given) and the ground below
+    tilt: float  # rad, of the plane on which it stands; the largest if it rocks
+    belly_gap: float  # metres from the belly (without clearance: the plane of the feet) to the ground below
     roughness: float  # metres, largest deviation from the footprint's least-squares plane
-    rotor_rise: float  # metres by which anything beside the footprint is above the plane, within the rotor; or -inf
+    rotor_rise: float  # metres, largest height beside the footprint above the plane, within the rotor; or -inf
     sink: float  # m/s
     drift: float  # m/s
     east: float
@@ -151,16 +151,16 @@ class SafePlaces:
 
     @property
     def safe(self) -> Mask:
-        """(R, C): safe at every heading."""
+        """(R, C) True for centres that are safe at every heading."""
         return np.asarray(self.safe_at.all(axis=2))
 
     @property
     def possible(self) -> Mask:
-        """(R, C): safe at some heading."""
+        """(R, C) True for centres that are safe at one heading or more."""
         return np.asarray(self.safe_at.any(axis=2))
 
     def with_margin(self, margin: float) -> Mask:
-        """(R, C): safe at every heading, as is every centre within `margin` metres; beyond the grid nothing is safe."""
+        """Return the (R, C) mask of centres that are safe with all centres within `margin` m; unsafe off the grid."""
         step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
         k = math.floor(margin / step + 1e-9)
         padded = np.pad(self.safe, k, constant_values=False)
@@ -180,15 +180,15 @@ def judge_touchdown(
     seconds: float = 0.0,
     bodies: Sequence[Moving] = (),
 ) -> Touchdown:
-    """Judge a touchdown: the lander at its place of contact, with its heading and velocity.
+    """Judge a touchdown: the lander at its point of contact, with its heading and velocity.
 
     Args:
-        world: the ground, and what moves on it.
-        lander: its gear and limits.
-        pose: `world_from_body` at the contact; its heading and place count, the ground gives height and tilt.
+        world: the ground and its moving objects.
+        lander: gear and limits of the lander.
+        pose: `world_from_body` at the contact; only its heading and horizontal position are used.
         velocity_world: (3,) m/s just before the contact.
-        seconds: time of the flight, for the places of what moves.
-        bodies: that have come on command (`SteeredFlight.bodies`).
+        seconds: time of the flight, for the positions of moving objects.
+        bodies: moving objects that appeared on command (`SteeredFlight.bodies`).
     """
     east, north = float(pose.translation[0]), float(pose.translation[1])
     heading = math.atan2(pose.rotation[0, 0], pose.rotation[1, 0])
@@ -214,9 +214,11 @@ def safe_places(
     headings: int = 4,
     seconds: float | None = None,
 ) -> SafePlaces:
-    """Judge centres `step` metres apart in an area (west, south, east, north), as `judge_touchdown` does.
+    """Judge touchdowns at centres `step` metres apart in an area (west, south, east, north); see `judge_touchdown`.
 
-    `headings` are a golden angle apart, one alone without gear; `seconds`: with the world's movers at that time.
+    Args:
+        headings: number of headings, a golden angle apart; without gear only one is tried.
+        seconds: time for the positions of the world's movers; None: they are left out.
     """
     west, south, right, top = area
     e, n = np.arange(west, right + 1e-9, step), np.arange(south, top + 1e-9, step)
@@ -242,7 +244,7 @@ class _Found(NamedTuple):
 
 
 def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: float) -> _Found:
-    """Judge N centres (N, 2) at one heading by all limits but those of speed."""
+    """Judge centres (N, 2) at one heading against all limits except sink and drift."""
     disc = _disc(surface, centres, lander.radius, heading)
     plane, roughness = _fitted(disc)
     planes, contact = plane[:, None], disc.label
@@ -275,9 +277,10 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
 def _cells(
     surface: TrueSurface, centres: F64, radius: float, beside: tuple[int, int] = (0, 0)
 ) -> tuple[F64, F64, F64, U8, Mask]:
-    """Cells about centres (N, 2), each (N, M): east and north from the centre, height, class, true within the radius.
+    """Return the cells around centres (N, 2), each (N, M): east, north of the centre, height, class, within the radius.
 
-    `beside`: rows and columns by which all of the cells are moved, to compare them with their neighbours.
+    Args:
+        beside: rows and columns by which all cells are shifted, to compare them with their neighbours.
     """
     k = math.ceil(radius / surface.cell) + 1
     row, col = surface.index(centres)
@@ -302,7 +305,7 @@ def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> 
 
 
 def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
-    """(N,) largest step between neighbouring cells of the discs about centres (N, 2), metres."""
+    """Return the (N,) largest step between neighbouring cells of the discs about centres (N, 2), metres."""
     _, _, here, _, inside = _cells(surface, centres, radius)
     worst = np.zeros(len(centres))
     for beside in ((1, 0), (0, 1)):
@@ -312,7 +315,7 @@ def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
 
 
 def _fitted(disc: Disc) -> tuple[F64, F64]:
-    """(N, 3) least-squares planes [height at the centre, slope forward, slope left], (N,) largest deviation."""
+    """Return (N, 3) least-squares planes (height at the centre, slope forward, slope left), (N,) largest deviation."""
     w = disc.inside.astype(np.float64)
     base = np.average(disc.height, axis=1, weights=w)[:, None]
     terms = np.stack([np.ones_like(w), disc.forward, disc.left], -1)
@@ -325,7 +328,7 @@ def _fitted(disc: Disc) -> tuple[F64, F64]:
 
 
 def _highest_above(disc: Disc, planes: F64) -> F64:
-    """(N,) largest height of the ground above the planes (N, P, 3), metres; -inf where nothing is inside."""
+    """Return the (N,) largest height of the ground above planes (N, P, 3), metres; -inf if no cell is inside."""
     worst = np.full(len(planes), -math.inf)
     for k in range(planes.shape[1]):
         p = planes[:, k, :, None]
@@ -335,7 +338,7 @@ def _highest_above(disc: Disc, planes: F64) -> F64:
 
 
 def _contacts(surface: TrueSurface, lander: OracleLander, centres: F64, heading: float) -> tuple[F64, F64, U8]:
-    """(K, 2) forward and left of the places that may touch, (N, K) highest ground under each, (N, L) classes there."""
+    """Return (K, 2) contact points (forward, left), (N, K) highest ground under each, and (N, L) classes there."""
     s, c = math.sin(heading), math.cos(heading)
     if lander.feet is not None:
         at, spread = np.array(lander.feet, float), lander.foot_radius

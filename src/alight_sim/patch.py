@@ -18,12 +18,12 @@ from alight_sim.materials import tables
 
 @dataclass(frozen=True, eq=False)
 class GroundPatch:
-    """A rectangle of the world as arrays: the drawn surface is bilinear between the cell centres."""
+    """A rectangle of the world as arrays; the drawn surface is bilinear between the cell centres."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin, topmost surface
     label: U8  # (R, C) Terrain codes; from here on: blocks of 2^level cells, means or most frequent codes
-    skin: F32  # (R, C, SKIN): `light`, then `tint` (1 where there is none), side by side: a pixel reads all of a cell
+    skin: F32  # (R, C, SKIN): `light`, then `tint` (1: no tint), adjacent so that a pixel reads one piece of memory
     look: U8 | None = None  # (R, C) codes of Look; None: all by class
     tinted: bool = False
     level: int = 0
@@ -40,13 +40,13 @@ class GroundPatch:
 
     @cached_property
     def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64], F32]:
-        """The pyramids of maxima that speed up the rays."""
+        """Pyramid of maxima for fast ray casting, with level offsets and widths, and its dilated version."""
         pyramid = max_pyramid(self.height)
         return (*pyramid, _max_about(*pyramid))
 
     @cached_property
     def cells(self) -> U8:
-        """(R, C, 2) look of each cell, and bits of its surroundings (`STEP`, `PLAIN`)."""
+        """(R, C, 2) look of each cell, and bits about its neighbours (`STEP`, `PLAIN`)."""
         of_class = tables()[1].astype(np.uint8)[self.label]
         looks = of_class if self.look is None else np.where(self.look == 0, of_class, self.look)
         about = np.where(_is_plain(self.label.astype(np.uint16) + np.uint16(16) * looks), PLAIN, 0)
@@ -61,7 +61,7 @@ class GroundPatch:
 
     @cached_property
     def skin_place(self) -> F64:
-        """(3,) east and north of block (0, 0), and size of a block of the layers other than height, metres."""
+        """(3,) east and north of block (0, 0), and block size of the layers other than height, metres."""
         shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
         return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
 
@@ -78,13 +78,13 @@ class GroundPatch:
 
 
 def _is_plain(codes: NDArray[np.uint16]) -> Mask:
-    """(R, C) true where all cells of the array within `WIDE` of a cell have its code."""
+    """Return the (R, C) mask of cells whose neighbours within `WIDE` cells have the same code."""
     square = np.ones((2 * WIDE + 1, 2 * WIDE + 1), np.uint8)
     return np.asarray(cv2.erode(codes, square) == cv2.dilate(codes, square))
 
 
 def _is_step(height: F32) -> Mask:
-    """(R, C) true where the four cells from a cell on differ by `EDGE` or more; false at the rim, without 16 cells."""
+    """Return the (R, C) mask of cells that begin a 2 x 2 block with heights `EDGE` or more apart; false at the rim."""
     out = np.zeros(height.shape, bool)
     a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
     top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))
@@ -93,6 +93,6 @@ def _is_step(height: F32) -> Mask:
 
 
 def _max_about(pyramid: F32, offsets: NDArray[np.int64], widths: NDArray[np.int64]) -> F32:
-    """The pyramid with the maxima of the 3 x 3 nodes about each node."""
+    """Return the pyramid with each node replaced by the maximum over the 3 x 3 nodes around it."""
     levels = (p.reshape(-1, w) for p, w in zip(np.split(pyramid, offsets[1:]), widths, strict=True))
     return np.concatenate([cv2.dilate(p, np.ones((3, 3), np.uint8)).ravel() for p in levels])

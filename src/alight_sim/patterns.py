@@ -17,7 +17,7 @@ Pattern = Literal[
 ]  # fmt: skip
 Place = tuple[float, float, float]
 ARC = 1.0  # metres between the points of a curve
-SLIDE = 0.15  # metres over ground for a metre of height, in an approach and in a climb
+SLIDE = 0.15  # metres over ground per metre of height, in an approach and in a climb
 HELD: tuple[Pattern, ...] = ("hover", "descent", "approach", "climb", "two_heights")  # heading by `course_deg`
 
 
@@ -73,24 +73,24 @@ class FlightPlan(Section):
 
     @property
     def kind(self) -> Pattern:
-        """Pattern that is flown: `waypoints` where those are given."""
+        """Pattern that is flown: `waypoints` if way-points are given."""
         return "waypoints" if self.waypoints else self.pattern
 
     @property
     def rolling(self) -> bool:
-        """True for a transect: it begins and ends at full speed, as a piece of a longer flight."""
+        """Whether the flight begins and ends at full speed, as part of a longer one; true for a transect."""
         return self.kind == "transect"
 
     @property
     def heading(self) -> float | None:
-        """Rad counter-clockwise from east, held; None: along the course. Patterns of `HELD` hold `course_deg`."""
+        """Constant heading, rad counter-clockwise from east (`HELD`: `course_deg`); None: it follows the course."""
         if self.heading_deg is not None:
             return math.radians(90.0 - self.heading_deg)
         return math.radians(90.0 - self.course_deg) if self.kind in HELD else None
 
 
 def line(plan: FlightPlan) -> F64:
-    """(N, 3) way-points: east, north and height as the plan counts it, metres; one alone is a hover."""
+    """Return the (N, 3) way-points: east, north, and height above the plan's zero, metres; one way-point is a hover."""
     if plan.waypoints:
         return np.array(plan.waypoints, dtype=np.float64)
     flat = {
@@ -119,7 +119,7 @@ def _lawn_mower(plan: FlightPlan) -> F64:
 
 
 def _spiral(plan: FlightPlan) -> F64:
-    """Archimedean spiral: the radius grows with the angle; points are a metre apart."""
+    """Return an Archimedean spiral: the radius grows with the angle; points are a metre apart."""
     gap = (plan.spacing or 0.3 * plan.height) / (2.0 * math.pi)
     last = 2.0 * math.pi * plan.turns
     fine = np.linspace(0.0, last, max(int(200 * plan.turns), 50))
@@ -139,7 +139,7 @@ def _hover(plan: FlightPlan) -> F64:
 
 
 def _approach(plan: FlightPlan) -> F64:
-    """A strip, a part of the way back beside it, then down to the pattern's middle: a flight that ends in a landing."""
+    """Return a strip, part of the way back beside it, and a descent to the pattern's centre, as before a landing."""
     half, gap = 0.5 * _strip(plan), plan.spacing or 0.1 * plan.height
     begin = SLIDE * (plan.height - plan.end_height)
     return np.array(
@@ -151,13 +151,13 @@ def _approach(plan: FlightPlan) -> F64:
 
 
 def _climb(plan: FlightPlan) -> F64:
-    """A short strip that ends over the pattern's middle, then up."""
+    """Return a short strip that ends over the pattern's centre, then a climb."""
     end = SLIDE * (plan.end_height - plan.height)
     return np.array([[-plan.height, 0.0, plan.height], [0.0, 0.0, plan.height], [end, 0.0, plan.end_height]])
 
 
 def _two_heights(plan: FlightPlan) -> F64:
-    """A strip and, at the other height, the same strip back."""
+    """Return a strip, then the same strip back at the other height."""
     half = 0.5 * _strip(plan)
     ends = ((-half, plan.height), (half, plan.height), (half, plan.end_height), (-half, plan.end_height))
     return np.array([[along, 0.0, height] for along, height in ends])

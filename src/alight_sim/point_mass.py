@@ -1,4 +1,4 @@
-"""A vehicle as a point with limits: set-points in, true pose and velocity out. ENU, FLU, metres from the home."""
+"""A vehicle as a point mass with limits: set-points in, true pose and velocity out. ENU, FLU, metres from the home."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from alight.geometry import Pose
 from alight.records import Event
 from alight_sim.vehicle import GRAVITY, UPWARDS
 
-_REACTION = 0.25  # s, in which a wanted velocity is reached where the limits allow it
-_APPROACH = 0.9  # 1/s, speed per metre that is left
+_REACTION = 0.25  # s, time in which a commanded velocity is reached if the limits allow it
+_APPROACH = 0.9  # 1/s, speed per metre of remaining distance
 _BRAKING = 0.7  # share of the acceleration that is planned for braking
-_STAND = 0.02  # m above the ground that counts as standing
+_STAND = 0.02  # m above the ground within which the vehicle stands
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class FlightLimits:
     sink: float = 1.5  # m/s
     acceleration: float = 3.0  # m/s^2
     turn: float = 1.0  # rad/s
-    drag: float = 0.15  # 1/s, deceleration per m/s of air speed: it leans into the wind by that
+    drag: float = 0.15  # 1/s, deceleration per m/s of air speed, which the lean into the wind balances
     lag: float = 0.0  # s, of each of two lags of the thrust behind its command; 0: it leans at once
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Set-point of the vehicle; None: not commanded."""
+    """Set-point of the vehicle; a field that is None is not commanded."""
 
     position: F64 | None = None  # (3,) metres
     velocity: F64 | None = None  # (3,) m/s; with a position: added to the velocity towards it
@@ -47,14 +47,14 @@ class Wanted:
 class PointMass:
     """The true vehicle. Only `step` moves it.
 
-    `ground` gives the height of the ground under a point (east, north); gusts are a Gauss-Markov acceleration.
+    `ground` returns the height of the ground at a position (east, north). Gusts are a Gauss-Markov acceleration.
     """
 
     limits: FlightLimits = FlightLimits()
     ground: Callable[[float, float], float] = lambda east, north: 0.0
     wind_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, velocity of the air
     gusts: float = 0.0  # m/s^2, standard deviation of their acceleration
-    push_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s^2, external, on top of the gusts
+    push_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s^2, external, in addition to the gusts
     seed: int = 0
     position: F64 = field(default_factory=lambda: np.zeros(3))
     velocity: F64 = field(default_factory=lambda: np.zeros(3))
@@ -79,31 +79,31 @@ class PointMass:
 
     @property
     def body(self) -> PointMass:
-        """Itself, as `TrueVehicle` has it."""
+        """This object itself, as the interface `TrueVehicle` requires."""
         return self
 
     @property
     def stands(self) -> bool:
-        """True if it touches the ground."""
+        """Whether the vehicle is on the ground."""
         return bool(self.position[2] - self._floor < _STAND)
 
     @property
     def world_from_body(self) -> Pose:
-        """The true pose: thrust balances weight, drag and the acceleration."""
+        """The true pose, with thrust that balances weight, drag and acceleration."""
         return Pose(self._attitude(), self.position.copy())
 
     @property
     def angular_velocity_body(self) -> F64:
-        """(3,) rad/s, of the last step."""
+        """Angular velocity in the body during the last step, (3,) rad/s."""
         return self._rates.copy()
 
     @property
     def imu(self) -> tuple[F64, F64]:
-        """(3,) rad/s and (3,) m/s^2 in the body, as gyroscope and accelerometer measure them."""
+        """Angular rate (3,) rad/s and specific force (3,) m/s^2 in the body, as an ideal IMU measures them."""
         return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + UPWARDS))
 
     def step(self, dt: float, wanted: Wanted | None) -> Sequence[Event]:
-        """Move for `dt` seconds; None: the motors stand still. Return no events: it has no sensors."""
+        """Move for `dt` seconds towards a set-point (None: motors off). Returns no events, as it has no sensors."""
         before = self._attitude()
         if wanted is None:
             self._fall(dt)
@@ -129,7 +129,7 @@ class PointMass:
             self.heading += max(-self.limits.turn * dt, min(self.limits.turn * dt, left))
 
     def _follow(self, dt: float, commanded: F64) -> None:
-        """Follow the commanded acceleration with two lags in series: attitude and turn rate are continuous."""
+        """Follow the commanded acceleration with two lags in series, so that attitude and turn rate are continuous."""
         keep = math.exp(-dt / self.limits.lag) if self.limits.lag > 0 else 0.0
         self._thrust = commanded + keep * (self._thrust - commanded)
         self._acceleration = self._thrust + keep * (self._acceleration - self._thrust)
@@ -162,7 +162,7 @@ class PointMass:
             self.velocity = np.array([0.0, 0.0, max(self.velocity[2], 0.0)])
 
     def _attitude(self) -> F64:
-        """(3, 3) rotation, world from body: z along the thrust, x towards the heading."""
+        """Return the (3, 3) rotation, world from body: z along the thrust, x towards the heading."""
         push = self._acceleration + self.limits.drag * (self.velocity - self.wind_world) + UPWARDS
         if self.stands or push[2] < 1.0:
             push = np.array([0.0, 0.0, 1.0])

@@ -27,13 +27,13 @@ from alight_sim.things.base import Box, Sheet
 from alight_sim.tiles import SIDE, Tile
 
 EARTH_RADIUS = 6371008.8  # metres, mean
-MOST_CELLS = 60_000_000  # of a world out of rasters: it is held in memory
+MOST_CELLS = 60_000_000  # of a world made from rasters, which is held in memory
 NODATA = -3.0e38
 FARTHEST = 50_000.0  # metres from the origin: beyond, east-north-up and the rasters' map differ too much
 
 
 def _beside(value: Path | None, info: ValidationInfo) -> Path | None:
-    """Resolve a raster's name against the folder of the scene file."""
+    """Return a raster's path, resolved against the folder of the scene file."""
     folder = (info.context or {}).get("folder")
     return None if value is None else ((folder or Path()) / value.expanduser()).resolve()
 
@@ -42,9 +42,9 @@ Beside = Annotated[Path, AfterValidator(_beside)]
 
 
 class SceneRaster(Section):
-    """GeoTIFFs of a world, in any coordinates; without an origin, the middle of the height raster is the origin.
+    """GeoTIFFs of a world, in any coordinate system; without an origin, the centre of the height raster is the origin.
 
-    Without a size the world is as large as the height raster. Layers may be laid on it, and relief where it is given.
+    Without a size the world is as large as the height raster. Layers may be added; relief is added only if given.
     """
 
     height: Beside = Field(description="heights of the surface, metres above the ellipsoid (band 1)")
@@ -67,12 +67,12 @@ class GroundRasters:
     warnings: tuple[str, ...]
 
     def heights(self, x: F64, y: F64) -> F64:
-        """Bilinear heights at places of any shape, metres; beyond the edge the nearest cell's."""
+        """Return bilinear heights at positions of any shape, metres; beyond the edge, those of the nearest cells."""
         rows, cols = self.grid.index(x, y)
         return np.asarray(map_coordinates(self.height, [rows, cols], np.float64, order=1, mode="nearest"))
 
     def lay(self, sheet: Sheet) -> None:
-        """Give the sheet the nearest cells' classes and colours."""
+        """Set the classes and colours of a sheet from the nearest cells."""
         rows, cols = self.grid.index(sheet.x, sheet.y)
         r = np.clip(np.rint(rows), 0, self.grid.rows - 1).astype(np.int64)
         c = np.clip(np.rint(cols), 0, self.grid.cols - 1).astype(np.int64)
@@ -82,12 +82,12 @@ class GroundRasters:
             sheet.look[:], sheet.tint[:] = Look.PLAIN, self.tint[r, c]
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Lowest and highest height in a box, metres."""
+        """Return the lowest and highest height in a box, metres."""
         return raster_height_range(self.grid, self.height, box)
 
 
 def raster_height_range(grid: Grid, height: F32, box: Box) -> tuple[float, float]:
-    """Lowest and highest of the cells in a box, the nearest ones where it lies outside."""
+    """Return the lowest and highest height of cells in a box, metres; outside the grid the nearest cells are used."""
     west, south, east, north = box
     rows, cols = grid.index(np.array([west, east]), np.array([north, south]))
     r0, r1 = (int(v) for v in np.clip([np.floor(rows[0]), np.ceil(rows[1])], 0, grid.rows - 1))
@@ -110,7 +110,7 @@ def _opened(path: Path, what: str) -> Iterator[Any]:
 
 
 def raster_middle(raster: SceneRaster) -> LocalFrame:
-    """The origin of a scene that names none: the middle of the height raster, at its middle height."""
+    """Return the origin of a scene without one: the centre of the height raster, at its median height."""
     with _opened(raster.height, "height raster") as dataset:
         west, south, east, north = transform_bounds(dataset.crs, "EPSG:4326", *dataset.bounds)
         thin = max(1, max(dataset.shape) // 500)
@@ -122,7 +122,7 @@ def raster_middle(raster: SceneRaster) -> LocalFrame:
 
 
 def reach(raster: SceneRaster, local: LocalFrame, cell: float) -> Box:
-    """The largest box of whole cells about an origin that lies in the height raster, whichever way that is turned."""
+    """Return the largest box of whole cells about an origin that lies in the height raster, even a rotated one."""
     with _opened(raster.height, "height raster") as dataset:
         t = np.linspace(0.0, 1.0, 33)
         a, b, c, d, e, f = dataset.transform[:6]
@@ -138,7 +138,7 @@ def reach(raster: SceneRaster, local: LocalFrame, cell: float) -> Box:
         raise InputError(
             f"{raster.height}: the height raster is far from the scene's origin; mend origin, or leave it out"
         )
-    half = 0.5 * cell  # centres of the outermost cells of the raster are half a cell in: nothing is lost by it
+    half = 0.5 * cell  # centres of the raster's outermost cells are half a cell inside: no data are lost
     w, s = (math.ceil((v - half) / cell) * cell for v in (west, south))
     right, top = (math.floor((v + half) / cell) * cell for v in (east, north))
     return w, s, right, top
@@ -148,7 +148,8 @@ def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: floa
     """Resample the rasters to the cells of the extent.
 
     Raises:
-        InputError: not readable, no coordinate system, no overlap, too many holes, codes that are no classes.
+        InputError: a raster is not readable, has no coordinate system, too many holes or codes that are no classes, or
+            does not overlap the extent.
     """
     west, south, east, north = extent
     cols, rows = round((east - west) / cell), round((north - south) / cell)
@@ -175,7 +176,7 @@ def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: floa
 def _warped(
     path: Path, what: str, local: LocalFrame, grid: Grid, bands: list[int], how: Resampling, **more: Any
 ) -> Any:
-    """(bands, R, C) of a raster, resampled to the grid."""
+    """Return the (bands, R, C) values of a raster, resampled to the grid."""
     with _opened(path, what) as dataset:
         if len(bands) > dataset.count:
             raise InputError(f"{path}: the {what} has {dataset.count} band(s), {len(bands)} are needed; choose another")
@@ -190,7 +191,7 @@ def _warped(
 
 
 def _heights(raster: SceneRaster, local: LocalFrame, grid: Grid) -> tuple[F32, Mask]:
-    """(R, C) metres above the origin's horizontal plane, and (R, C) true where they were filled in."""
+    """Return (R, C) metres above the origin's horizontal plane, and the (R, C) mask of filled holes."""
     options = {"nodata": NODATA, "dtype": "float32", "src_nodata": None}
     with _opened(raster.height, "height raster") as dataset:
         options["src_nodata"] = dataset.nodata if dataset.nodata is not None else math.nan
@@ -211,7 +212,7 @@ def _heights(raster: SceneRaster, local: LocalFrame, grid: Grid) -> tuple[F32, M
         smooth = gaussian_filter(read[tuple(nearest)], 4.0)
         read = np.where(holes, smooth, read)
     east, north = grid.xy()
-    fall = (east[None] ** 2 + north[:, None] ** 2) / (2.0 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
+    fall = (east[None] ** 2 + north[:, None] ** 2) / (2.0 * EARTH_RADIUS)  # fall of the ellipsoid below the plane
     return (read.astype(np.float64) - local.height - fall).astype(np.float32), np.asarray(holes)
 
 
@@ -227,7 +228,7 @@ def _classes(path: Path, local: LocalFrame, grid: Grid) -> U8:
 
 
 def _image(path: Path, local: LocalFrame, grid: Grid, gamma: float) -> F32:
-    """(R, C, 3) linear reflectance; grey where the picture ends."""
+    """Return the (R, C, 3) linear reflectance; grey outside the picture."""
     with _opened(path, "orthophoto") as dataset:
         if any(kind != "uint8" for kind in dataset.dtypes[:3]):
             raise InputError(f"{path}: the orthophoto is {dataset.dtypes[0]}; convert it to 8 bits")
@@ -242,7 +243,7 @@ def _image(path: Path, local: LocalFrame, grid: Grid, gamma: float) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Arrays:
-    """Source of tiles from given arrays; outside, their edge goes on."""
+    """Source of tiles from given arrays; outside, their edge cells continue."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin
@@ -269,7 +270,7 @@ class Arrays:
         return west, south, west + self.grid.cols * self.cell, south + self.grid.rows * self.cell
 
     def tile(self, i: int, j: int) -> Tile:
-        """Tile (i, j): a window of the arrays; beyond the edge the nearest cell."""
+        """Return tile (i, j): a window of the arrays; beyond the edge the nearest cells."""
         k = np.arange(SIDE)
         cols = np.clip(i * SIDE + k, 0, self.grid.cols - 1)
         rows = np.clip(self.grid.rows - (j + 1) * SIDE + k, 0, self.grid.rows - 1)
@@ -279,5 +280,5 @@ class Arrays:
         return Tile(self.height[at], self.label[at], depth, look, None if self.tint is None else self.tint[at])
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Lowest and highest height in a box, metres."""
+        """Return the lowest and highest height in a box, metres."""
         return raster_height_range(self.grid, self.height, box)

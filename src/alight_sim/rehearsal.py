@@ -1,4 +1,4 @@
-"""A rehearsal in real time: a simulated autopilot on a UDP port, and its cameras that write to a folder."""
+"""A rehearsal in real time: a simulated autopilot on a UDP port, and cameras that write to a folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class CameraFolder:
     """Writer of exposures in the layout of a flight log, one by one.
 
     Raises:
-        OutputError: the folder cannot be made, or holds pictures already.
+        OutputError: the folder cannot be created, or holds pictures already.
     """
 
     def __init__(self, root: Path, rig: Rig, rate_hz: float) -> None:
@@ -36,7 +36,7 @@ class CameraFolder:
         self._names = [c.name for c in rig.cameras]
 
     def write(self, frame: Frame, t_ns: int) -> None:
-        """Write an exposure under a stamp: each image first, then its row."""
+        """Write the images of an exposure under the stamp `t_ns`, each before its row in the table."""
         for name, image, table in zip(self._names, frame.images, self._tables, strict=True):
             if image is not None:
                 (self._root / name / "data" / f"{t_ns}.png").write_bytes(encode_image(image, "png"))
@@ -50,13 +50,13 @@ class CameraFolder:
 
 
 class Rehearsal:
-    """A vehicle over a scene that a simulated autopilot flies in real time; a context with a thread of its own.
+    """A vehicle over a scene, flown by a simulated autopilot in real time; a context manager with its own thread.
 
     Args:
-        flight: on the ground or in the air.
-        folder: for its pictures, stamped by this machine's steady clock.
-        port: of this machine, to send to; senders to `server.port` are answered as well.
-        px4: speak PX4's dialect.
+        flight: vehicle on the ground or in flight.
+        folder: output folder for its pictures, which are stamped by this machine's steady clock.
+        port: port on this machine to which the autopilot sends; it also answers senders to `server.port`.
+        px4: whether the autopilot uses PX4's dialect.
         wrong: (3,) metres, error of the autopilot's estimate.
     """
 
@@ -75,7 +75,7 @@ class Rehearsal:
         self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
     def _expose(self, events: Sequence[Event]) -> None:
-        """Write the new exposures, stamped by the steady clock: simulated time plus the clock at its start."""
+        """Write the new exposures, stamped by the steady clock: simulated time plus the clock's time at the start."""
         self._shift_ns = self._shift_ns or time.monotonic_ns() - self.flight.time_ns
         for frame in events:
             if isinstance(frame, Frame):
@@ -90,7 +90,7 @@ class Rehearsal:
         self._cameras.close()
 
     def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Let it run for `seconds` of the steady clock, or until `until` is true."""
+        """Let the rehearsal run for `seconds` of the steady clock, or until `until` returns true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and not until():
             time.sleep(0.05)

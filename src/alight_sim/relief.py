@@ -1,4 +1,4 @@
-"""Fractal relief of the ground, evaluated at any place."""
+"""Fractal relief of the ground, evaluated at any position."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from alight_sim.kernels.layers import DUNES, HILLS, RIDGES, add_fractal, add_fra
 from alight_sim.section import Section
 
 FORMS = {"hills": HILLS, "ridges": RIDGES, "dunes": DUNES}
-FEW = 8192  # places up to which one thread is faster than many
+FEW = 8192  # number of positions up to which one thread is faster than several
 
 
 class FractalRelief(Section):
@@ -26,11 +26,11 @@ class FractalRelief(Section):
     form: Literal["hills", "ridges", "dunes"] = Field("hills", description="hills | ridges (creased) | dunes (long)")
 
     def octaves(self) -> tuple[F64, F64]:
-        """Wavelengths and standard deviations, longest first."""
+        """Return the wavelengths and standard deviations of the octaves, longest first, metres."""
         return octaves(self.height, self.longest, self.shortest, self.fall)
 
     def add(self, x: F64, y: F64, seed: int, out: F64) -> None:
-        """Add this relief at places (R, C) to heights (R, C)."""
+        """Add this relief at positions (R, C) to the heights `out` (R, C)."""
         if self.height > 0.0:
             _add(x, y, self.octaves(), FORMS[self.form], seed, out)
 
@@ -41,7 +41,7 @@ def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64)
 
 
 def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:
-    """Wavelengths halved from `longest` down to `shortest` and their amplitudes, of total `deviation`."""
+    """Return wavelengths halved from `longest` down to `shortest`, and their amplitudes for the total `deviation`."""
     count = max(1, 1 + math.floor(math.log2(max(longest / shortest, 1.0)) + 1e-9))
     wavelengths = longest * 0.5 ** np.arange(count, dtype=np.float64)
     amplitudes = wavelengths**fall
@@ -49,7 +49,7 @@ def octaves(deviation: float, longest: float, shortest: float, fall: float) -> t
 
 
 def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
-    """Noise of unit deviation at places of any shape, between two wavelengths, metres."""
+    """Return noise of unit deviation at positions of any shape, between two wavelengths, metres."""
     if x.size == 0:
         return np.zeros(x.shape)
     east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))

@@ -9,13 +9,14 @@ import numpy as np
 
 from alight.arrays import F64
 
-_TIE = 1e-6  # metres: poses of rest whose height differs by less are all possible
+_TIE = 1e-6  # metres: all resting poses whose heights differ by less are possible
 
 
 def resting_on_feet(at: F64, height: F64) -> F64:
-    """(N, P, 3) planes on which the lander rests, repeated to P; it may rock between those of one centre.
+    """Return (N, P, 3) planes on which a lander with feet `at` (K, 2) rests on ground `height` (N, K).
 
-    At rest the centre is as low as it can be with no foot in the ground: a plane through three feet.
+    At rest the centre is as low as possible without a foot below the ground: a plane through three feet. Several planes
+    for one centre mean that the lander may rock between them; if fewer than P, they are repeated.
     """
     found = []
     for three in combinations(range(len(at)), 3):
@@ -34,9 +35,10 @@ def resting_on_feet(at: F64, height: F64) -> F64:
 
 
 def resting_on_skids(at: F64, height: F64) -> F64:
-    """(N, 2, 3) planes on which two skids rest: those of the lowest and of the highest pitch where it rocks.
+    """Return (N, 2, 3) planes on which two skids rest, at the lowest and the highest pitch at which they may.
 
-    With a pitch p a skid passes over its middle at max(z - p s): the sum over both skids is convex in p.
+    With a pitch p a skid passes over its middle at max(z - p s); the sum over both skids is convex in p. `at` (K, 2) is
+    forward and left of points on the skids, the left skid first, and `height` (N, K) the ground under them, metres.
     """
     half = len(at) // 2
     s, wide = at[:half, 0], float(at[0, 1] - at[half, 1])

@@ -1,4 +1,4 @@
-"""Rigs of a scene file: built-in ones by name, or cameras with the keys of a flight log's sensor.yaml."""
+"""Rigs of a scene file: built-in rigs by name, or cameras with the keys of a flight log's sensor.yaml."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Transform(Section):
 
     @property
     def pose(self) -> Pose:
-        """The pose; a rotation that is exact to rounding stays as it is, bit for bit."""
+        """The pose; a rotation that is exact to rounding is kept bit for bit."""
         M = np.reshape(self.data, (4, 4))
         R = M[:3, :3]
         return Pose(R, M[:3, 3]) if np.abs(R @ R.T - np.eye(3)).max() < 1e-12 else Pose.from_matrix(M)
@@ -43,7 +43,7 @@ Pixels = Annotated[int, Field(ge=1, le=12_000)]
 
 
 class CameraModel(Section):
-    """One camera: the contents of a sensor.yaml, or its place, tilt and field of view."""
+    """One camera: the contents of a sensor.yaml, or its position, tilt and field of view."""
 
     sensor_type: Literal["camera"] = Field("camera", description="as in sensor.yaml")
     comment: str = Field("", description="for people")
@@ -82,7 +82,7 @@ class CameraModel(Section):
 
     @property
     def body_from_cam(self) -> Pose:
-        """Pose of the camera in the body; the image's top is forward or up."""
+        """Pose of the camera in the body; the top of its picture points forward or up."""
         return self.T_BS.pose if self.T_BS else Pose(looking(math.radians(self.tilt_deg)), np.array(self.place))
 
 
@@ -106,12 +106,12 @@ class RigModel(Section):
 
     @classmethod
     def of(cls, rig: Rig) -> RigModel:
-        """Return the model that makes this rig again, bit for bit."""
+        """Return the model that reproduces a rig, bit for bit."""
         return cls.model_validate({"cameras": [_described(c) for c in rig.cameras]})
 
 
 def looking(tilt: float) -> F64:
-    """(3, 3) body from camera of one that looks `tilt` radians below the horizon ahead."""
+    """Return the (3, 3) `body_from_cam` of a camera that points ahead and `tilt` radians below the horizon."""
     c, s = math.cos(tilt), math.sin(tilt)
     return np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
 
@@ -128,7 +128,7 @@ def _described(cam: RigCamera) -> dict[str, Any]:
 
 
 def default_rig() -> Rig:
-    """A pair of 640x480 cameras looking down, 0.5 m apart across the body, with small errors of mounting."""
+    """Return a pair of 640x480 cameras that point down, 0.5 m apart across the body, with small mounting errors."""
     left = Camera(640, 480, 481.2, 480.3, 323.0, 242.9, "radial-tangential", (-0.0899, 0.0195, -0.00077, 0.00065))
     right = Camera(640, 480, 480.2, 479.8, 322.6, 239.1, "radial-tangential", (-0.0895, 0.0187, -0.00063, 0.0005))
     return Rig(
@@ -140,7 +140,7 @@ def default_rig() -> Rig:
 
 
 def _looking_down(*small: float) -> F64:
-    """(3, 3) body from camera: image top is forward, image right is right, turned by a small rotation vector, rad."""
+    """Return `body_from_cam` (3, 3) of a camera that points down, top forward, turned by a small rotation vector."""
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return np.asarray(cv2.Rodrigues(np.array(small))[0] @ down)
 
@@ -150,13 +150,13 @@ def _single() -> Rig:
 
 
 def _wide() -> Rig:
-    """Two fisheye cameras with a field of view of 120 degrees."""
+    """Return two fisheye cameras with a field of view of 120 degrees."""
     lens = Camera(640, 480, 306.0, 306.0, 319.5, 239.5, "equidistant", (-0.01, 0.02, -0.01, 0.002))
     return Rig(tuple(RigCamera(c.name, lens, c.body_from_cam) for c in default_rig().cameras))
 
 
 def _oblique() -> Rig:
-    """A pair that looks ahead, 50 degrees below the horizon."""
+    """Return a pair of cameras that point ahead, 50 degrees below the horizon."""
     pose = looking(math.radians(50.0))
     return Rig(
         tuple(RigCamera(c.name, c.camera, Pose(pose, c.body_from_cam.translation)) for c in default_rig().cameras)

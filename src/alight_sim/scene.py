@@ -1,4 +1,4 @@
-"""The scene file: one YAML file that describes a world; every section and every key may be left out."""
+"""The scene file: one YAML file that describes a world; every section and every key may be omitted."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ class SceneGround(Section):
     raster: SceneRaster | None = Field(None, description="a height raster of your own instead of relief and layers")
 
     def fall(self, x: F64, y: F64) -> F64:
-        """Heights of the slope at places, metres."""
+        """Return the heights of the slope at positions, metres."""
         steep, towards = math.tan(math.radians(self.slope_deg)), math.radians(self.downhill_deg)
         return np.asarray(-steep * (math.sin(towards) * x + math.cos(towards) * y))
 
     @cached_property
     def extent(self) -> tuple[float, float, float, float]:
-        """West, south, east, north: whole cells about the origin."""
+        """West, south, east, north in metres: whole cells about the origin."""
         half = [max(1, round(0.5 * s / self.cell)) * self.cell for s in self.size]
         return -half[0], -half[1], half[0], half[1]
 
@@ -96,15 +96,18 @@ class Scene(Section):
 
 
 def built_in() -> dict[str, Path]:
-    """Paths of the packaged scenes by name."""
+    """Return the paths of the packaged scenes by name."""
     return {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}
 
 
 def read_scene(path: Path, seed: int = 0) -> Scene:
-    """Read a scene file; rasters in it are found beside it. `seed`: of the values that the file draws.
+    """Read a scene file; paths of rasters are relative to its folder.
+
+    Args:
+        seed: seed of the values that the file draws at random.
 
     Raises:
-        InputError: not readable, not YAML, an unknown key or a wrong value.
+        InputError: the file is not readable or not YAML, or has an unknown key or a wrong value.
     """
     try:
         tree = parse_yaml(read_text(path))
@@ -122,16 +125,16 @@ def read_scene(path: Path, seed: int = 0) -> Scene:
 
 
 def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None, seed: int = 0) -> Scene:
-    """Make a scene from plain values.
+    """Return a scene from plain values.
 
     Args:
-        tree: contents of a scene file, `draw` included (`alight_sim.variation`).
-        where: name of the source in errors.
-        folder: names of rasters count from it.
-        seed: of the drawn values.
+        tree: content of a scene file, including `draw` (`alight_sim.variation`).
+        where: name of the source in error messages.
+        folder: folder to which paths of rasters are relative; None: the working directory.
+        seed: seed of the drawn values.
 
     Raises:
-        InputError: an unknown key or a wrong value.
+        InputError: a key is unknown or a value is wrong.
     """
     try:
         return Scene.model_validate(resolve(tree, seed, where), context={"folder": folder})
@@ -140,7 +143,7 @@ def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None, se
 
 
 def explain(error: ValidationError) -> str:
-    """First error of a scene in one line: the key, and its possible values."""
+    """Return the first error of a scene in one line: the key, the fault, and possible values."""
     problems = error.errors(include_url=False)
     first = problems[0]
     key = ".".join(str(k + 1) if isinstance(k, int) else str(k) for k in first["loc"])
@@ -161,7 +164,6 @@ def _tag(problem: Any) -> str:
 
 
 def _known(loc: tuple[int | str, ...]) -> str:
-    """List the keys of the section with the wrong key."""
     section: Any = Scene
     kinds = things()
     for part in loc[:-1]:
@@ -174,7 +176,6 @@ def _known(loc: tuple[int | str, ...]) -> str:
 
 
 def _inner(annotation: Any) -> Any:
-    """The section that a field holds, within tuples and unions."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     for part in getattr(annotation, "__args__", ()):
@@ -185,6 +186,6 @@ def _inner(annotation: Any) -> Any:
 
 
 def things() -> dict[str, type[Section]]:
-    """Kinds of things that layers may hold, by name."""
+    """Return the models of the things that layers may hold, by name."""
     union = Thing.__args__[0]
     return {kind.model_fields["thing"].annotation.__args__[0]: kind for kind in union.__args__}

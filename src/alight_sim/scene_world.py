@@ -32,11 +32,11 @@ from alight_sim.tiles import SIDE, Cache, Stack, Tile, TileSource
 from alight_sim.truth import SceneTruth
 from alight_sim.world import START, Poses
 
-SHADOW_LIMIT = 0.5  # metres: a ray that clears by more is simply lit
+SHADOW_LIMIT = 0.5  # metres: a ray that clears the ground by more is fully lit
 SHADOW_REACH = 60.0  # metres: longer shadows end here
-HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain a metre: hollows of two sizes are darker
-TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # bytes of tiles and of patches that are kept
-MARGIN = 30.0  # metres beyond the extent that `low` and `high` hold for
+HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain per metre: hollows of two sizes are darker
+TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # cache sizes of tiles and patches, bytes
+MARGIN = 30.0  # metres beyond the extent for which `low` and `high` hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,10 @@ class _TileSkin:
 
 @dataclass(frozen=True, eq=False)
 class SceneWorld:
-    """Ground to fly over. Within `extent` truth is kept; the ground goes on beyond, made on demand.
+    """Ground to fly over. Truth is available within `extent`; the ground continues beyond it, made on demand.
 
-    Everything is a pure function of the scene, the seed and the place, independent of earlier calls and of the thread.
+    All results are pure functions of the scene, the seed and the position, independent of earlier calls and of the
+    thread.
     """
 
     name: str
@@ -69,7 +70,7 @@ class SceneWorld:
     extent: Box
     light: Light = field(default_factory=Light)
     scene: Scene | None = None
-    warnings: tuple[str, ...] = ()  # assumptions about it
+    warnings: tuple[str, ...] = ()  # assumptions about the world
     _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
     _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
     _eyes: dict[tuple[Camera, int], Eye] = field(default_factory=dict, repr=False)
@@ -77,13 +78,13 @@ class SceneWorld:
 
     @cached_property
     def movers(self) -> tuple[Mover, ...]:
-        """The cars of the scene: in the pictures, not in the truth of the ground."""
+        """The cars of the scene: in the pictures, but not in the truth of the ground."""
         traffic = () if self.scene is None else self.scene.traffic
         return tuple(Mover(t, self.height_at, self.seed + 1000 * k) for k, t in enumerate(traffic))
 
     @property
     def sun(self) -> Sun:
-        """The sun at the start."""
+        """The sun at time 0."""
         return self.light.sun_at(0.0)
 
     @property
@@ -107,20 +108,22 @@ class SceneWorld:
         return self._bounds[1]
 
     def range(self, bounds: Box) -> tuple[float, float]:
-        """Lower and upper bound of all heights in a box, metres."""
+        """Return a lower and an upper bound of all heights in a box, metres."""
         return self.source.range(bounds)
 
     def patch(self, bounds: Box, time: float = 0.0, level: int = 0) -> GroundPatch:
-        """All layers over a box (west, south, east, north), which is grown to whole tiles; `time` moves the sun.
+        """Return all layers over a box (west, south, east, north), which is enlarged to whole tiles.
 
-        `level`: looks and light are of blocks of 2^level cells, for pictures with pixels of that size.
+        Args:
+            time: time for the position of the sun, s.
+            level: looks and light are given for blocks of 2^level cells, for pictures with pixels of that size.
         """
         box, sun = self._tile_box(bounds), self.light.sun_at(time)
         make = partial(self._make_patch, box, sun, level)
         return _patch(self._patches.get((box, sun, level), make, lambda p: p.nbytes))
 
     def usual_height(self, bounds: Box) -> float:
-        """Median of a few heights in the tiles of a box, metres: about the ground height below a camera."""
+        """Return the median of a few heights in the tiles of a box, metres: about the ground height below a camera."""
         box = self._tile_box(bounds)
         e, n = (np.linspace(a * SIDE, (b + 1) * SIDE, 7)[1:-1].astype(int) for a, b in (box[::2], box[1::2]))
         heights = self._patches.get(
@@ -129,7 +132,7 @@ class SceneWorld:
         return float(np.median(heights))
 
     def height_at(self, east: float, north: float) -> float:
-        """Height of the surface, metres above the origin."""
+        """Return the height of the surface at a position, metres above the origin."""
         x = (east - self.source.anchor[0]) / self.cell - 0.5
         y = (north - self.source.anchor[1]) / self.cell - 0.5
         i, j = math.floor(x), math.floor(y)
@@ -138,7 +141,7 @@ class SceneWorld:
         return float(np.array([1 - v, v]) @ np.array(corners) @ np.array([1 - u, u]))
 
     def truth(self, bounds: Box | None = None) -> SceneTruth:
-        """Heights and classes of the cells whose centres lie in the bounds (default: the extent)."""
+        """Return heights and classes of the cells whose centres lie in the bounds (default: the extent)."""
         west, south, east, north = bounds or self.extent
         e0, n0 = self.source.anchor
         first = math.ceil((west - e0) / self.cell - 0.5 - 1e-6), math.ceil((south - n0) / self.cell - 0.5 - 1e-6)
@@ -148,7 +151,7 @@ class SceneWorld:
         return SceneTruth(grid, layers["height"], layers["label"])
 
     def radiance(self, camera: Camera, world_from_cam: Poses, seconds: float, bodies: Sequence[Moving] = ()) -> F32:
-        """(H, W, 3) linear light of an exposure of the scene's imaging; dark where the lens lies in the ground."""
+        """Return the (H, W, 3) linear light of an exposure of the scene's imaging; black if the lens is underground."""
         key = camera, self.imaging.samples
         if key not in self._eyes:
             self._eyes[key] = Eye(*key)
@@ -180,7 +183,7 @@ class SceneWorld:
 
     @property
     def faults(self) -> Faults:
-        """Faults between shutter and log."""
+        """Faults between the shutter and the log."""
         return self._settings.faults
 
     # -- tiles
@@ -208,12 +211,11 @@ class SceneWorld:
         )  # fmt: skip
 
     def _grid(self, i: int, j: int, rows: int, cols: int) -> Grid:
-        """The grid whose cell (0, 0) is cell i to the east and j to the north of the anchor."""
         e0, n0 = self.source.anchor
         return Grid(e0 + (i + 0.5) * self.cell, n0 + (j + 0.5) * self.cell, self.cell, rows, cols)
 
     def _window(self, i0: int, j0: int, i1: int, j1: int, names: tuple[str, ...]) -> dict[str, Any]:
-        """Layers of the cells i0..i1 to the east and j0..j1 to the north, north up."""
+        """Return the named layers of the cells i0..i1 to the east and j0..j1 to the north, with north up."""
         rows, cols = j1 - j0 + 1, i1 - i0 + 1
         out: dict[str, Any] = {}
         for tj in range(j0 // SIDE, j1 // SIDE + 1):
@@ -249,7 +251,7 @@ class SceneWorld:
         return GroundPatch(grid, height, layers["label"], layers["skin"], looks, tinted, level)
 
     def _make_skin(self, i: int, j: int, sun: Sun, level: int) -> _TileSkin:
-        """Light, class, look and tint of a tile's blocks of 2^level cells; equal in every patch."""
+        """Return light, class, look and tint of a tile's blocks of 2^level cells; they are equal in every patch."""
         tile, side = self._tile(i, j), SIDE >> level
         codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
         sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
@@ -273,7 +275,7 @@ class SceneWorld:
         return out
 
     def _make_shadow(self, i: int, j: int, sun: Sun) -> F32:
-        """(SIDE, SIDE) shadow margins, metres: march towards the sun as far as the longest shadow."""
+        """Return the (SIDE, SIDE) shadow margins, metres: march towards the sun as far as the longest shadow."""
         direction, flat = sun.direction, math.hypot(*sun.direction[:2])
         out = np.full((SIDE, SIDE), SHADOW_LIMIT, np.float32)
         if flat < 1e-6:
@@ -299,17 +301,16 @@ def _patch(value: Any) -> GroundPatch:
 
 
 def _copy(out: dict[str, Any], name: str, layer: Any, to: Any, of: Any, shape: tuple[int, int]) -> None:
-    """Copy one tile's part of one layer into `out`."""
     if name not in out:
         out[name] = np.empty((*shape, *layer.shape[2:]), layer.dtype)
     out[name][to] = layer[of]
 
 
 def build(scene: str | Path | Scene, seed: int = 0) -> SceneWorld:
-    """Make the world of a built-in scene's name, a scene file or a scene; the same seed makes the same ground.
+    """Build the world of a scene, given by a built-in name, a file or a model; equal seeds give equal ground.
 
     Raises:
-        InputError: no such scene, or something in it is wrong.
+        InputError: the scene does not exist or has an error.
     """
     if not isinstance(scene, Scene):
         known = built_in()
@@ -340,7 +341,7 @@ def world_of(
     light: Light | None = None,
     seed: int = 0,
 ) -> SceneWorld:
-    """Make a world from arrays (R, C) on a grid; classes default to bare ground. Its edge goes on outside."""
+    """Build a world from arrays (R, C) on a grid; classes default to bare ground. Outside, the edge cells continue."""
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
     source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint)
     return SceneWorld("arrays", "", seed, Origin().local, source, source.extent, light or Light())

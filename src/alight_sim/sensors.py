@@ -1,4 +1,4 @@
-"""Navigation solution and IMU: exact motion plus errors, each source of noise with a random stream of its own."""
+"""Navigation solution and IMU: exact motion plus errors. Each source of noise has its own random stream."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 
 
 class Jump(Section):
-    """A step of the position for a while, as by a wrong satellite or a changed solution."""
+    """A step of the position for some time, as by a wrong satellite or a changed solution."""
 
     at: float = Field(description="s after the first exposure")
     seconds: float | None = Field(None, gt=0, description="s that it lasts; to the end without it")
@@ -37,7 +37,7 @@ class Outage(Span):
 
 
 class NavErrors(Section):
-    """Errors of GPS/INS: drift (first-order Gauss-Markov) and white noise of claimed sigmas; unclaimed errors."""
+    """Errors of GPS/INS: drift (first-order Gauss-Markov) and white noise with reported sigmas; unreported errors."""
 
     rate_hz: float = Field(20.0, gt=0, le=1000, description="rows a second")
     position: Triple = Field((1.0, 1.0, 1.5), description="metres east, north, up: standard deviation of the drift")
@@ -73,7 +73,7 @@ class ImuErrors(Section):
 
     @property
     def densities(self) -> dict[str, float]:
-        """Noise densities and random walks as a maker states them, by the keys of imu0/sensor.yaml."""
+        """Noise densities and random walks as the IMU's maker states them, by the keys of imu0/sensor.yaml."""
         names = [f"{s}_{n}" for s in ("gyroscope", "accelerometer") for n in ("noise_density", "random_walk")]
         return {k: float(getattr(self, k)) for k in names}
 
@@ -86,14 +86,14 @@ class Sensors(Section):
 
 
 class MarkovNoise:
-    """Stationary first-order Gauss-Markov noise, one value after the other. `sigma` (N,), `tau` in seconds."""
+    """Stationary first-order Gauss-Markov noise with deviations `sigma` (N,) and correlation time `tau` (s)."""
 
     def __init__(self, rng: np.random.Generator, sigma: F64, tau: float) -> None:
         self._rng, self._sigma, self._tau = rng, sigma, tau
         self._state: tuple[float, F64] | None = None
 
     def at(self, seconds: float) -> F64:
-        """(N,) at a time in seconds, later than that of the last call."""
+        """Return the (N,) noise at a time (s), which must be later than the last call's time."""
         white = self._rng.standard_normal(len(self._sigma))
         if self._state is not None:
             keep = math.exp(-(seconds - self._state[0]) / self._tau)
@@ -117,14 +117,14 @@ class TrueMotion:
 
 
 class NavStream:
-    """GPS/INS, row by row: the errors of one flight."""
+    """GPS/INS, row by row, with the errors of one flight."""
 
     def __init__(self, errors: NavErrors, seeds: np.random.SeedSequence) -> None:
         drift, self._white, turn, self._turn_white, self._speed, self._rate, wind = (
             np.random.default_rng(s) for s in seeds.spawn(7)
         )
         self.errors = errors
-        self.offset = np.zeros(3)  # metres: error of the last row without its white noise, drawn or lost
+        self.offset = np.zeros(3)  # metres: error of the last row without its white noise, even if the row was lost
         self.attitude_error, self.velocity_error = np.zeros(3), np.zeros(3)  # rad in the body, m/s: of the last row
         self.located_at = -math.inf  # s, of the last row with a position
         self._drift = MarkovNoise(drift, np.array(errors.position), errors.position_tau)
@@ -136,7 +136,7 @@ class NavStream:
         self._sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
 
     def sample(self, t_ns: int, seconds: float, true: TrueMotion) -> NavSample | None:
-        """The row at a time of the flight, with the motion `errors.latency` before it; None: the row is missing."""
+        """Return the row at a time of the flight, from the motion `errors.latency` s earlier; None: it is missing."""
         e = self.errors
         jump = self._jump(seconds)
         drift = self._drift.at(seconds)
@@ -169,7 +169,7 @@ class NavStream:
         return out
 
     def heading_error(self, seconds: float) -> F64:
-        """(3, 3) rotation in the world: the error of the heading."""
+        """Return the heading error as a rotation (3, 3) in the world."""
         tau = self.errors.yaw_tau
         fade = 1.0 if tau is None else math.exp(-max(seconds, 0.0) / tau)
         return so3_exp([0.0, 0.0, -math.radians(self.errors.yaw_start_deg) * fade])
@@ -181,7 +181,7 @@ class NavStream:
 def simulated_nav(
     flight: TrueTrajectory, t_ns: I64, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
 ) -> Iterator[NavSample]:
-    """Yield the navigation solution at times of the clock (`t_ns`) and of the trajectory (`seconds`)."""
+    """Yield the rows of GPS/INS with stamps `t_ns`, which correspond to the times `seconds` of the trajectory."""
     then, stream = seconds - errors.latency, NavStream(errors, seeds)
     places, velocities = flight.place_world(then), flight.velocity_world(then)
     turns, rates = flight.rotations(then), flight.angular_velocity_body(then)
@@ -193,7 +193,7 @@ def simulated_nav(
 
 
 def _bent(rng: np.random.Generator, scale: float, misalignment: float) -> F64:
-    """(3, 3) measured from true: scales on the diagonal, small angles beside it."""
+    """Return a (3, 3) matrix, measured from true: scale errors on the diagonal, misalignments beside it."""
     M = np.diag(1.0 + scale * rng.standard_normal(3))
     return np.asarray(M + misalignment * rng.standard_normal((3, 3)) * (1.0 - np.eye(3)))
 
@@ -210,21 +210,21 @@ class BiasWalk:
         self._walked = [np.zeros(3), np.zeros(3)]
 
     def next(self) -> tuple[F64, F64]:
-        """(3,) gyroscope and (3,) accelerometer bias of the next sample, rad/s and m/s^2."""
+        """Return the (3,) gyroscope and (3,) accelerometer biases of the next sample, rad/s and m/s^2."""
         for k, (rng, step) in enumerate(zip(self._rngs, self._steps, strict=True)):
             self._walked[k] = self._walked[k] + step * rng.standard_normal(3)
         return self._starts[0] + self._walked[0], self._starts[1] + self._walked[1]
 
 
 def imu_biases(n: int, errors: ImuErrors, seeds: np.random.SeedSequence) -> tuple[F64, F64]:
-    """(N, 3) gyroscope biases, rad/s, and (N, 3) accelerometer biases, m/s^2."""
+    """Return (N, 3) gyroscope biases, rad/s, and (N, 3) accelerometer biases, m/s^2."""
     walk = BiasWalk(errors, seeds)
     both = np.array([walk.next() for _ in range(n)])
     return both[:, 0], both[:, 1]
 
 
 class ImuStream:
-    """The IMU, sample by sample: the errors of one flight."""
+    """The IMU, sample by sample, with the errors of one flight."""
 
     def __init__(self, errors: ImuErrors, seeds: np.random.SeedSequence) -> None:
         self._gyro, self._accel, gyro_axes, accel_axes = (np.random.default_rng(s) for s in seeds.spawn(4))
@@ -233,7 +233,7 @@ class ImuStream:
         self._sigmas = errors.gyroscope_noise_density * root, errors.accelerometer_noise_density * root
 
     def sample(self, t_ns: int, rate: F64, force: F64, biases: tuple[F64, F64]) -> ImuSample:
-        """Measure a turn rate and specific force in the body, with scale, misalignment, bias and noise."""
+        """Return the measured sample of a true angular rate (3,) and specific force (3,) in the body."""
         measured = self._axes[0] @ rate + biases[0] + self._sigmas[0] * self._gyro.standard_normal(3)
         felt = self._axes[1] @ force + biases[1] + self._sigmas[1] * self._accel.standard_normal(3)
         return ImuSample(t_ns, measured, felt)
@@ -247,7 +247,7 @@ def simulated_imu(
     errors: ImuErrors,
     seeds: np.random.SeedSequence,
 ) -> Iterator[ImuSample]:
-    """Yield samples of turn rate and specific force in the body."""
+    """Yield samples of angular rate and specific force in the body."""
     stream = ImuStream(errors, seeds)
     rates, forces = flight.angular_velocity_body(seconds), flight.specific_force_body(seconds)
     for i, t in enumerate(t_ns):

@@ -1,4 +1,4 @@
-"""The ground in tiles, each a pure function of scene, seed and its place in the lattice of tiles."""
+"""The ground in tiles. Each tile is a pure function of the scene, the seed and the tile's indices."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from alight_sim.scene import SceneGround
 
 SIDE = 256  # cells of a tile's side
-BLOCK = 25.6  # metres: things are scattered block by block, whatever the cell
-RING = 8  # places around a thing's foot where the ground is sampled
+BLOCK = 25.6  # metres: things are scattered block by block, whatever the cell size
+RING = 8  # points around a thing's foot where the ground is sampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,30 +54,30 @@ class TileSource(Protocol):
 
     @property
     def anchor(self) -> tuple[float, float]:
-        """East and north of the south-west corner of tile (0, 0)."""
+        """East and north of the south-west corner of tile (0, 0), metres."""
 
     def tile(self, i: int, j: int) -> Tile:
-        """The tile that starts SIDE * cell * (i east, j north) of the anchor."""
+        """Return the tile whose south-west corner is SIDE * cell * (i east, j north) from the anchor."""
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Lower and upper bound of all heights in the box, metres."""
+        """Return a lower and an upper bound of all heights in the box, metres."""
 
 
 class Under(Protocol):
     """Interface of rasters that lie under the layers instead of relief."""
 
     def heights(self, x: F64, y: F64) -> F64:
-        """Heights at places of any shape, metres."""
+        """Return heights at positions of any shape, metres."""
 
     def lay(self, sheet: Sheet) -> None:
         """Set the classes and colours of the sheet."""
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Lowest and highest height in a box, metres."""
+        """Return the lowest and highest height in a box, metres."""
 
 
 class Cache:
-    """Cache of the values used last, within a number of bytes."""
+    """Cache of the most recently used values, limited by their size in bytes."""
 
     def __init__(self, limit: int) -> None:
         self.limit, self.used = limit, 0
@@ -85,7 +85,7 @@ class Cache:
         self._lock = threading.RLock()
 
     def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
-        """Return the value of a key; make it where it is not held."""
+        """Return the value of a key; it is made if the cache does not hold it."""
         with self._lock:
             if key in self._held:
                 self._held.move_to_end(key)
@@ -99,7 +99,7 @@ class Cache:
 
 
 def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
-    """Well mixed bits of some integers (splitmix64)."""
+    """Return hashes of integers with well mixed bits (splitmix64)."""
     h = np.uint64(0x9E3779B97F4A7C15) * np.ones(np.broadcast_shapes(*(np.shape(n) for n in numbers)), np.uint64)
     for n in numbers:
         h = (h ^ np.asarray(n, np.int64).astype(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)
@@ -109,7 +109,7 @@ def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
 
 
 class Lay:
-    """One layer in one world: its random stream, its things, the ground before it."""
+    """One layer in one world: its random stream, its things, and access to the ground before it."""
 
     def __init__(self, stack: Stack, layer: Layer, index: int, seed: int) -> None:
         self.stack, self.layer, self.index, self.seed = stack, layer, index, seed
@@ -124,26 +124,26 @@ class Lay:
         return np.asarray(self._kept[key])
 
     def choose(self, i: NDArray[np.int64], j: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Choose a number below `count` for every cell of a lattice, by its hash."""
+        """Return a pseudo-random number below `count` for every cell (i, j) of a lattice."""
         return np.asarray((_mixed(i, j, self.seed) % np.uint64(count)).astype(np.int64))
 
     def before(self, x: F64, y: F64) -> Sheet:
-        """The solid ground at places (R, C) as the layers before this one leave it."""
+        """Return the solid ground at positions (R, C) before this layer is applied."""
         return self.stack.ground(x, y, upto=self.index)
 
     @property
     def scattered(self) -> Scattered:
-        """The layer as a `Scattered` one."""
+        """The layer, which must be a `Scattered` one."""
         assert isinstance(self.layer, Scattered)
         return self.layer
 
     def things(self, box: Box) -> F64:
-        """(N, COLUMNS): things that reach into a box, in an order that does not depend on the box."""
+        """Return the (N, COLUMNS) things that reach into a box, in an order that does not depend on the box."""
         found = [self.block(i, j) for i, j in _blocks(box, self.scattered.largest)]
         return overlapping(np.concatenate(found), box)
 
     def _candidates(self, i: int, j: int) -> tuple[F64, int]:
-        """Things of one block before the ground is sampled, and the number of those at given places."""
+        """Return the things of one block before the ground is sampled, and how many of them are at given positions."""
         layer = self.scattered
         named = np.array(layer.at, dtype=np.float64).reshape(-1, 2)
         named = named[(np.floor(named / BLOCK) == (i, j)).all(axis=1)]
@@ -159,7 +159,7 @@ class Lay:
         return things, len(named)
 
     def _block(self, i: int, j: int) -> F64:
-        """Things of one block that found their place, with the level of their foot."""
+        """Return the things of one block whose site is suitable, with the ground level at their feet."""
         things, named = self.candidates(i, j)
         if not len(things):
             return things
@@ -180,7 +180,7 @@ class Lay:
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def ring(self, i: int, j: int) -> tuple[F64, F64]:
-        """(N, 1 + RING) places where the ground under a block's candidates is sampled: middle first, then around."""
+        """Return (N, 1 + RING) east and north of ground samples under a block's candidates: centre, then ring."""
         things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
         reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
@@ -189,11 +189,11 @@ class Lay:
 
     @property
     def shapes(self) -> bool:
-        """True: it changes the solid ground, so it stands on the ground of the layers before it."""
+        """Whether the layer changes the solid ground; its things then stand on the ground of the layers before it."""
         return type(self.layer).shape is not Layer.shape
 
     def _feet(self, i: int, j: int) -> tuple[F64, Mask]:
-        """(N,) level of each foot, and (N,) true where its ground is of an allowed class all around."""
+        """Return the (N,) ground level at each foot, and the (N,) mask of feet with allowed ground all around."""
         if self.shapes:
             sheet = self.before(*self.ring(i, j))
             ground, label, look = sheet.ground, sheet.label, sheet.look
@@ -207,7 +207,7 @@ class Lay:
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
-        """(N,) true for things clear of earlier layers' things that are apart, and of their own with precedence."""
+        """Return the (N,) mask of things that overlap no earlier layer's thing, and no own one with precedence."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room
@@ -227,7 +227,7 @@ class Lay:
 
 
 def _first(things: F64) -> F64:
-    """Precedence where two things of a layer compete for a place: pseudo-random, equal in every block."""
+    """Return a pseudo-random precedence per thing; of two overlapping things, that with the larger value stays."""
     return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
 
 
@@ -239,7 +239,7 @@ def _blocks(box: Box, reach: float) -> list[tuple[int, int]]:
 
 
 class Stack:
-    """Source of tiles from a scene's ground section: relief, then every layer in turn."""
+    """Source of tiles from a scene's ground section: relief, then every layer in order."""
 
     anchor: tuple[float, float] = (0.0, 0.0)
 
@@ -254,12 +254,12 @@ class Stack:
             kinds.append(layer.thing)
 
     def _stream(self, name: str, count: int) -> int:
-        """A layer's own seed: another kind of thing added to a scene moves none of the others."""
+        """Return a layer's own seed, so that a new kind of thing in a scene does not move the others."""
         state = np.random.SeedSequence([self.seed, zlib.crc32(name.encode()), count]).generate_state(1)
         return int(state[0]) & 0x7FFFFFFF
 
     def base(self, x: F64, y: F64) -> F64:
-        """Heights of slope, raster and relief alone, metres."""
+        """Return heights of slope, raster and relief alone, metres."""
         out = self.spec.fall(x, y)
         if self.raster is not None:
             out += self.raster.heights(x, y)
@@ -269,11 +269,11 @@ class Stack:
 
     @property
     def reliefs(self) -> tuple[FractalRelief, ...]:
-        """Relief of the ground; over a raster only relief that the scene gives."""
+        """Relief of the ground; over a raster, only relief that the scene gives."""
         return () if self.raster is not None and "relief" not in self.spec.model_fields_set else self.spec.relief
 
     def ground(self, x: F64, y: F64, upto: int | None = None, cell: float = 0.0) -> Sheet:
-        """The solid ground at places (R, C), with the layers before number `upto`."""
+        """Return the solid ground at positions (R, C), after the layers before index `upto` (None: all layers)."""
         sheet = Sheet.blank(x, y, terrain_named(self.spec.cover), cell)
         sheet.ground = self.base(x, y)
         sheet.look[:], sheet.tint[:] = self.spec.look, self.spec.tint
@@ -284,7 +284,7 @@ class Stack:
         return sheet
 
     def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8, U8]]:
-        """Ground, classes and looks under the candidates of all layers that stand, sampled at once; by layer."""
+        """Return ground, classes and looks under the candidates of all layers that keep the ground, by layer index."""
         standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
         rings = [lay.ring(i, j) for lay in standing]
         sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
@@ -294,7 +294,7 @@ class Stack:
         return {lay.index: part for lay, part in zip(standing, parts, strict=True)}
 
     def tile(self, i: int, j: int) -> Tile:
-        """All layers on the cells of one tile."""
+        """Return all layers on the cells of one tile."""
         k = np.arange(SIDE)
         x, y = np.meshgrid((i * SIDE + k + 0.5) * self.cell, ((j + 1) * SIDE - k - 0.5) * self.cell)
         sheet = self.ground(x, y, cell=self.cell)
@@ -308,11 +308,11 @@ class Stack:
         return Tile(height, sheet.label, depth, sheet.look, tint)
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Lower and upper bound of heights in a box, metres: base at coarse places, and the rise of the layers."""
+        """Return bounds of the heights in a box, metres, from coarse samples of the base and the rise of the layers."""
         west, south, east, north = box
         count = [min(200, 2 + math.ceil((b - a) / 4.0)) for a, b in ((west, east), (south, north))]
         base = self.base(*np.meshgrid(np.linspace(west, east, count[0]), np.linspace(south, north, count[1])))
-        if self.raster is not None:  # between the coarse places there may be anything
+        if self.raster is not None:  # between the coarse samples any height is possible
             low, high = self.raster.range(box)
             base = np.concatenate([base.ravel() - (high - low), base.ravel() + (high - low)])
         fine = 4.0 * sum(float(a[w < 32.0].sum()) for w, a in (r.octaves() for r in self.reliefs))

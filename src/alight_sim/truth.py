@@ -16,12 +16,12 @@ from alight.records import Terrain
 from alight_sim.kernels.touchdown import running_sums, touchdown
 from alight_sim.section import Section
 
-BAND = 1024  # rows judged at a time: a large world's running sums need no more memory than this
+BAND = 1024  # rows judged at a time, which limits the memory for running sums
 
 
 @dataclass(frozen=True)
 class TrueFootprint:
-    """Limits of a footprint: every cell centre within `radius` is of an allowed class and near the disc's plane."""
+    """Limits of a footprint: every cell centre within `radius` has an allowed class and lies near the disc's plane."""
 
     radius: float = 1.5  # metres
     max_slope: float = math.radians(10.0)  # rad
@@ -56,7 +56,7 @@ class SceneTruth:
     _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
 
     def safe(self, footprint: TrueFootprint | None = None) -> Mask:
-        """(R, C): true where a touchdown keeps every limit. A disc that leaves the world does not."""
+        """Return the (R, C) mask of touchdowns that keep every limit; false if the disc leaves the world."""
         key = footprint or TrueFootprint()
         if key not in self._masks:
             self._masks[key] = safe_mask(self.height, self.label, self.grid.cell, key)
@@ -64,16 +64,16 @@ class SceneTruth:
 
 
 def _half_widths(radius: float, cell: float) -> NDArray[np.int64]:
-    """(2 k + 1,) cells either side of the middle in each row of a disc: their centres lie within the radius."""
+    """Return the (2 k + 1,) half widths of a disc's rows, in cells: centres within them lie within the radius."""
     k = math.floor(radius / cell + 1e-9)
     rise = np.arange(-k, k + 1) * cell
     return np.asarray(np.floor(np.sqrt(np.maximum(radius**2 - rise**2, 0.0)) / cell + 1e-9).astype(np.int64))
 
 
 def safe_mask(height: F32, label: U8, cell: float, footprint: TrueFootprint) -> Mask:
-    """(R, C): least-squares plane of the disc about each cell; slope, largest deviation and classes within limits.
+    """Return the (R, C) mask of cells whose disc keeps the limits of slope, largest deviation and classes.
 
-    A disc with an unknown height in it, or one that leaves the array, is not safe. Worked through in bands of rows.
+    The plane is the least-squares plane of the disc. A disc with an unknown height, or beyond the array, is not safe.
     """
     half = _half_widths(footprint.radius, cell)
     k, rows = len(half) // 2, height.shape[0]

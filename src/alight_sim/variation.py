@@ -1,4 +1,4 @@
-"""Scenes that differ from seed to seed: values of a scene file that are drawn, by name."""
+"""Scenes that differ from seed to seed: named values of a scene file are drawn at random."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from alight.records import InputError
 
 SIGN = "$"
-DIGITS = 4  # of a drawn number: a scene that is written down stays readable
+DIGITS = 4  # of a drawn number, so that a written scene stays readable
 
 
 def resolve(tree: dict[str, Any], seed: int, where: str) -> dict[str, Any]:
-    """The tree of a scene file with its drawn values put in; a tree without `draw` is returned as it is.
+    """Return the tree of a scene file with its drawn values; a tree without `draw` is returned unchanged.
 
     `draw` maps a name to `{between: [a, b]}`, to `{between: [a, b], log: true}` or to `{one_of: [...]}`. The text
-    `$name` anywhere in the tree stands for the value. In a list, a drawn list of mappings is put in item by item and
-    a drawn null is left out. Every name has a random stream of its own.
+    `$name` anywhere in the tree is replaced by the value. In a list, a drawn list of mappings is inserted item by item,
+    and a drawn null is omitted. Every name has its own random stream.
 
     Raises:
-        InputError: a draw that is none of these, or a name that is not drawn.
+        InputError: a draw has another form, or a name is not drawn.
     """
     if "draw" not in tree:
         return tree
@@ -53,7 +53,7 @@ def _value(spec: Any, stream: list[int], name: str, where: str) -> Any:
 
 
 def _filled(part: Any, values: dict[str, Any], where: str) -> Any:
-    """A part of the tree with the values in it; a value may name others that are drawn."""
+    """Return a part of the tree with the values inserted; a value may refer to other drawn names."""
     if isinstance(part, str) and part.startswith(SIGN):
         if part[1:] not in values:
             raise InputError(f"{where}: {part}: nothing of this name is drawn; use one of: {', '.join(values)}")

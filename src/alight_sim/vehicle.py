@@ -1,9 +1,9 @@
 """The vehicle: a smooth flight along a planned line, and the attitude that flies it in wind.
 
-Position, heading, gusts and wobble are uniform B-splines. So velocity, acceleration and turn rate are exact
+Position, heading, gusts and wobble are uniform B-splines. So velocity, acceleration and angular rate are exact
 derivatives, and the noise-free IMU integrates back to the trajectory. A spline's derivatives stay within those of its
-control points: the limits of speed, acceleration, climb, sink and turn rate hold by construction. The effect of gusts
-comes on top. The attitude is that of the thrust that balances the motion, gravity and the drag of the air.
+control points, so the limits of speed, acceleration, climb, sink and turn rate hold by construction. The effect of
+gusts is added. The attitude follows from the thrust that balances the motion, gravity and the drag of the air.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ GRAVITY = 9.80665  # m/s^2
 UPWARDS = np.array([0.0, 0.0, GRAVITY])  # m/s^2, balances gravity, world
 KNOT = 0.25  # s between control points
 DEGREE = 5
-HOLD, DAMPING = 1.2, 0.7  # rad/s and share of critical: an autopilot that holds its place against a gust
+HOLD, DAMPING = 1.2, 0.7  # rad/s and share of critical damping: an autopilot that holds its position against a gust
 SHARP = 8  # the tilt limit bends in within a few per cent of it: (1 + (tilt / limit)^16)^(-1/16)
 
 
 class Limits(Section):
-    """Limits of the vehicle's motion; gusts come on top, but never over the tilt."""
+    """Limits of the vehicle's motion; gusts may exceed them, except for the tilt."""
 
     acceleration: float = Field(2.5, gt=0, le=8.0, description="m/s^2, in all directions together")
     tilt_deg: float = Field(30.0, gt=1.0, lt=80.0, description="degrees from level, wind and gusts included")
@@ -46,7 +46,7 @@ class Limits(Section):
 
 
 class Air(Section):
-    """The wind that the vehicle flies in."""
+    """The wind in which the vehicle flies."""
 
     wind: float = Field(2.0, ge=0, description="m/s, steady")
     from_deg: float = Field(250.0, description="degrees clockwise from north that the wind comes from")
@@ -56,7 +56,7 @@ class Air(Section):
 
     @property
     def wind_world(self) -> F64:
-        """(3,) m/s: velocity of the air."""
+        """(3,) m/s, velocity of the air."""
         bearing = math.radians(self.from_deg)
         return -self.wind * np.array([math.sin(bearing), math.cos(bearing), 0.0])
 
@@ -81,7 +81,7 @@ VEHICLES = {
 
 @dataclass(frozen=True, eq=False)
 class TrueTrajectory:
-    """True motion of the vehicle at given times, seconds from the flight's start. Times: one, or (N,)."""
+    """True motion of the vehicle as a function of time in seconds from the flight's start: one time, or (N,)."""
 
     position: BSpline  # (3,) metres, world, without vibration
     heading: BSpline  # rad, counter-clockwise from east
@@ -97,7 +97,7 @@ class TrueTrajectory:
         return self.position.derivative(1), self.position.derivative(2)
 
     def _shaken(self, t: F64 | float, order: int) -> F64:
-        """(..., 3) vibration along (1, 0.6, 0.8) of the world, or its derivative of an order."""
+        """Return the (..., 3) vibration along (1, 0.6, 0.8) of the world, or its derivative of the given order."""
         t = np.asarray(t, dtype=np.float64)[..., None]
         out: F64 = np.zeros(3)
         for hertz, acceleration in self.vehicle.vibration:
@@ -107,19 +107,19 @@ class TrueTrajectory:
         return out
 
     def place_world(self, t: F64 | float) -> F64:
-        """(..., 3) metres: positions in the world."""
+        """Return the (..., 3) positions in the world, metres."""
         return np.asarray(self.position(t)) + self._shaken(t, 0)
 
     def velocity_world(self, t: F64 | float) -> F64:
-        """(..., 3) m/s in the world."""
+        """Return the (..., 3) velocities in the world, m/s."""
         return np.asarray(self._derivatives[0](t)) + self._shaken(t, 1)
 
     def acceleration_world(self, t: F64 | float) -> F64:
-        """(..., 3) m/s^2, gravity not included."""
+        """Return the (..., 3) accelerations in the world without gravity, m/s^2."""
         return np.asarray(self._derivatives[1](t)) + self._shaken(t, 2)
 
     def rotations(self, t: F64 | float) -> F64:
-        """(..., 3, 3) `world_from_body`: up along the required thrust, forward along the heading."""
+        """Return the (..., 3, 3) `world_from_body`: up along the required thrust, forward along the heading."""
         push = np.asarray(self._derivatives[1](t)) + UPWARDS
         push += self.vehicle.drag * (np.asarray(self._derivatives[0](t)) - self.wind - self.gusts(t))
         psi = np.asarray(self.heading(t))
@@ -135,11 +135,11 @@ class TrueTrajectory:
         return np.stack([np.cross(left, up), left, up], axis=-1)
 
     def pose(self, t: float) -> Pose:
-        """True `world_from_body`."""
+        """Return the true `world_from_body` at one time."""
         return Pose(self.rotations(t), self.place_world(t))
 
     def angular_velocity_body(self, t: F64 | float, h: float = 1e-4) -> F64:
-        """(..., 3) rad/s, central difference of the rotation (error below 1e-7)."""
+        """Return the (..., 3) rates in the body, rad/s, by central difference of the rotation (error below 1e-7)."""
         t = np.asarray(t, dtype=np.float64)
         turn = np.swapaxes(self.rotations(t - h), -1, -2) @ self.rotations(t + h)
         skew = turn - np.swapaxes(turn, -1, -2)
@@ -147,14 +147,14 @@ class TrueTrajectory:
         return np.asarray(sine * (1.0 + (sine**2).sum(axis=-1, keepdims=True) / 6.0) / (2.0 * h))
 
     def specific_force_body(self, t: F64 | float) -> F64:
-        """(..., 3) m/s^2, as an accelerometer measures it."""
+        """Return the (..., 3) specific force in the body, m/s^2, as an ideal accelerometer measures it."""
         force = self.acceleration_world(t) + UPWARDS
         return np.asarray((np.swapaxes(self.rotations(t), -1, -2) @ force[..., None])[..., 0])
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """A polyline timed within the limits: places at given times, and its duration."""
+    """A polyline timed within the limits: positions as a function of time, and its duration."""
 
     points: F64  # (N, 3)
     speeds: F64  # (N,) at the points
@@ -175,7 +175,7 @@ class _Line:
         return float(self._legs[4][-1])
 
     def at(self, t: F64) -> F64:
-        """(M, 3) places at times (M,); before the start and after the end it goes on straight."""
+        """Return the (M, 3) positions at times (M,); before the start and after the end the line continues straight."""
         units, lengths, up, cruise, ends = self._legs
         k = np.clip(np.searchsorted(ends, t, side="right"), 0, len(ends) - 1)
         local = t - np.concatenate([[0.0], ends[:-1]])[k]
@@ -190,7 +190,7 @@ class _Line:
 
 
 def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool) -> _Line:
-    """Time a polyline: each leg within speed, climb and sink; slow at corners; `most` m/s^2 in all directions."""
+    """Return a polyline with speeds at its points. `most`: m/s^2 at most; `rolling`: not at rest at the ends."""
     legs = np.diff(points, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     units = legs / lengths[:, None]
@@ -206,7 +206,7 @@ def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool
     around = 0.5 * (lengths[:-1] + lengths[1:])
     with np.errstate(divide="ignore"):
         corner = KNOT * np.maximum(most / bends - 0.5 * push, 0.15 * most)  # one corner within a knot's blending
-        curve = np.sqrt(push * around / bends)  # many: v^2 / r
+        curve = np.sqrt(push * around / bends)  # many corners: v^2 / r
     speeds[1:-1] = np.minimum(speeds[1:-1], np.minimum(corner, curve))
     for k in range(len(legs)):  # speeds that can be reached, forwards and backwards
         speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + 2 * push * lengths[k]))
@@ -217,10 +217,10 @@ def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool
 
 
 def push_left(speed: float, limits: Limits, air: Air, vehicle: SimulatedVehicle) -> float:
-    """Acceleration that the tilt limit leaves when flying at `speed` in the steady wind, m/s^2; negative: none."""
+    """Return the acceleration that the tilt limit leaves at `speed` in the steady wind, m/s^2; negative: none."""
     slant = limits.steepest - math.tan(vehicle.lean_left)
     drag = vehicle.drag * (speed + air.wind)
-    return min(limits.acceleration, (slant * GRAVITY - drag) / (1.0 + slant))  # sinking faster takes thrust away
+    return min(limits.acceleration, (slant * GRAVITY - drag) / (1.0 + slant))  # a faster sink reduces the thrust
 
 
 def fly_through(
@@ -235,13 +235,15 @@ def fly_through(
     rolling: bool = False,
     hold: float = 0.0,
 ) -> TrueTrajectory:
-    """Fly along a line of (N, 3) places (east, north, up in metres), corners rounded within a knot.
+    """Fly along a line of (N, 3) positions (east, north, up in metres); corners are rounded within a knot.
 
-    `heading` (rad, counter-clockwise from east) is held; None: the nose follows the course as fast as it may turn.
-    `rolling`: pass the ends at full speed instead of starting and ending at rest. One point alone: hover `hold` s.
+    Args:
+        heading: constant heading, rad counter-clockwise from east; None: it follows the course as fast as allowed.
+        rolling: whether the ends are passed at full speed instead of at rest.
+        hold: duration of the hover for a single point, s.
 
     Raises:
-        ValueError: no point, two that coincide, or wind and speed that the tilt limit cannot hold.
+        ValueError: there is no point, two points coincide, or wind and speed exceed the tilt limit.
     """
     bounds = limits or Limits()
     points = np.asarray(points, dtype=np.float64)
@@ -277,7 +279,7 @@ def fly_through(
 
 
 def _nose(control: F64, centres: F64, limits: Limits) -> F64:
-    """(N,) heading of the control points: along the course, turned no faster than allowed."""
+    """Return the (N,) heading of the control points: along the course, turned no faster than allowed."""
     velocity = np.gradient(control[:, :2], KNOT, axis=0)
     moving = np.hypot(*velocity.T) > 0.3
     if not moving.any():
@@ -292,13 +294,13 @@ def _nose(control: F64, centres: F64, limits: Limits) -> F64:
 
 
 def _spline(centres: F64, control: F64) -> BSpline:
-    """Uniform B-spline whose control points belong to the times `centres`."""
+    """Return the uniform B-spline whose control points belong to the times `centres`."""
     knots = centres[0] + KNOT * (np.arange(len(centres) + DEGREE + 1) - 0.5 * (DEGREE + 1))
     return BSpline(knots, control, DEGREE)
 
 
 def correlated(rng: np.random.Generator, count: int, width: int, step: float) -> F64:
-    """(count, width) first-order Gauss-Markov noise of unit deviation; `step` is a sample in correlation times."""
+    """Return (count, width) Gauss-Markov noise of unit deviation; `step` is the time step over the correlation time."""
     keep = math.exp(-step)
     white = rng.standard_normal((count, width))
     white[1:] *= math.sqrt(1.0 - keep * keep)
@@ -306,7 +308,7 @@ def correlated(rng: np.random.Generator, count: int, width: int, step: float) ->
 
 
 def _blown(push: F64) -> F64:
-    """(N, 3) metres: displacement of a vehicle that holds its place against pushes (N, 3), m/s^2: a damped spring."""
+    """Return the (N, 3) displacement (m) of a vehicle that holds its position against pushes (N, 3), m/s^2."""
     A = np.array([[0.0, 1.0, 0.0], [-(HOLD**2), -2.0 * DAMPING * HOLD, 1.0], [0.0, 0.0, 0.0]])
     step = expm(A * KNOT)  # exact for a push that is constant between knots
     top, bottom = ss2tf(step[:2, :2], step[:2, 2:], np.array([[1.0, 0.0]]), np.zeros((1, 1)))

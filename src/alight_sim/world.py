@@ -1,4 +1,4 @@
-"""What a trial needs of a world: the pictures of its rig, the height and kind of its ground, and what moves.
+"""Interface of a world for trials: the pictures of its rig, the height and class of its ground, and moving objects.
 
 The simulator's own implementation is `alight_sim.scene_world`.
 """
@@ -23,7 +23,7 @@ from alight_sim.sensors import Sensors
 from alight_sim.things.base import Box
 from alight_sim.truth import SceneTruth
 
-Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
+Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), positions (N, 3)
 Start = tuple[float, float, float]  # east, north, metres above the ground there
 START: Start = (-20.0, -12.0, 40.0)
 
@@ -33,7 +33,7 @@ class World(Protocol):
     """A world to land in. A subclass needs `name`, `radiance` and `truth`; everything else has a default.
 
     Axes are east, north, up in metres from the origin; a camera is right, down, forward. Times are seconds of the
-    flight. The same arguments give the same results, whatever was called before.
+    flight. The same arguments give the same results, independent of earlier calls.
     """
 
     @property
@@ -43,24 +43,24 @@ class World(Protocol):
 
     @abstractmethod
     def radiance(self, camera: Camera, world_from_cam: Poses, seconds: float, bodies: Sequence[Moving]) -> F32:
-        """Draw a picture: (H, W, 3) linear light, red, green and blue. `imaging` makes grey values of it.
+        """Draw a picture: (H, W, 3) linear light, red, green and blue. `imaging` converts it to grey values.
 
         Args:
             camera: image size, intrinsics and distortion.
-            world_from_cam: poses of the camera about the time of the exposure.
+            world_from_cam: poses of the camera around the time of the exposure.
             seconds: middle of the exposure.
-            bodies: cars and persons that have come on command, to be drawn as well (`alight_sim.movers.boxes_at`).
+            bodies: cars and persons that appeared on command and must be drawn too (`alight_sim.movers.boxes_at`).
         """
 
     @abstractmethod
     def truth(self, bounds: Box) -> SceneTruth:
-        """Heights and classes of the ground, at the centres of all cells of `cell` metres that lie within bounds.
+        """Return heights and classes of the ground at the centres of all cells of size `cell` within the bounds.
 
-        The ground goes on everywhere: all heights are finite. What moves is left out.
+        The ground continues everywhere: all heights are finite. Moving objects are left out.
         """
 
     def height_at(self, east: float, north: float) -> float:
-        """Height of the ground at a place, metres: bilinear between cell centres."""
+        """Return the height of the ground at a position, metres, bilinear between cell centres."""
         reach = 2.0 * self.cell
         near = self.truth((east - reach, north - reach, east + reach, north + reach))
         row, col = (float(i) for i in near.grid.index(np.array(east), np.array(north)))
@@ -75,12 +75,12 @@ class World(Protocol):
 
     @property
     def movers(self) -> Sequence[Moving]:
-        """What moves by itself, as upright boxes."""
+        """Moving objects of the world itself, as upright boxes."""
         return ()
 
     @property
     def start(self) -> Start:
-        """Where the landings of a campaign begin; the search is about it."""
+        """Position where the landings of a campaign begin; the search is centred on it."""
         return START
 
     @property
@@ -90,7 +90,7 @@ class World(Protocol):
 
     @property
     def imaging(self) -> Imaging:
-        """What lens and sensor make of the light."""
+        """Settings of lens and sensor, which convert light to grey values."""
         return Imaging(auto=True)
 
     @property
@@ -100,20 +100,20 @@ class World(Protocol):
 
     @property
     def faults(self) -> Faults:
-        """What goes wrong between shutter and log."""
+        """Faults between the shutter and the log."""
         return Faults()
 
     @property
     def local(self) -> LocalFrame:
-        """Place of the origin on Earth."""
+        """Local frame with the position of the origin on Earth."""
         return Origin().local
 
     @property
     def description(self) -> str:
-        """One sentence for people."""
+        """One sentence that describes the world."""
         return ""
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Assumptions about it, for the report."""
+        """Assumptions about the world, for the report."""
         return ()

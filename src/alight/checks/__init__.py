@@ -1,1 +1,1 @@
-"""Faults of a rig, found from some seconds of recording: each with its evidence and a remedy."""
+"""Checks of a rig on some seconds of recording: each result has the evidence of a fault and its remedy."""

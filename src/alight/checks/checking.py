@@ -18,7 +18,7 @@ from alight.sources import Source
 def check_source(
     source: Source, seconds: float = 10.0, start: float = 0.0, progress: Callable[[float], None] = lambda share: None
 ) -> list[CheckResult]:
-    """Check the rig of a flight log or a recording.
+    """Check the rig of a flight log or a recording and return the result of each check.
 
     Args:
         seconds: length of the part that is read.
@@ -36,10 +36,10 @@ def check_source(
 
 
 def check_evidence(evidence: RigEvidence) -> list[CheckResult]:
-    """Run every check on the evidence."""
+    """Run every check on the evidence; return one result per check."""
     pictures = [check_exposure(evidence), check_sharpness(evidence), check_lens(evidence), check_intrinsics(evidence)]
     navigation = check_navigation(evidence)
-    # the accelerometer is not used where the pictures are compared with GPS/INS and IMU
+    # a wrong accelerometer does not prevent the comparison of pictures with GPS/INS and IMU, which does not use it
     wrong = (r.name for r in navigation if r.verdict is Judged.BAD and r.name != "accelerometer unit")
     motion, flow = check_motion(evidence, next(wrong, ""))
     (first, _), *others = evidence.by_camera

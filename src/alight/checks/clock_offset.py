@@ -1,11 +1,11 @@
-"""The offset between the clock of pictures and that of a vehicle's log, however far apart they are.
+"""Estimation of the offset between the clocks of pictures and of a vehicle's log, however large it is.
 
-The motion of the picture is compared with that predicted from the log at every offset at which the two overlap:
+The observed motion of the picture is compared with the motion predicted from the log, at every offset with an overlap:
 
     u_k ~ w(t_k - offset) + rho m(t_k - offset)
 
-with the flow u_k of a pair of pictures [1/s], the part w of the rotation (gyroscope) and the part m of the velocity at
-a height of one metre. rho, one over the height above ground, is free for each `WINDOW` and not negative.
+u_k is the flow of a pair of pictures [1/s]. w is its part from the rotation (gyroscope), and m its part from the
+velocity at a height of one metre. rho, one over the height above ground, is free in each `WINDOW` and not negative.
 """
 
 from __future__ import annotations
@@ -22,43 +22,43 @@ from alight.checks.predicted_flow import OFFSET, BodyMotion, PredictedFlow, body
 from alight.geometry import Pose
 from alight.records import Event, Frame, ImuSample, NavSample, Rig
 
-STEP = 0.05  # s between two offsets that are tried
+STEP = 0.05  # s between two trial offsets
 WINDOW = 4.0  # s in which the height above ground stays nearly the same
-LOBE = 1.0  # s: offsets nearer to the best one than this are no rivals: the motion of a vehicle changes slowly
-PART = 300  # flows in which it is searched together: half a minute and more
-CLEAR = 0.7  # of the misfit of the best rival, and of the whole motion, below which an offset is clear
+LOBE = 1.0  # s: offsets nearer to the best one are no rivals, because the motion of a vehicle changes slowly
+PART = 300  # number of flows that are searched together: half a minute or more
+CLEAR = 0.7  # an offset is clear if its misfit is below this share of the best rival's misfit and of the whole motion
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """Time by which the stamps of the pictures are ahead of the log's."""
+    """Time by which the stamps of the pictures are ahead of the stamps of the log."""
 
     seconds: float
     sigma: float  # s, 1-sigma
-    unclear: str = ""  # reason why it must not be used; empty: it is clear
+    unclear: str = ""  # reason why the offset must not be used; empty: it is clear
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedMotion:
-    """Motion of a picture predicted from a log, at equal steps of `STEP`; NaN where it is unknown.
+    """Motion of a picture predicted from a log, at time steps of `STEP`; NaN where it is unknown.
 
-    D numbers describe the motion, such as flows at some points of the picture.
+    D numbers describe the motion, such as the flows at some points of the picture.
     """
 
-    start: float  # s
+    start: float  # s, time of the first step
     turning: F64  # (N, D) 1/s, the part that does not depend on the height above ground
-    moving: F64  # (N, D) m/s, the part that is divided by it
+    moving: F64  # (N, D) m/s, the part that is divided by the height above ground
 
 
 def align(seconds: F64, seen: F64, predicted: PredictedMotion) -> ClockOffset:
-    """Find the offset of an observed motion against a predicted one, at any at which they overlap.
+    """Find the offset at which a predicted motion best explains an observed one, among all offsets with an overlap.
 
     Args:
-        seconds: (K,) s, rising, of the pictures' clock.
-        seen: (K, D) 1/s.
+        seconds: (K,) s, ascending times of the observed motion, on the pictures' clock.
+        seen: (K, D) observed motion, 1/s.
 
     Returns:
-        the offset of the pictures' clock against that of the prediction.
+        the offset of the pictures' clock from the prediction's clock.
     """
     observed = _Observed(seconds, seen)
     found = clearest(*observed.misfits(predicted))
@@ -66,7 +66,7 @@ def align(seconds: F64, seen: F64, predicted: PredictedMotion) -> ClockOffset:
 
 
 class _Observed:
-    """An observed motion, (K, D) at (K,) s, with the windows in which the height above ground is one number."""
+    """An observed motion, (K, D) at (K,) s, divided into windows of constant height above ground."""
 
     def __init__(self, seconds: F64, seen: F64) -> None:
         self._seconds, self._seen = seconds, seen
@@ -74,18 +74,18 @@ class _Observed:
         self._lengths = np.diff([*self._windows, len(seconds)])
 
     def misfits(self, predicted: PredictedMotion) -> tuple[F64, F64]:
-        """Return all (T,) offsets with an overlap [s], rising, and the (T,) shares of the motion that each leaves.
+        """Return the (T,) ascending offsets with an overlap [s], and the (T,) unexplained share of the motion at each.
 
-        What lies outside the prediction counts as unexplained.
+        Motion at times without a prediction is unexplained.
         """
         at = np.round((self._seconds - self._seconds[0]) / STEP).astype(np.intp)
-        first = np.arange(len(predicted.turning) - 1, -at[-1] - 1, -1)  # index that the first observation falls on
+        first = np.arange(len(predicted.turning) - 1, -at[-1] - 1, -1)  # index at which the first observation falls
         left = [np.linalg.norm(self._left(predicted, at + k), axis=1).sum() for k in first]
         whole = max(float(np.linalg.norm(self._seen, axis=1).sum()), 1e-12)
         return self._seconds[0] - predicted.start - first * STEP, np.array(left) / whole
 
     def refined(self, offset: float, predicted: PredictedMotion) -> ClockOffset:
-        """Refine an offset by Gauss-Newton with robust weights; the spread of the windows gives its sigma."""
+        """Refine an offset (s) by robust Gauss-Newton; its sigma follows from the spread of the windows."""
         for _ in range(10):
             r, later, earlier = (self._interpolated(offset + d, predicted) for d in (0.0, STEP / 2, -STEP / 2))
             J, length = (later - earlier) / STEP, np.linalg.norm(r, axis=1)
@@ -101,13 +101,13 @@ class _Observed:
         return ClockOffset(offset, float(sigma), vague)
 
     def _interpolated(self, offset: float, predicted: PredictedMotion) -> F64:
-        """(K, D) motion that is left unexplained at an offset between two steps."""
+        """Return the (K, D) motion that is unexplained at an offset (s) between two steps."""
         at = (self._seconds - offset - predicted.start) / STEP
         index = np.floor(at).astype(np.intp).clip(0, len(predicted.turning) - 2)
         return self._left(predicted, index, (at - index)[:, None].clip(0.0, 1.0))
 
     def _left(self, predicted: PredictedMotion, index: I64, share: F64 | float = 0.0) -> F64:
-        """(K, D) motion that is left unexplained by the prediction at (K,) indices and a share of a step."""
+        """Return the (K, D) motion left unexplained at step `index` (K,) plus a fraction `share` (K, 1) of a step."""
         inside = (index >= 0) & (index < len(predicted.turning))
         index = np.where(inside, index, 0)
         turning, moving = predicted.turning[index], predicted.moving[index]
@@ -123,7 +123,7 @@ class _Observed:
 
 
 def clearest(offsets: F64, left: F64) -> ClockOffset:
-    """Return the best of (T,) offsets with their unexplained shares, and whether it has a rival."""
+    """Return the best of (T,) offsets (s) by the unexplained shares `left` (T,), with the reason if it is unclear."""
     best = int(np.argmin(left))
     found, unclear = float(offsets[best]), ""
     others = np.where(np.abs(offsets - found) > LOBE, left, np.inf)
@@ -136,16 +136,16 @@ def clearest(offsets: F64, left: F64) -> ClockOffset:
 
 
 def predicted_motion(motion: BodyMotion, body_from_cam: Pose, spots: F64, span: float) -> PredictedMotion:
-    """Predict the flows at (S, 2) points of a picture from gyroscope and GPS/INS.
+    """Predict the flow at points of a picture from gyroscope and GPS/INS.
 
     Args:
-        spots: normalised coordinates.
+        spots: (S, 2) normalised coordinates of the points.
         span: s between the two pictures of a pair.
     """
     t = np.arange(motion.span[0] + span / 2, motion.span[1] - span / 2, STEP)
     begin, end = (motion.turning(motion.inside(t + half)) for half in (-span / 2, span / 2))
     rate = (begin.inv() * end).as_rotvec() / span - motion.bias
-    w = rate @ body_from_cam.rotation  # of the camera, in its axes
+    w = rate @ body_from_cam.rotation  # (N, 3) of the camera, in camera axes
     x = np.concatenate([spots, np.ones((len(spots), 1))], axis=1)
     away = -np.cross(w[:, None, :], x[None])  # (N, S, 3) rate of each ray
     turning = away[..., :2] - spots * away[..., 2:]
@@ -154,16 +154,16 @@ def predicted_motion(motion: BodyMotion, body_from_cam: Pose, spots: F64, span: 
         world_from_cam = motion.attitude(motion.inside(t)).as_matrix() @ body_from_cam.rotation
         v_world = np.stack([np.interp(t, motion.seconds, motion.velocity_world[:, k]) for k in range(3)], axis=-1)
         v = np.einsum("nij,ni->nj", world_from_cam, v_world)
-        below = -np.einsum("nij,i->nj", world_from_cam, upward(np.zeros(2))) @ x.T  # (N, S) heights a unit of depth
+        below = -np.einsum("nij,i->nj", world_from_cam, upward(np.zeros(2))) @ x.T  # (N, S) height per depth
         moving = np.clip(below, 0.0, None)[..., None] * (spots * v[:, None, 2:] - v[:, None, :2])
     return PredictedMotion(float(t[0]), turning.reshape(len(t), -1), moving.reshape(len(t), -1))
 
 
 def offset_of_frames(rig: Rig, frames: Iterable[Frame], nav: NavTable, imu: ImuTable) -> ClockOffset:
-    """Find the offset between the clock of frames and that of GPS/INS and IMU, from the first part that shows it.
+    """Find the offset between the clocks of the frames and of GPS/INS and IMU, from the first usable part.
 
     Args:
-        frames: in order of time; camera 0 is used.
+        frames: exposures in order of time; camera 0 is used.
         nav: all rows of GPS/INS.
         imu: all inertial samples; may be empty.
     """
@@ -182,10 +182,11 @@ def offset_of_frames(rig: Rig, frames: Iterable[Frame], nav: NavTable, imu: ImuT
 
 
 def contradicted_shift(rig: Rig, events: Iterable[Event], shift: float, seconds: float = 20.0) -> str:
-    """A warning if the pictures contradict the `timeshift_cam_imu` (s) by which camera 0 was stamped; else empty.
+    """Return a warning if the pictures contradict the calibrated clock offset of camera 0; empty if they do not.
 
     Args:
-        events: of a recording that has all streams, of which the first seconds are read.
+        events: events of a recording with all streams; its first `seconds` are read.
+        shift: `timeshift_cam_imu` in s, already applied to the stamps.
     """
     camera, nav, imu = CameraEvidence(rig.cameras[0].camera), list[NavSample](), list[ImuSample]()
     first = None
@@ -201,7 +202,7 @@ def contradicted_shift(rig: Rig, events: Iterable[Event], shift: float, seconds:
             if event.images[0] is not None:
                 camera.add(event.t_ns, np.asarray(event.images[0]), 0.0)
     left = find_offset(camera, rig.cameras[0].body_from_cam, NavTable.of(nav), ImuTable.of(imu))
-    if left.unclear or abs(left.seconds) < max(0.02, 4.0 * left.sigma):  # s, as for the time offset of a rig
+    if left.unclear or abs(left.seconds) < max(0.02, 4.0 * left.sigma):  # s, the limits of the time offset of a rig
         return ""
     return (
         f"timeshift_cam_imu of cam0 is {shift:+.4f} s, but its pictures and the other streams give "
@@ -211,11 +212,11 @@ def contradicted_shift(rig: Rig, events: Iterable[Event], shift: float, seconds:
 
 
 def find_offset(camera: CameraEvidence, body_from_cam: Pose, nav: NavTable, imu: ImuTable) -> ClockOffset:
-    """Find the offset between a camera's clock and that of GPS/INS and IMU.
+    """Find the offset between the clocks of a camera and of GPS/INS and IMU.
 
     Args:
-        camera: measurements from its pictures, stamped by its own clock.
-        body_from_cam: its mounting.
+        camera: measurements from the camera's pictures, stamped by its own clock.
+        body_from_cam: mounting of the camera.
         nav: all rows of GPS/INS.
         imu: all inertial samples; may be empty.
     """

@@ -1,4 +1,4 @@
-"""Ten seconds of a recording, read once: streams as arrays, flow of the pictures, matches between the cameras."""
+"""Ten seconds of a recording, read once: streams as arrays, flow of the pictures, and matches between the cameras."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from alight.records import Event, ImuSample, InputError, NavSample, Rig, RigCame
 
 
 def seconds_since(t_ns: I64, origin_ns: int) -> F64:
-    """Return times (N,) in seconds from an origin."""
+    """Return times (N,) ns in seconds from an origin."""
     return np.asarray((t_ns - origin_ns).astype(np.float64) * 1e-9)
 
 
 def trimmed_rms(values: F64) -> float:
-    """Root of the mean square of the smallest 95 % of numbers (N,) or vectors (N, D): outliers have no effect."""
+    """Return the RMS of numbers (N,) or vectors (N, D) without their largest 5 %: a few outliers have no effect."""
     squares = np.sort(values**2 if values.ndim == 1 else (values**2).sum(axis=1))
     return float(np.sqrt(squares[: max(1, int(0.95 * len(squares)))].mean()))
 
 
 @dataclass(frozen=True, eq=False)
 class StreamTable:
-    """Columns of one stream, a row a sample, NaN where not measured."""
+    """Columns of one stream, one row per sample, NaN where not measured."""
 
     t_ns: I64  # (N,)
 
     @classmethod
     def of(cls, samples: Sequence[NavSample] | Sequence[ImuSample]) -> Self:
-        """Gather samples: a column for each of the fields."""
+        """Return the table of samples, with one column for each field of the table."""
         columns: list[F64 | I64] = [np.array([s.t_ns for s in samples], dtype=np.int64)]
         for name in (f.name for f in fields(cls)[1:]):
             blank = np.full((3, 3) if name == "world_from_body" else 3, np.nan)
@@ -44,18 +44,18 @@ class StreamTable:
         return cls(*columns)  # type: ignore[arg-type]
 
     def where(self, keep: Mask) -> Self:
-        """Return the rows that `keep` (N,) marks."""
+        """Return the rows where the mask `keep` (N,) is true."""
         return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     def measured(self, *names: str) -> Self:
-        """Return the rows in which all of these columns are measured."""
+        """Return the rows in which all of the named columns are finite."""
         keep = np.ones(len(self.t_ns), bool)
         for values in (getattr(self, name) for name in names):
             keep &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         return self.where(keep)
 
     def in_order(self) -> Self:
-        """Return the rows that are later than all before."""
+        """Return the rows whose time is later than all previous rows."""
         latest = np.maximum.accumulate(self.t_ns) if len(self.t_ns) else self.t_ns
         return self.where(np.concatenate([np.ones(min(len(latest), 1), bool), self.t_ns[1:] > latest[:-1]]))
 
@@ -82,7 +82,7 @@ class ImuTable(StreamTable):
 
 
 def integrated(seconds: F64, rates: F64) -> Rotation:
-    """Integrate a gyroscope's rates (N, 3) to (N,) orientations."""
+    """Integrate angular rates (N, 3) in rad/s to (N,) orientations, relative to the first."""
     turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
     path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
     reach = 1
@@ -97,17 +97,17 @@ class CameraEvidence:
     """Measurements from the pictures of one camera."""
 
     lens: Camera
-    seconds: list[float] = field(default_factory=list)  # of each brightness, from the first exposure
+    seconds: list[float] = field(default_factory=list)  # times of `brightness`, from the first exposure
     brightness: list[Brightness] = field(default_factory=list)
     flows: list[PictureFlow] = field(default_factory=list)
     edges: list[F64] = field(default_factory=list)  # (2,) px across x and across y
     static: StaticMap = field(default_factory=StaticMap)
-    matches: list[tuple[int, F64, F64]] = field(default_factory=list)  # with camera 0: time, pixels there, pixels here
+    matches: list[tuple[int, F64, F64]] = field(default_factory=list)  # ns, pixels in camera 0, pixels in this camera
     _last: tuple[int, U8] | None = None
     _edges_ns: int = -(2**62)  # time of the last of `edges`
 
     def add(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure one picture, at least 0.08 s after the last."""
+        """Measure a picture, `seconds` after the first exposure; skip it less than 0.08 s after the last one."""
         if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
         small, factor = downscaled(image, 640)
@@ -125,7 +125,7 @@ class CameraEvidence:
         self._last = t_ns, small
 
     def match(self, t_ns: int, first: U8, own: U8) -> None:
-        """Match a picture with that of camera 0, once a second."""
+        """Match a picture of this camera with the picture of camera 0, at most once per second."""
         if not self.matches or t_ns - self.matches[-1][0] >= 1e9:
             self.matches.append((t_ns, *match_pictures(first, own)))
 
@@ -135,18 +135,18 @@ class RigEvidence:
     """Input of all checks."""
 
     rig: Rig
-    frames_ns: I64  # (N,) stamps of the exposures, as they came
+    frames_ns: I64  # (N,) stamps of the exposures, in order of arrival
     present: Mask  # (N, cameras) whether the picture of a camera arrived
     nav: NavTable
     imu: ImuTable
     cameras: tuple[CameraEvidence, ...]
     warnings: tuple[str, ...] = ()  # of the source
     promised: tuple[str, ...] = ()  # streams that the source's notes list
-    ahead: float = 0.0  # s that a calibration has taken off the stamps of camera 0
+    ahead: float = 0.0  # s that a calibration has subtracted from the stamps of camera 0
 
     @property
     def by_camera(self) -> list[tuple[RigCamera, CameraEvidence]]:
-        """Each camera with its measurements."""
+        """Pairs of each camera and its measurements."""
         return list(zip(self.rig.cameras, self.cameras, strict=True))
 
 
@@ -157,10 +157,10 @@ def gather_evidence(
     start: float = 0.0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> RigEvidence:
-    """Read the part of a recording from `start` for `seconds`, both from its first exposure.
+    """Read the part of a recording from `start` to `start + seconds`, s from its first exposure.
 
     Raises:
-        InputError: there is no exposure in it.
+        InputError: there is no exposure in that part.
     """
     cameras = tuple(CameraEvidence(c.camera) for c in rig.cameras)
     nav, imu, stamps, present = list[NavSample](), list[ImuSample](), list[int](), list[list[bool]]()
@@ -190,7 +190,7 @@ def gather_evidence(
         raise InputError(
             f"no exposure between {start:g} and {start + seconds:g} s; choose another part or a longer one"
         )
-    low, high = min(stamps) - 1e9, max(stamps) + 1e9  # GPS/INS and IMU for a second before and after the pictures
+    low, high = min(stamps) - 1e9, max(stamps) + 1e9  # GPS/INS and IMU include one second before and after the pictures
     return RigEvidence(
         rig, np.array(stamps, dtype=np.int64), np.array(present, dtype=bool),
         NavTable.of([r for r in nav if low <= r.t_ns <= high]), ImuTable.of([r for r in imu if low <= r.t_ns <= high]),

@@ -1,4 +1,4 @@
-"""Features of pictures, without any prediction: followed in time with their homography, matched across the rig."""
+"""Features of pictures, without any prediction: tracked in time to fit a homography, and matched across the rig."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Camera
 from alight.raster import grey_levels
 
-LEAST_FEATURES = 25  # that a homography is fitted to
+LEAST_FEATURES = 25  # least number of features to fit a homography
 LEAST_MATCHES = 40
 
 
@@ -23,11 +23,11 @@ class PictureFlow:
     end_ns: int
     homography: F64  # (3, 3) later from earlier, normalised coordinates x/z, y/z
     shift: F64  # (2,) median motion of the features, px
-    share: float  # of the features that follow the homography
+    share: float  # share of the features that follow the homography
 
 
 def downscaled(image: U8, longest: int) -> tuple[U8, int]:
-    """Return a grey version whose longer side is at most `longest`, and the factor by which it is smaller."""
+    """Return a grey picture reduced to at most `longest` pixels on its longer side, and the reduction factor."""
     grey = grey_levels(image)
     k = -(-max(grey.shape) // longest)
     if k > 1:
@@ -36,7 +36,7 @@ def downscaled(image: U8, longest: int) -> tuple[U8, int]:
 
 
 def full_size(pixels: F32 | F64, factor: int) -> F64:
-    """Return pixels of a downscaled picture as those of the picture itself."""
+    """Convert pixel coordinates in a picture reduced by `factor` to pixel coordinates in the full picture."""
     return np.asarray((pixels.astype(np.float64) + 0.5) * factor - 0.5)
 
 
@@ -48,7 +48,7 @@ def grid_of(lens: Camera) -> F64:
 
 
 def followed(then: U8, now: U8) -> tuple[F32, F32]:
-    """Return (N, 2) pixels of features in one picture and in another: Lucas and Kanade (1981), there and back."""
+    """Track features forward and back (Lucas and Kanade 1981); return their (N, 2) pixels in both pictures."""
     found = cv2.goodFeaturesToTrack(then, 300, 0.005, max(3.0, max(then.shape) / 50.0))
     if found is None:
         return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
@@ -61,11 +61,11 @@ def followed(then: U8, now: U8) -> tuple[F32, F32]:
 
 
 def picture_flow(then: U8, now: U8, factor: int, lens: Camera, times_ns: tuple[int, int]) -> PictureFlow | None:
-    """Fit the homography of two small pictures of a camera; None where too few features agree.
+    """Fit the homography between two small pictures of a camera; None if too few features agree.
 
     Args:
-        factor: by which the pictures are smaller than those of `lens`.
-        times_ns: of both pictures.
+        factor: factor by which the pictures are smaller than full pictures of `lens`.
+        times_ns: times of both pictures.
     """
     a, b = followed(then, now)
     if len(a) < LEAST_FEATURES:
@@ -81,13 +81,13 @@ def picture_flow(then: U8, now: U8, factor: int, lens: Camera, times_ns: tuple[i
 
 
 def moved(homography: F64, points: F64) -> F64:
-    """Take (N, 2) normalised coordinates, or (K, N, 2) by (K, 3, 3), through homographies."""
+    """Apply homographies (3, 3) or (K, 3, 3) to normalised coordinates (N, 2) or (K, N, 2)."""
     p = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ np.swapaxes(homography, -1, -2)
     return np.asarray(p[..., :2] / p[..., 2:])
 
 
 def match_pictures(first: U8, other: U8) -> tuple[F64, F64]:
-    """Return (N, 2) pixels of the same features in two pictures: SIFT, ratio test, both ways (Lowe 2004)."""
+    """Match pictures by SIFT, with a ratio test both ways (Lowe 2004); return (N, 2) pixels of matches in both."""
     (a, da), (b, db) = _described(first), _described(other)
     if len(a) < 8 or len(b) < 8:
         return np.empty((0, 2)), np.empty((0, 2))
@@ -97,7 +97,7 @@ def match_pictures(first: U8, other: U8) -> tuple[F64, F64]:
 
 
 def _described(image: U8) -> tuple[F64, F64]:
-    """Pixels and root-normalised descriptors (Arandjelovic and Zisserman 2012)."""
+    """Return pixels (N, 2) and root-normalised SIFT descriptors (N, 128) (Arandjelovic and Zisserman 2012)."""
     grey, k = downscaled(image, 1280)
     keypoints, words = cv2.SIFT.create(nfeatures=700).detectAndCompute(grey, None)
     if words is None:
@@ -107,7 +107,7 @@ def _described(image: U8) -> tuple[F64, F64]:
 
 
 def _nearest(a: F64, b: F64) -> I64:
-    """Index of the nearest row of `b` for each row of `a`; -1 where the second nearest is nearly as near."""
+    """Return the index of the nearest row of `b` for each row of `a`; -1 if the second nearest is nearly as near."""
     likeness = a @ b.T  # unit length: the nearer, the larger
     best = np.argmax(likeness, axis=1)
     rows = np.arange(len(a))
@@ -118,10 +118,11 @@ def _nearest(a: F64, b: F64) -> I64:
 
 
 def on_one_geometry(first: F64, other: F64, focal: float) -> Mask:
-    """Mark the (N,) matches, in normalised coordinates, that one fundamental matrix explains: a rig is rigid.
+    """Mark the matches (N,) that one fundamental matrix explains, as they must in a rigid rig.
 
     Args:
-        focal: px, for the threshold.
+        first, other: (N, 2) normalised coordinates in both cameras.
+        focal: focal length in px, which scales the threshold.
     """
     none = np.zeros(len(first), bool)
     if len(first) < LEAST_MATCHES:

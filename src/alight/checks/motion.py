@@ -1,4 +1,4 @@
-"""Motion in the pictures against GPS/INS and gyroscope: checks of mounting, time offset and focal length."""
+"""Checks of mounting, time offset and focal length: motion in the pictures against GPS/INS and gyroscope."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from alight.checks.result import Check, CheckResult, Judged, bad, good, unknown
 from alight.checks.stereo import turn_words
 from alight.geometry import Pose
 
-FINE = np.arange(-0.5, 0.501, 0.05)  # s, time offsets that are tried
+FINE = np.arange(-0.5, 0.501, 0.05)  # s, trial time offsets
 COARSE = FINE[::2]
-UNEXPLAINED = 0.35  # of the flow: with more left there is no verdict
-TILTED = np.radians(5.0)  # by which a mounting may be off: the attitude of GPS/INS is no better
+UNEXPLAINED = 0.35  # share of the flow; if more is unexplained, there is no verdict
+TILTED = np.radians(5.0)  # tolerance of a mounting: the attitude of GPS/INS is no better
 CHECKS = ("mounting", "time offset", "focal length")
 
 
@@ -24,10 +24,10 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
     """Compare the flow of all cameras with GPS/INS and gyroscope.
 
     Args:
-        blocked: name of a check of GPS/INS or IMU that failed, as a wrong stream allows no verdict; empty: none.
+        blocked: name of a failed check of GPS/INS or IMU, which prevents any verdict here; empty: all passed.
 
     Returns:
-        the results, and the fit of camera 0 where its mounting is right.
+        the results, and the fit of camera 0; None if there is no verdict on its flow.
     """
 
     def cannot_tell(why: str, *found: CheckResult) -> tuple[list[CheckResult], None]:
@@ -56,7 +56,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
 
 
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
-    """Check the mountings for a quarter or a half turn: test which of the 24 turns explains the flow."""
+    """Check each mounting for a quarter or half turn: test which of the 24 axis-aligned rotations explains the flow."""
     if motion.velocity_world is None:
         return unknown(CHECKS[0], "needs velocity and attitude of GPS/INS")
     words, doubt, turned = list[str](), list[str](), list[str]()
@@ -69,7 +69,7 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
         others = []
         for turn in quarter_turns()[1:] if own > 0.25 * size else []:
             other = flow.turned(Pose(poses[name].rotation @ turn, poses[name].translation))
-            if (other.looks_down() or 0.0) > 0.17:  # nearer to the horizon it sees little ground
+            if (other.looks_down() or 0.0) > 0.17:  # a camera nearer to the horizon sees little ground
                 others.append((other.scan(COARSE)[0], turn))
         others.sort(key=lambda pair: pair[0])
         if others and others[0][0] < 0.5 * own and others[0][0] < 0.4 * size:
@@ -88,7 +88,7 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
 
 
 def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> tuple[str, str] | None:
-    """Convention of the attitude that explains the flow of every camera, with the remedy; None: no other one does."""
+    """Return the attitude convention that explains the flow of every camera, and its remedy; None if there is none."""
     nav = evidence.nav.measured("world_from_body")
     cameras = {c.name: (e, c.body_from_cam) for c, e in zip(evidence.rig.cameras, evidence.cameras, strict=True)}
     for what, (attitudes, mend) in attitude_readings(nav.world_from_body).items():
@@ -102,7 +102,7 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
 
 
 def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
-    """Check the mountings for errors of some degrees."""
+    """Return the mounting result, extended by a check for errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
     found, vague = Check(mounting.name, [mounting.evidence]), False
@@ -122,9 +122,9 @@ def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
 
 
 def _offset(fits: list[FlowFit], turned_by: str, ahead: float) -> CheckResult:
-    """Check the mean time offset of the cameras: they share most of their errors, so more of them do not reduce it.
+    """Check the mean time offset of the cameras, whose common errors do not average out.
 
-    A time offset that is set replaces the one of the calibration, `ahead` (s).
+    `ahead` (s), the offset that the calibration has applied, is added to the setting in the remedy.
     """
     name = CHECKS[1]
     offsets, sigmas = np.array([f.parameters[OFFSET] for f in fits]), np.array([f.sigma[OFFSET] for f in fits])

@@ -1,4 +1,4 @@
-"""GPS/INS against itself and against the IMU: units, axes, conventions, clocks. No picture is needed."""
+"""Checks of GPS/INS against itself and the IMU: units, axes, conventions, clocks. No picture is needed."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from alight.checks.evidence import ImuTable, NavTable, RigEvidence, integrated, 
 from alight.checks.result import CheckResult, Judged, bad, good, unknown
 
 WINDOW = 0.4  # s over which turns are compared
-AGREES = 0.4  # of the turns that may be left where two streams agree
-UPRIGHT = 0.3  # cosine of the largest tilt of an aircraft that flies, in the median
+AGREES = 0.4  # largest unexplained share of the turns for two streams that agree
+UPRIGHT = 0.3  # cosine of the largest median tilt of a flying aircraft
 FRD = np.diag([1.0, -1.0, -1.0])
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 AXES, ATTITUDE, CLOCK = "IMU axes", "attitude convention", "clock of GPS/INS against IMU"  # names of checks
 
 
 def quarter_turns() -> list[F64]:
-    """The 24 rotations that take axes to axes, the identity first."""
+    """Return the 24 rotations that map axes to axes, the identity first."""
     found = [np.asarray(m) for m in Rotation.create_group("O").as_matrix().round() + 0.0]
     return sorted(found, key=lambda m: -float(np.trace(m)))
 
 
 def named_axes(turn: F64) -> str:
-    """Directions of the axes of a quarter turn, in words: x forward, y right, z down."""
+    """Return the directions of the axes of a quarter turn as text, such as "x forward, y right, z down"."""
     words = (("forward", "back"), ("left", "right"), ("up", "down"))
     rows = np.argmax(np.abs(turn), axis=0)
     return ", ".join(
@@ -41,12 +41,12 @@ class TurnWindows:
 
     imu: F64  # (K, 3) rad
     nav: F64  # (K, 3) rad
-    summed: F64  # (K, 3) rad: the rates of the IMU added up axis by axis, which no wrong unit can wrap
+    summed: F64  # (K, 3) rad: sum of the IMU's rates per axis, which cannot wrap whatever the unit
 
     def unexplained(self, body_from_imu: F64) -> float:
-        """Unexplained share of the turns under an assumption on the axes of the IMU, for the worst axis that turned."""
+        """Return the unexplained share of the turns with assumed IMU axes, for the worst axis that turned."""
         off, turned = (
-            np.array([trimmed_rms(column) for column in _centred(x).T])  # less the bias of the gyroscope
+            np.array([trimmed_rms(column) for column in _centred(x).T])  # without the bias of the gyroscope
             for x in (self.imu @ np.asarray(body_from_imu).T - self.nav, self.nav)
         )
         used = turned > min(0.008, 0.99 * float(turned.max()))
@@ -54,12 +54,12 @@ class TurnWindows:
 
     @property
     def difference(self) -> float:
-        """Unexplained share of the turns with the axes as they are, all axes together."""
+        """Share of the turns that the IMU does not explain with its axes as recorded, over all axes."""
         return trimmed_rms(_centred(self.imu - self.nav)) / max(trimmed_rms(_centred(self.nav)), 1e-9)
 
     @property
     def enough(self) -> bool:
-        """True if the aircraft turned enough to compare: less is noise of the attitude."""
+        """Whether the aircraft turned enough for a comparison; smaller turns are noise of the attitude."""
         return len(self.nav) >= 6 and trimmed_rms(_centred(self.nav)) > 0.008  # rad
 
 
@@ -68,10 +68,10 @@ def _centred(vectors: F64) -> F64:
 
 
 class NavAndImu:
-    """GPS/INS and IMU, and hypotheses on their conventions.
+    """GPS/INS and IMU of the same part of a recording, to test hypotheses about their conventions.
 
     Args:
-        nav: rows with an attitude, in order.
+        nav: rows with an attitude, in order of time.
     """
 
     def __init__(self, nav: NavTable, imu: ImuTable) -> None:
@@ -86,8 +86,8 @@ class NavAndImu:
         """Return the turns in the windows that both streams cover.
 
         Args:
-            attitudes: (N, 3, 3) of the rows of GPS/INS.
-            lag: s that is subtracted from their stamps.
+            attitudes: (N, 3, 3) `world_from_body` of the rows of GPS/INS.
+            lag: s that is subtracted from the stamps of GPS/INS.
         """
         t = seconds_since(self.nav.t_ns, int(self.imu.t_ns[0])) - lag
         ends = np.searchsorted(t, t + WINDOW - 1e-6)
@@ -106,13 +106,13 @@ class NavAndImu:
         )  # fmt: skip
 
     def unexplained(self, attitudes: F64, turns: Sequence[F64]) -> F64:
-        """Unexplained share of the turns at the best lag of the clocks, for each assumption on the axes of the IMU."""
+        """Return the unexplained share of the turns at the best clock lag, for each assumption on the IMU's axes."""
         lags = (0.05 * k for k in range(-6, 7))  # s
         tables = [t for lag in lags if (t := self.turns(attitudes, lag)).enough]
         return np.array([min((t.unexplained(m) for t in tables), default=0.0) for m in turns])
 
     def mean_up(self, attitudes: F64, body_from_imu: F64) -> F64 | None:
-        """Mean specific force in the world less the mean acceleration, m/s^2: 9.8 up where all is right."""
+        """Return mean specific force minus mean acceleration, (3,) m/s^2, ENU: ideally 9.8 up; None if unknown."""
         origin = int(self.nav.t_ns[0])
         s, t = seconds_since(self.nav.t_ns, origin), seconds_since(self.imu.t_ns, origin)
         inside = (t >= s[0]) & (t <= s[-1])
@@ -124,7 +124,7 @@ class NavAndImu:
         return np.asarray(mean - (v[-1] - v[0]) / (s[-1] - s[0]) if len(v) > 1 else mean)
 
     def is_upright(self, attitudes: F64, body_from_imu: F64) -> bool:
-        """True if the mean specific force is about that of gravity and upright, or not known."""
+        """Whether the mean specific force points up, or is unknown."""
         force = self.mean_up(attitudes, body_from_imu)
         if force is None:
             return True
@@ -132,14 +132,14 @@ class NavAndImu:
         return size > 1e-3 and float(np.arccos(np.clip(force[2] / size, -1, 1))) < 0.35  # rad
 
     def fitting(self, attitudes: F64, turns: Sequence[F64]) -> list[F64]:
-        """The assumptions on the axes of the IMU that gravity and the turns allow, the best first."""
+        """Return the assumed rotations of the IMU axes that agree with gravity and the turns, the best first."""
         upright = [m for m in turns if self.is_upright(attitudes, m)]
         left = self.unexplained(attitudes, upright)
         return [upright[k] for k in np.argsort(left, kind="stable") if left[k] < AGREES]
 
 
 def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
-    """The (N, 3, 3) attitudes read by other conventions, by the name of the convention, with the remedy."""
+    """Return the attitudes (N, 3, 3) under other conventions, with the remedy, by the name of the convention."""
     R = np.asarray(world_from_body)
     x, y, z, w = Rotation.from_matrix(R).as_quat().T  # as read; SciPy has the real part last
     reordered = np.asarray(Rotation.from_quat(np.stack([w, x, y, z], axis=-1)).as_matrix())
@@ -154,7 +154,7 @@ def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
 
 
 def check_gyroscope_unit(turns: TurnWindows | None) -> CheckResult:
-    """Unit of the gyroscope: its turns against those of the attitude."""
+    """Check the unit of the gyroscope: its turns against the turns of the attitude."""
     name = "gyroscope unit"
     if turns is None or not turns.enough:
         return unknown(name, "no IMU with GPS/INS attitude" if turns is None else "the aircraft hardly turned")
@@ -168,7 +168,7 @@ def check_gyroscope_unit(turns: TurnWindows | None) -> CheckResult:
 
 
 def check_accelerometer_unit(imu: ImuTable) -> CheckResult:
-    """Unit of the accelerometer: its mean specific force is 9.8 m/s^2, also in flight."""
+    """Check the unit of the accelerometer: its mean specific force is 9.8 m/s^2, also in flight."""
     name = "accelerometer unit"
     if len(imu.t_ns) < 20:
         return unknown(name, "no IMU")
@@ -192,7 +192,7 @@ def _attitude_wrong(evidence: str, mend: str) -> list[CheckResult]:
 
 
 def check_attitude_alone(nav: NavTable) -> list[CheckResult]:
-    """Axes of the IMU and convention of the attitude, where one of both streams is missing."""
+    """Check IMU axes and attitude convention by the attitude alone, if the IMU or the attitude is missing."""
     if len(nav.t_ns) < 10:
         return [unknown(n, "no attitude of GPS/INS") for n in (AXES, ATTITUDE)]
     upright = float(np.median(nav.world_from_body[:, 2, 2]))
@@ -206,7 +206,7 @@ def check_attitude_alone(nav: NavTable) -> list[CheckResult]:
 
 
 def check_attitude(streams: NavAndImu) -> list[CheckResult]:
-    """Axes of the IMU and convention of the attitude, from gravity and from the turns of both."""
+    """Check IMU axes and attitude convention by gravity and by the turns of both streams."""
     R, eye = streams.nav.world_from_body, np.eye(3)
     upright = float(np.median(R[:, 2, 2]))
     turned = streams.turns(R).enough
@@ -226,7 +226,7 @@ def check_attitude(streams: NavAndImu) -> list[CheckResult]:
     }  # fmt: skip
     mountings = streams.fitting(R, quarter_turns()[1:]) if upright > UPRIGHT else []
     if mountings and (turned or not readings):
-        usual = [] if turned else [m for m in mountings if np.allclose(m, FRD)]  # of several, forward right down
+        usual = [] if turned else [m for m in mountings if np.allclose(m, FRD)]  # prefer forward right down
         return _axes_wrong(
             f"{evidence}; the axes of imu0 fit as {named_axes([*usual, *mountings][0])}",
             "write the axes into T_BS of imu0/sensor.yaml, or the samples in x forward, y left, z up",
@@ -245,7 +245,7 @@ def check_attitude(streams: NavAndImu) -> list[CheckResult]:
 
 
 def check_velocity(nav: NavTable) -> CheckResult:
-    """Velocity of GPS/INS against the differences of its positions."""
+    """Check the velocity of GPS/INS against the differences of its positions."""
     name = "velocity of GPS/INS"
     nav = nav.measured("position_world", "velocity_world").in_order()
     if len(nav.t_ns) < 5:
@@ -289,7 +289,7 @@ def _scaled(name: str, scale: float, travel: float) -> CheckResult:
 
 
 def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[float, float]:
-    """Share of the steps that the integral of a velocity does not explain after the best scale, and that scale."""
+    """Return the share of steps (K, 3), m, that the integral of velocities (N, 3) leaves unexplained, and its scale."""
     way = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(s)[:, None], axis=0)])
     integral = way[ends] - way[begins]
     square = (integral * steps).sum(axis=1)
@@ -301,7 +301,7 @@ def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[floa
 
 
 def check_nav_clock(streams: NavAndImu) -> CheckResult:
-    """Clock of GPS/INS against that of the IMU: turns of both, shifted in time."""
+    """Check the clock of GPS/INS against the clock of the IMU: find the lag at which their turns agree best."""
     lags = np.arange(-0.5, 0.501, 0.02)
     tables = [streams.turns(streams.nav.world_from_body, float(lag)) for lag in lags]
     here = tables[len(tables) // 2]
@@ -325,7 +325,7 @@ def check_nav_clock(streams: NavAndImu) -> CheckResult:
 
 
 def check_navigation(evidence: RigEvidence) -> list[CheckResult]:
-    """Run all checks of GPS/INS and IMU; a check that needs a wrong stream names the fault to mend first."""
+    """Run all checks of GPS/INS and IMU; if one depends on a wrong stream, its result names the fault to mend first."""
     nav, imu = evidence.nav.measured("world_from_body").in_order(), evidence.imu
     streams = NavAndImu(nav, imu) if len(nav.t_ns) >= 10 and len(imu.t_ns) >= 20 else None
     turns = streams.turns(nav.world_from_body) if streams else None

@@ -12,7 +12,7 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.checks.features import LEAST_FEATURES, downscaled, followed
 from alight.raster import grey_levels
 
-STEP = 0.12  # of the longer side: the ground has moved by as much between two pictures that are compared
+STEP = 0.12  # share of the longer side by which the ground has moved between two compared pictures
 
 
 class Brightness(NamedTuple):
@@ -20,12 +20,12 @@ class Brightness(NamedTuple):
 
     saturated: float  # share of the pixels
     black: float  # share of the pixels
-    contrast: float  # 95th less 5th percentile
+    contrast: float  # 95th minus 5th percentile
     mean: float
 
 
 def brightness_of(image: U8) -> Brightness:
-    """Measure one picture, grey or colour, on a part of its pixels."""
+    """Measure one picture, grey or colour, on a subset of its pixels."""
     k = max(1, max(image.shape[:2]) // 400)
     part = image[::k, ::k]
     grey = part.mean(axis=2) if part.ndim == 3 else part.astype(np.float64)
@@ -34,10 +34,10 @@ def brightness_of(image: U8) -> Brightness:
 
 
 def edge_widths(image: U8) -> F64:
-    """Return the (2,) widths of the sharpest edges across x and across y, px; NaN where there is none.
+    """Return the (2,) widths of the sharpest edges across x and across y, px; NaN if there are none.
 
-    The width of an edge is its height over its steepest slope: 1 for an ideal step, 2.5 sigma for one that a Gaussian
-    blurs. Of the edges with most contrast, the sharpest tenth shows the sharpness of the lens; the others depend on the
+    The width of an edge is its height over its steepest slope: 1 for an ideal step, 2.5 sigma after a Gaussian blur. Of
+    the edges with most contrast, the sharpest tenth shows the sharpness of the lens. The other edges depend on the
     ground (docs/lab/flight.md).
     """
     grey = cv2.GaussianBlur(grey_levels(image).astype(np.float32), (0, 0), 0.6)
@@ -45,7 +45,7 @@ def edge_widths(image: U8) -> F64:
 
 
 def _width(grey: F32, reach: int = 17) -> float:
-    """Width of the edges across a line of `reach` pixels."""
+    """Return the width of the sharpest edges across x, px, within `reach` pixels; NaN if there are too few."""
     slope = cv2.dilate(np.abs(grey[:, 1:] - grey[:, :-1]), np.ones((1, reach - 1), np.uint8))
     line = np.ones((1, reach), np.uint8)
     height = (cv2.dilate(grey, line) - cv2.erode(grey, line))[:, :-1]
@@ -55,10 +55,10 @@ def _width(grey: F32, reach: int = 17) -> float:
 
 @dataclass
 class StaticMap:
-    """Compares pictures between which the ground has moved: once at the same pixels, once at the same ground.
+    """Comparison of pictures between which the ground has moved, at the same pixels and at the same ground.
 
-    An object on the lens, or in front of it, agrees at the same pixels and not at the same ground. A drop of water that
-    only blurs shows less contrast than the same ground shows elsewhere in the picture.
+    An object on the lens, or in front of it, agrees at the same pixels but not at the same ground. A drop of water that
+    only blurs shows less contrast than the same ground has elsewhere in the picture.
     """
 
     pairs: int = 0
@@ -67,7 +67,7 @@ class StaticMap:
     _sums: list[F64] = field(default_factory=list)  # at the pixel, at the ground, contrast here, elsewhere, weight
 
     def add(self, picture: U8, shift: F64) -> None:
-        """Add the next grey picture, and the motion (2,) of the ground in it, as shares of the longer side."""
+        """Add the next grey picture and the (2,) motion of the ground since the last, as shares of the longer side."""
         self._way = self._way + shift
         now = downscaled(picture, 320)[0]
         then, self._then = self._then, self._then if self._then is not None else now
@@ -82,7 +82,7 @@ class StaticMap:
             return
         move = float(np.linalg.norm(np.median(b - a, axis=0))) / max(now.shape)
         H, inside = cv2.findHomography(a, b, cv2.RANSAC, 1.5)
-        if H is not None and inside.mean() > 0.5 and 0.7 * STEP < move < 0.45:  # farther there is too little overlap
+        if H is not None and inside.mean() > 0.5 and 0.7 * STEP < move < 0.45:  # else the overlap is too small
             self._compare(then, now, H)
 
     def _compare(self, then: U8, now: U8, H: F64) -> None:
@@ -97,7 +97,7 @@ class StaticMap:
         self.pairs += 1
 
     def spots(self, width: int, height: int) -> list[str]:
-        """Return the parts of the picture that stand still, are blurred or are covered, in words, in its pixels."""
+        """Return texts on the static, blurred or covered parts, in px of a picture of this width and height."""
         if not self.pairs:
             return []
         side = max(2, max(self._sums[0].shape) // 40)
@@ -118,12 +118,12 @@ class StaticMap:
 
 
 def _fine(image: U8) -> F32:
-    """Remove the slow changes of brightness: vignetting stands still as well, and is no dirt."""
+    """Return the picture without slow changes of brightness, because vignetting is as static as dirt."""
     x = image.astype(np.float32)
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), max(image.shape) / 40.0), dtype=np.float32)
 
 
 def _connected(mask: Mask) -> list[list[int]]:
-    """Left, top, width, height and area of the connected parts of a mask."""
+    """Return left, top, width, height and area of each connected part of a mask, px."""
     found: list[list[int]] = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)[2][1:].tolist()
     return found

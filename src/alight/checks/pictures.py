@@ -1,4 +1,4 @@
-"""Faults of the pictures (exposure, focus, blur, dirt) and of the intrinsics."""
+"""Checks of the pictures (exposure, focus, blur, dirt) and of the intrinsics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from alight.checks.result import Check, CheckResult, unknown
 
 
 def check_exposure(evidence: RigEvidence) -> CheckResult:
-    """Check for pictures that are saturated, black, flat, flickering, or unlike between the cameras."""
+    """Check for pictures that are saturated, black, flat, flickering, or unlike between the cameras in brightness."""
     found = Check("exposure")
     for cam, seen in evidence.by_camera:
         if not seen.brightness:
@@ -38,7 +38,7 @@ def check_exposure(evidence: RigEvidence) -> CheckResult:
 
 
 def _flicker(means: F64) -> float:
-    """Median change of the log of the mean grey that the neighbours in time do not share."""
+    """Return the median change of the log mean grey of a picture against its neighbours in time."""
     if len(means) < 5:
         return 0.0
     logs = np.log(np.maximum(means, 1.0))
@@ -46,14 +46,14 @@ def _flicker(means: F64) -> float:
 
 
 def _brightness_ratio(evidence: RigEvidence) -> float:
-    """Largest log ratio of the mean grey of a camera to that of camera 0, median over the exposures."""
+    """Return the largest absolute log ratio of a camera's mean grey to camera 0's, each a median over the exposures."""
     first, *others = [dict(zip(c.seconds, (b.mean for b in c.brightness), strict=True)) for c in evidence.cameras]
     ratios = [[np.log(max(m[t], 1.0) / max(first[t], 1.0)) for t in first if t in m] for m in others]
     return max((abs(float(np.median(r))) for r in ratios if r), default=0.0)
 
 
 def check_sharpness(evidence: RigEvidence) -> CheckResult:
-    """Focus and motion blur, from the width of the sharpest edges: good pictures have 1.8 to 2.8 px."""
+    """Check focus and motion blur by the width of the sharpest edges; good pictures have 1.8 to 2.8 px."""
     found = Check("sharpness")
     for cam, seen in evidence.by_camera:
         widths = np.array(seen.edges).reshape(-1, 2)
@@ -77,7 +77,7 @@ def check_sharpness(evidence: RigEvidence) -> CheckResult:
 
 
 def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
-    """Edge widths along and across the motion of the picture, if it is along an axis; else the same width twice."""
+    """Return edge widths along and across the picture's motion; if it is not along an axis, the width `x` twice."""
     if len(seen.flows) < 5:
         return x, x
     share = np.median(np.abs([f.shift for f in seen.flows]), axis=0)
@@ -105,7 +105,7 @@ def check_lens(evidence: RigEvidence) -> CheckResult:
 
 
 def check_intrinsics(evidence: RigEvidence) -> CheckResult:
-    """Check for intrinsics that no camera has."""
+    """Check for intrinsics that no real camera has."""
     found = Check("intrinsics")
     for cam in evidence.rig.cameras:
         lens = cam.camera

@@ -4,9 +4,9 @@ A point of the picture with the inverse depth rho moves between two exposures by
 
     x1 ~ R (x0 - rho w(x0) t),     w(x0) = (n . x0) / (n . z)
 
-with the rotation R of the camera (gyroscope), its translation t (velocity of GPS/INS) and the normal n of the ground.
+R is the rotation of the camera (gyroscope), t its translation (velocity of GPS/INS), and n the normal of the ground.
 rho is free for each pair of exposures and not negative. The residual flow depends on errors of the time offset, the
-mounting and the focal length: all three act on many pairs in the same manner, rho only on one.
+mounting and the focal length. These errors affect many pairs in the same manner, whereas rho affects only one.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from alight.checks.features import grid_of, moved
 from alight.geometry import Pose
 from alight.spread import robust_sigma
 
-STEEP = 0.3  # of n . z: a camera whose axis is nearer to the horizon sees no level ground
-FREE_BIAS = 0.03  # rad/s, 1-sigma of a bias that no attitude shows
-# the parameters of a fit: time offset s, mounting rad, log of the focal length, bias rad/s, slope of the ground
+STEEP = 0.3  # limit of n . z: a camera whose axis is nearer to the horizon sees no level ground
+FREE_BIAS = 0.03  # rad/s, 1-sigma of the bias if there is no attitude to estimate it
+# parameters of a fit: time offset s, mounting rad, log of the focal length, bias rad/s, slope of the ground
 OFFSET, MOUNTING, FOCAL, BIAS, GROUND = 0, slice(1, 4), 4, slice(5, 8), slice(8, 10)
 _PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, FREE_BIAS, FREE_BIAS, FREE_BIAS, 0.12, 0.12])  # 1-sigma
 _STEPS = np.array([2e-3, *[1e-3] * 9])
@@ -33,16 +33,16 @@ _STEPS = np.array([2e-3, *[1e-3] * 9])
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """Motion of the body, as functions of the time of the GPS/INS and IMU clock (s)."""
+    """Motion of the body as functions of time, in s on the clock of GPS/INS and IMU."""
 
-    turning: Slerp  # orientation; only differences count
-    turned_by: str  # name of its sensor
+    turning: Slerp  # orientation; only its differences are used
+    turned_by: str  # name of the sensor of `turning`
     attitude: Slerp | None  # world_from_body
-    seconds: F64  # (N,) of the velocity
+    seconds: F64  # (N,) times of the velocity
     velocity_world: F64 | None  # (N, 3) m/s
     origin_ns: int
-    span: tuple[float, float]  # s, in which all of it is known
-    bias: F64  # (3,) rad/s of `turning`, from the attitude
+    span: tuple[float, float]  # s, in which all of the motion is known
+    bias: F64  # (3,) rad/s of `turning`, estimated against the attitude
     bias_sigma: float  # rad/s
 
     def inside(self, seconds: F64) -> F64:
@@ -51,7 +51,7 @@ class BodyMotion:
 
 
 def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | None:
-    """Gather gyroscope and GPS/INS; None if there is neither a gyroscope nor an attitude."""
+    """Return the motion by gyroscope and GPS/INS; None if there is neither a gyroscope nor an attitude."""
     known, inertial = nav.measured("world_from_body").in_order(), imu.in_order()
     t, s = (seconds_since(table.t_ns, origin_ns) for table in (known, inertial))
     attitude = Slerp(t, Rotation.from_matrix(known.world_from_body)) if len(t) > 2 else None
@@ -73,7 +73,7 @@ def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | No
 
 
 def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
-    """Bias of the rates against the attitude, rad/s, and its sigma: windows of a second."""
+    """Return the bias of the rates against the attitude, (3,) rad/s, and its sigma, from windows of one second."""
     begin = np.arange(max(s[0], t[0]), min(s[-1], t[-1]) - 1.0, 0.5)
     if len(begin) < 4:
         return np.zeros(3), FREE_BIAS
@@ -93,13 +93,13 @@ class FlowFit:
     unexplained: float  # share of the flow that is left with these parameters
     depth_seconds: F64  # (K,)
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
-    normals: F64  # (K, 3) of the ground in the camera; NaN: unknown
+    normals: F64  # (K, 3) of the ground in the camera frame; NaN: unknown
     origin_ns: int
     focal: float  # px, as calibrated
 
     @property
     def depth_error(self) -> float:
-        """1-sigma share by which all inverse depths may be wrong: the focal length enters them."""
+        """1-sigma of the common scale error of all inverse depths, as a share; the focal length causes it."""
         return float(self.sigma[FOCAL])
 
 
@@ -107,8 +107,9 @@ class PredictedFlow:
     """Observed and predicted flow of one camera.
 
     Args:
-        camera: measurements from its pictures.
-        body_from_cam: its mounting.
+        camera: measurements from the camera's pictures.
+        body_from_cam: mounting of the camera.
+        motion: motion of the body.
     """
 
     def __init__(self, camera: CameraEvidence, body_from_cam: Pose, motion: BodyMotion) -> None:
@@ -132,14 +133,14 @@ class PredictedFlow:
         return out
 
     def looks_down(self) -> float | None:
-        """Downward part of the optical axis, median: 1 straight down, 0 to the horizon; None without attitude."""
+        """Return the downward component of the optical axis, median: 1 down, 0 level; None without attitude."""
         if self._motion.attitude is None or not self.pairs:
             return None
         down = -self._motion.attitude(self._motion.inside(self._begin)).as_matrix()[:, 2, :]
         return float(np.median(down @ self._mounting.rotation[:, 2]))
 
     def residuals(self, parameters: F64) -> tuple[F64, F64]:
-        """Return (K, 18) px of the flow that is not explained, and the (K,) inverse depths."""
+        """Return the (K, 18) px of unexplained flow, and the (K,) inverse depths, for (10,) parameters."""
         m = self._motion
         offset, focal = parameters[OFFSET], np.exp(parameters[FOCAL])
         body_from_cam = self._mounting.rotation @ Rotation.from_rotvec(parameters[MOUNTING]).as_matrix()
@@ -157,7 +158,7 @@ class PredictedFlow:
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
     def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
-        """(K, 9, 2, P) flow a unit of each free parameter: inverse depth, or translation (3,) times inverse depth."""
+        """Return (K, 9, 2, P) flow per unit of inverse depth (P = 1) or, without velocity, of translation (P = 3)."""
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
             free = np.zeros((len(y), x0.shape[0], 2, 3))
@@ -170,7 +171,7 @@ class PredictedFlow:
         way = np.einsum("kij,ki->kj", world_from_cam, v) * (t1 - t0)[:, None]
         turn = (m.turning(t0).inv() * m.turning(t1)).as_matrix() - np.eye(3)
         way = way + (turn @ self._mounting.translation) @ body_from_cam
-        normal = np.einsum("kij,i->kj", world_from_cam, upward(slope))  # (K, 3) of the ground in the camera
+        normal = np.einsum("kij,i->kj", world_from_cam, upward(slope))  # (K, 3) of the ground in the camera frame
         slant = normal[:, 2:]
         ratio = (normal @ x0.T) / np.where(np.abs(slant) < 1e-6, 1e-6, slant)
         weight = np.where(-slant > STEEP, np.clip(ratio, 0.0, 3.0), 1.0)
@@ -178,7 +179,7 @@ class PredictedFlow:
         return np.asarray(flow[..., None])
 
     def _normals(self, parameters: F64) -> F64:
-        """(K, 3) normals of the ground in the camera in the middle of each pair; NaN without attitude."""
+        """Return the (K, 3) normals of the ground in the camera frame in the middle of each pair; NaN if unknown."""
         m = self._motion
         if m.attitude is None:
             return np.full((self.pairs, 3), np.nan)
@@ -187,11 +188,11 @@ class PredictedFlow:
         return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[GROUND])))
 
     def cost(self, parameters: F64) -> float:
-        """Median over the pairs of the unexplained flow, px."""
+        """Return the median over the pairs of the unexplained flow, px."""
         return float(np.median(_length(self.residuals(parameters)[0])))
 
     def scan(self, offsets: F64) -> tuple[float, float]:
-        """Return the least cost [px] over time offsets [s], and the offset."""
+        """Return the least cost [px] over time offsets [s], and the offset of that cost."""
         costs = []
         for offset in offsets:
             p = self._centre.copy()
@@ -201,7 +202,7 @@ class PredictedFlow:
         return costs[k], float(offsets[k])
 
     def fit(self, start: float) -> FlowFit:
-        """Refine all parameters together by Gauss-Newton with robust weights, from a time offset (s)."""
+        """Refine all parameters together by Gauss-Newton with robust weights, starting from a time offset (s)."""
         p = self._centre.copy()
         p[OFFSET] = start
         for _ in range(8):
@@ -225,7 +226,7 @@ class PredictedFlow:
         return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns, self.focal)
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
-        """Residuals, normal matrix and gradient with priors, and the (K, 10) gradients of the pairs."""
+        """Return residuals, normal matrix and gradient with priors, and the (K, 10) gradients of the pairs."""
         r, _ = self.residuals(p)
         J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
                       for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 10)  # fmt: skip
@@ -239,17 +240,17 @@ class PredictedFlow:
 
 
 def upward(slope: F64) -> F64:
-    """(3,) normal of ground with a slope (2,) to the east and to the north."""
+    """Return the (3,) upward normal of ground with a slope (2,), rise per metre to the east and to the north."""
     return np.asarray(np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1.0 + slope @ slope))
 
 
 def _length(residuals: F64) -> F64:
-    """(K,) RMS of a pair, px a point."""
+    """Return the (K,) RMS flow of each pair, px per point, from residuals (K, 18)."""
     return np.asarray(np.sqrt((residuals**2).sum(axis=1) / (residuals.shape[1] / 2)))
 
 
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
-    """Fit the free parameters of each pair: residual (K, 9, 2), and inverse depth (K,), not negative; NaN if P = 3."""
+    """Fit the P free parameters; return the residual (K, 9, 2) and inverse depth (K,), at least 0, NaN if P = 3."""
     if arms.shape[-1] == 1:
         a = arms[..., 0]
         depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)

@@ -1,4 +1,4 @@
-"""Result of one check: a verdict, the numbers behind it, and the remedy."""
+"""Result of one check: a verdict, its evidence, and the remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Judged(StrEnum):
-    """Outcome of a check. "Cannot tell" is an answer: the recording does not show enough."""
+    """Outcome of a check. "Cannot tell" is a result: the recording does not show enough."""
 
     GOOD = "good"
     BAD = "bad"
@@ -17,12 +17,12 @@ class Judged(StrEnum):
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One check of a rig."""
+    """Result of one check of a rig."""
 
     name: str
     verdict: Judged
     evidence: str  # numbers with units, or the reason why the check cannot tell
-    mend: str = ""  # remedy in one sentence; empty where none is needed
+    mend: str = ""  # remedy in one sentence; empty if none is needed
 
     @property
     def line(self) -> str:
@@ -32,28 +32,28 @@ class CheckResult:
 
 
 def good(name: str, evidence: str) -> CheckResult:
-    """Result of a check that found no fault."""
+    """Return the result of a check that found no fault."""
     return CheckResult(name, Judged.GOOD, evidence)
 
 
 def bad(name: str, evidence: str, mend: str) -> CheckResult:
-    """Result of a check that found a fault."""
+    """Return the result of a check that found a fault."""
     return CheckResult(name, Judged.BAD, evidence, mend)
 
 
 def warning(name: str, evidence: str, mend: str) -> CheckResult:
-    """Result of a check that found a defect with which a run is still possible."""
+    """Return the result of a check that found a defect with which a run is still possible."""
     return CheckResult(name, Judged.WARNING, evidence, mend)
 
 
 def unknown(name: str, why: str) -> CheckResult:
-    """Result of a check that the recording does not allow."""
+    """Return the result of a check for which the recording does not suffice, with the reason."""
     return CheckResult(name, Judged.UNKNOWN, why)
 
 
 @dataclass
 class Check:
-    """A check in progress: what was measured, and the remedies of the faults that this shows."""
+    """A check in progress: its measurements as text, and the remedies of the faults found so far."""
 
     name: str
     measured: list[str] = field(default_factory=list)
@@ -62,7 +62,7 @@ class Check:
     separator: str = "; "
 
     def judge(self, *rows: tuple[bool, str] | tuple[bool, str, str]) -> None:
-        """Hold measurements against their limits: (beyond the limit, remedy), with words that only a fault needs."""
+        """Record the remedy and the optional text of each row (is a fault, remedy, text) that is a fault."""
         for is_fault, remedy, *words in rows:
             if is_fault:
                 self.remedies.append(remedy)
@@ -70,7 +70,7 @@ class Check:
 
     @property
     def result(self) -> CheckResult:
-        """Bad with a remedy, unknown if incomplete, else good."""
+        """The result: bad if there is a remedy, unknown if incomplete, else good."""
         evidence = self.separator.join(self.measured)
         if self.remedies:
             return bad(self.name, evidence, "; ".join(self.remedies))

@@ -1,4 +1,4 @@
-"""Rates and stamps: gaps, missing partners, repeated times, sigmas, and clocks that do not overlap."""
+"""Checks of rates and stamps: gaps, missing partners, repeated times, sigmas, and clocks that do not overlap."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ UNORDERED = 0.05  # share of samples that may be out of order
 
 
 class Sampling(NamedTuple):
-    """Times of the samples of a stream."""
+    """Statistics of the sample times of a stream."""
 
-    rate: float  # Hz, by the median interval
+    rate: float  # Hz, from the median interval
     missing: float  # share of the samples, between the first and the last
     repeated: int
     backwards: int
 
     @property
     def disorder(self) -> str:
-        """Numbers of times that are repeated or go backwards."""
+        """Text with the numbers of times that are repeated or go backwards."""
         return f"{self.repeated} times repeated, {self.backwards} backwards"
 
 
 def sampling_of(t_ns: I64) -> Sampling:
-    """Measure the times (N,) of a stream."""
+    """Return statistics of the sample times (N,) ns of a stream."""
     unique = np.unique(t_ns)
     repeated, backwards = len(t_ns) - len(unique), int((np.diff(t_ns) < 0).sum())
     steps = np.diff(unique).astype(np.float64) * 1e-9
@@ -42,7 +42,7 @@ def sampling_of(t_ns: I64) -> Sampling:
 
 
 def check_frames(evidence: RigEvidence) -> CheckResult:
-    """Rate of the exposures, gaps, and cameras without partner."""
+    """Check the rate of the exposures, gaps, and exposures in which a camera's picture is missing."""
     found, count = Check("pictures in time", separator=", "), len(evidence.frames_ns)
     if count < 3:
         return unknown(found.name, f"{count} exposures")
@@ -67,7 +67,7 @@ def check_frames(evidence: RigEvidence) -> CheckResult:
 
 
 def _milliseconds_apart(evidence: RigEvidence) -> float:
-    """Milliseconds between paired pictures, from the source's warnings; 0: no such warning."""
+    """Return the milliseconds between paired pictures, from the source's warnings; 0 if there is no such warning."""
     for warning in evidence.warnings:
         if "do not expose together" in warning and (found := re.search(r"([\d.]+) ms", warning)):
             return float(found.group(1))
@@ -75,7 +75,7 @@ def _milliseconds_apart(evidence: RigEvidence) -> float:
 
 
 def check_rows(evidence: RigEvidence) -> list[CheckResult]:
-    """Rates, order and span of GPS/INS and IMU against the pictures, and the sigmas of GPS/INS."""
+    """Check rates, order and time span of GPS/INS and IMU against the pictures, and the sigmas of GPS/INS."""
     return [
         _check_stream("GPS/INS", evidence.nav.t_ns, 2.0, evidence),
         _check_stream("IMU", evidence.imu.t_ns, 50.0, evidence),

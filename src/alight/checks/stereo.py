@@ -1,6 +1,6 @@
-"""Two cameras against their calibration: epipolar residuals, sign of the depth, and the depth of the flow.
+"""Checks of two cameras against their calibration: epipolar residuals, sign of the depth, and depth against the flow.
 
-The matches are made without the calibration, so that a wrong one cannot hide by leaving none.
+The matches are made without the calibration. Otherwise a wrong calibration could hide by leaving no matches.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from alight.records import RigCamera
 from alight.spread import nmad
 from alight.tracks import inverse_depth
 
-RESIDUAL = 1.0  # px, RMS from the epipolar line that a rig may have
-DISPARITY = 2.5  # px, below which the sign of the depth is not significant
+RESIDUAL = 1.0  # px, largest RMS distance from the epipolar line in a good rig
+DISPARITY = 2.5  # px; below it the sign of the depth is not significant
 
 EXCHANGE = "exchange the folders cam0 and cam1 (or the cables); the calibrations stay"
 
@@ -39,11 +39,11 @@ class CameraPair:
 
     @classmethod
     def of_pixels(cls, first: Camera, other: Camera, a: F64, b: F64) -> CameraPair:
-        """Matches in pixels of two cameras."""
+        """Return a pair from matched pixels (N, 2), `a` in the first camera and `b` in the other."""
         return cls(first.rays(a)[:, :2], other.rays(b)[:, :2], first.fu)
 
     def residuals(self, other_from_first: Pose) -> F64:
-        """(N,) signed px from the epipolar line, the mean of both pictures (Sampson)."""
+        """Return (N,) signed distances from the epipolar line, px, averaged over both pictures (Sampson)."""
         E = skew(other_from_first.translation) @ other_from_first.rotation
         a, b = (np.hstack([x, np.ones((len(x), 1))]) for x in (self.first, self.other))
         lines, back = a @ E.T, b @ E
@@ -51,20 +51,20 @@ class CameraPair:
         return np.asarray((lines * b).sum(axis=1) / np.maximum(size, 1e-12) * self.focal)
 
     def depths(self, other_from_first: Pose) -> tuple[F64, F64]:
-        """(N,) inverse depth [1/m] and disparity [px] of each match."""
+        """Return the inverse depth [1/m] and the disparity [px] of each match, both (N,)."""
         rho, arm = inverse_depth(self.first, self.other, other_from_first)
         return rho, rho * arm * self.focal
 
 
 @dataclass(frozen=True, eq=False)
 class StereoCase:
-    """Two cameras with their matches, outliers taken out."""
+    """Two cameras with their matches, without outliers."""
 
     name: str
     first: RigCamera
     other: RigCamera
-    exposures: int  # that were matched
-    t_ns: I64  # (N,) of the exposure
+    exposures: int  # number of matched exposures
+    t_ns: I64  # (N,) of the exposure of each match
     pixels: tuple[F64, F64]  # (N, 2) in both cameras
     pair: CameraPair
 
@@ -80,8 +80,8 @@ def check_stereo(
     """Check one pair of cameras: calibration, order and baseline.
 
     Args:
-        found: matches of each exposure: its time, pixels in the first camera, pixels in the other one.
-        flow: fit of the flow of camera 0 with GPS/INS, for the depth; None: unknown.
+        found: matches of each exposure: its time in ns, pixels in the first camera, pixels in the other camera.
+        flow: fit of the flow of camera 0 with GPS/INS, to check the depth; None: unknown.
     """
     name = f"stereo {first.name} {other.name}"
     a, b = (np.concatenate([np.empty((0, 2)), *(matches[k] for matches in found)]) for k in (1, 2))
@@ -131,7 +131,7 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
 
 
 def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
-    """Result where most depths are negative: the cameras are exchanged, or the sign of the baseline is wrong."""
+    """Return the result for mostly negative depths: exchanged cameras, or a baseline of the wrong sign."""
     sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
     if swapped < 0.7 * own and own > 0.25:
         return bad(name, f"{evidence}: the cameras are exchanged", EXCHANGE)
@@ -141,7 +141,7 @@ def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResu
 
 
 def _quarter_turn(case: StereoCase) -> str:
-    """Words for a camera that stands a quarter or a half turn off, where that explains the matches."""
+    """Describe a quarter or half turn of a camera that explains the matches; empty if there is none."""
     found = []
     for k, cam in enumerate((case.first, case.other)):
         for m in quarter_turns()[1:]:
@@ -155,7 +155,7 @@ def _quarter_turn(case: StereoCase) -> str:
 
 
 def turn_words(camera: str, turn: F64) -> str:
-    """Turn of a camera from its calibration, in words: `calibrated_from_true` is a quarter or a half turn."""
+    """Describe the turn `calibrated_from_true` of a camera, a quarter or half turn, as text."""
     vector = Rotation.from_matrix(turn).as_rotvec()
     angle = float(np.degrees(np.linalg.norm(vector)))
     axis = vector / max(float(np.linalg.norm(vector)), 1e-9)
@@ -167,15 +167,15 @@ def turn_words(camera: str, turn: F64) -> str:
 
 
 def fitted_turn(pair: CameraPair, as_is: Pose, lens: bool) -> tuple[F64, float]:
-    """Fit corrections (4,) of the other camera: turn about its own axes [rad], log of its focal length.
+    """Fit corrections (4,) of the other camera: turn about its own axes [rad] and log of its focal length.
 
     A turn that moves the points along their epipolar lines is hardly observable; a weak prior constrains it.
 
     Args:
-        lens: whether the focal length is free.
+        lens: whether the focal length is free; otherwise its correction is 0.
 
     Returns:
-        the corrections from the calibrated camera to the true one, and the residual after them, px.
+        the corrections from the calibrated camera to the true one, and the residual after them, px RMS.
     """
 
     def residuals(p: F64) -> F64:
@@ -208,12 +208,12 @@ def _stale(case: StereoCase, evidence: str, own: float) -> CheckResult:
 
 
 def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
-    """Check the depths against those of GPS/INS and the flow, after the epipolar lines were found right."""
+    """Check the stereo depths against the depths of GPS/INS and flow; the epipolar lines were already found right."""
     rho, disparity = case.pair.depths(case.as_is)
     seconds = (case.t_ns - flow.origin_ns) * 1e-9
     times, at = np.unique(seconds, return_inverse=True)
     normals = np.stack([np.interp(seconds, flow.depth_seconds, n) for n in flow.normals.T], axis=-1)
-    ratio = (normals[:, :2] * case.pair.first).sum(axis=1) / normals[:, 2] + 1.0  # of the depth on the optical axis
+    ratio = (normals[:, :2] * case.pair.first).sum(axis=1) / normals[:, 2] + 1.0  # depth on the axis over depth
     level = (ratio > 0.4) & (ratio < 2.5) & (normals[:, 2] < -STEEP)
     if level.sum() < LEAST_MATCHES or len(np.unique(at[level])) < len(times):
         return good(case.name, f"{evidence}, {100 * (rho > 0).mean():.0f} % of the depths are positive")
@@ -224,7 +224,7 @@ def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
     off, sigma = float(np.median(error)), nmad(error) / np.sqrt(max(len(error) - 1, 1))
     expected_px = float(np.median(expected * arm))
     evidence += f", disparity {expected_px + off:.2f} px where flow and GPS/INS give {expected_px:.2f} px"
-    share = 0.25 / float(np.median(-normals[:, 2])) ** 2  # relief shows more in an oblique view
+    share = 0.25 / float(np.median(-normals[:, 2])) ** 2  # relief has more effect in an oblique view
     limit = max(1.0, share * abs(expected_px), 4.0 * sigma, 4.0 * abs(expected_px) * flow.depth_error)
     if len(error) < 4 or abs(off) < limit:
         return good(case.name, evidence)
@@ -239,6 +239,5 @@ def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
 
 
 def _smooth(values: F64) -> F64:
-    """Running median of five."""
     padded = np.pad(values, 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))

@@ -1,8 +1,8 @@
-"""The command line: the only place that catches, prints and exits. One file a group of commands, one record each."""
+"""The command line: the only place that catches, prints and exits. Each file holds a group of commands."""
 
 import os
 
-# before NumPy is imported: the filter's matrices are small, and several threads spend their time waiting
+# before NumPy is imported: with several threads the filter's small matrices only cause waiting
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 try:

@@ -23,16 +23,16 @@ class ExitCode(IntEnum):
 
     USER_ERROR = 2  # the line on stderr names the remedy
     FAULT_FOUND = 3  # a check is bad, or landings failed
-    NOT_LANDED = 4  # a landing was begun, and the vehicle has not landed by it
+    NOT_LANDED = 4  # a landing was begun, but did not end with a touchdown
     INTERRUPTED = 128 + signal.SIGINT
     TERMINATED = 128 + signal.SIGTERM
 
 
-# typer's errors descend from its own copy of click or, in older versions, from click; this leaf class exists in both
+# typer's errors inherit from its own copy of click or, in older versions, from click; this class exists in both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
-SMALLER = {  # advice where memory ends, by command
+SMALLER = {  # advice when memory is exhausted, by command
     "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
     "simulate": "choose smaller images, a lower rate or a smaller ground in the scene",
     "rehearse": "choose smaller images with --width",
@@ -41,7 +41,7 @@ SMALLER = {  # advice where memory ends, by command
     "check": "read less with --seconds",
 }
 _ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # requests to end; Windows has no SIGHUP
-_signals: list[int] = []  # received requests to end
+_signals: list[int] = []  # received signals
 
 
 @app.callback(invoke_without_command=True)
@@ -58,7 +58,7 @@ def _top(
 
 
 def _smaller(words: Sequence[str]) -> str:
-    """Advice for less memory: first about the user's own settings."""
+    """Return advice for less memory; settings that are assigned on the command line are named first."""
     command = next((w for w in words if not w.startswith("-")), "")
     usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]
@@ -69,7 +69,7 @@ def _smaller(words: Sequence[str]) -> str:
 
 
 def _mistake(error: Exception, words: Sequence[str]) -> str:
-    """One line about an error that a user can mend; empty: the error is a defect of Alight."""
+    """Return one line about an error that a user can mend; empty if the error is a defect of Alight."""
     if isinstance(error, MemoryError):
         return f"not enough memory; {_smaller(words)}"
     if isinstance(error, UsageError):
@@ -98,7 +98,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
         stdout_errors.clear()
         if "alight.outputs.folder_lock" in sys.modules:
             sys.modules["alight.outputs.folder_lock"].release_all()
-    if code == ExitCode.INTERRUPTED:  # from typer as well, which turns Ctrl-C into its own code
+    if code == ExitCode.INTERRUPTED:  # typer too raises this code for Ctrl-C
         print_stderr("interrupted: files that were finished are whole, the rest was not written")
         return ExitCode.TERMINATED if _signals else code
     if errors:
@@ -108,7 +108,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
 
 
 def _end(number: int, frame: object) -> None:
-    """Treat a signal to end like Ctrl-C; errors of objects that it leaves incomplete are silenced."""
+    """Treat a terminating signal like Ctrl-C, and silence errors of objects that it leaves incomplete."""
     if number != signal.SIGINT:
         _signals.append(number)
     sys.unraisablehook = lambda _: None
@@ -116,9 +116,9 @@ def _end(number: int, frame: object) -> None:
 
 
 def _mend_streams() -> None:
-    """Open closed standard streams on the null device, or the next file would take their number; print any name.
+    """Open closed standard streams on the null device and let them print any character.
 
-    A terminal width of 0 columns is ignored.
+    Otherwise the next opened file would take the number of a closed stream. A terminal width of 0 columns is ignored.
     """
     if not os.environ.get("COLUMNS", "80").strip("0"):
         del os.environ["COLUMNS"]
@@ -126,14 +126,14 @@ def _mend_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # uses the lowest free number: this one
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def main() -> None:
-    """Run the command line of this process."""
+    """Run the command line of this process and exit."""
     memory.keep_little()
     _mend_streams()
     for number in (signal.SIGINT, *_ENDINGS):
@@ -143,8 +143,8 @@ def main() -> None:
     try:
         if sys.stderr is not None:  # it was closed at the start
             sys.stderr.flush()
-    except OSError:  # a line of the log is left
+    except OSError:  # a line of the log is not written
         discard(sys.stderr)
     for number in (signal.SIGINT, *_ENDINGS):
-        signal.signal(number, signal.SIG_IGN)  # all is written: no signal can spoil the exit code any more
+        signal.signal(number, signal.SIG_IGN)  # all is written: from here no signal may change the exit code
     sys.exit(int(code))

@@ -1,4 +1,4 @@
-"""What rich draws on a terminal: the console on stderr, the bars of progress, the log above them."""
+"""Output of rich on a terminal: the console on stderr, the progress bars, and the log above them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from alight.cli.terminal import discard
 
 
 class _Stderr(Console):
-    """Console on stderr. A closed pipe or a full disk ends no work: the lines are lost, the results are not."""
+    """Console on stderr. If the pipe is closed or the disk is full, lines are lost, but the work continues."""
 
     def on_broken_pipe(self) -> None:
-        """Go on without stderr: rich would end the program."""
+        """Continue without stderr, where rich would end the program."""
         discard(sys.stderr)
 
     def __exit__(self, exc_type: Any, exc_value: Any, traceback: Any) -> None:
-        """Write the lines; each output of rich ends here."""
+        """Write the lines at the end of each output of rich."""
         try:
             super().__exit__(exc_type, exc_value, traceback)
         except OSError:
@@ -39,7 +39,7 @@ log_handler = RichHandler(console=stderr, show_path=False, show_time=False)
 
 @contextmanager
 def bars() -> Iterator[Callable[[str, float], None]]:
-    """Show a bar a stage, removed at the end."""
+    """Yield a function that updates the progress bar of a stage; the bars are removed at the end."""
     columns = (
         TextColumn("{task.description:<8}"),
         BarColumn(),
@@ -62,7 +62,7 @@ def bars() -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def live_table() -> Iterator[Callable[[Iterable[tuple[str, str]], Iterable[str]], None]]:
-    """Yield a function that shows names with values and lines below them, in the place of those before."""
+    """Yield a function that shows a table of names and values with lines below it, and replaces the previous one."""
     with Live(console=stderr, transient=True, auto_refresh=False) as display:
 
         def show(rows: Iterable[tuple[str, str]], lines: Iterable[str]) -> None:
@@ -75,7 +75,7 @@ def live_table() -> Iterator[Callable[[Iterable[tuple[str, str]], Iterable[str]]
 
 
 def scene_card(name: str, description: str, picture: Path) -> Table:
-    """A scene: its picture in half blocks, its name and its description beside it."""
+    """Return a scene's picture in half blocks, beside its name and description."""
     table = Table.grid(padding=(0, 2))
     table.add_column(min_width=32, no_wrap=True)
     table.add_column()
@@ -84,7 +84,7 @@ def scene_card(name: str, description: str, picture: Path) -> Table:
 
 
 def half_blocks(picture: Path, cols: int = 32, rows: int = 12) -> Text:
-    """A picture as coloured half-block characters: the upper pixel is the letter's colour, the lower its ground's."""
+    """Return a picture as coloured half-block characters, two pixels per character; empty if it cannot be read."""
     import cv2
 
     out, image = Text(no_wrap=True), cv2.imread(str(picture), cv2.IMREAD_COLOR_RGB)

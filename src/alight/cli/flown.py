@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class FlightOptions(options.RouteOptions):
-    """Options of both commands."""
+    """Options of `alight live` and `alight fly`."""
 
     rig: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
@@ -36,10 +36,13 @@ class FlightOptions(options.RouteOptions):
     ] = True
 
     def refuse_unused(self, source: str, follow: bool = False, speed: float = 1.0) -> None:
-        """Refuse options that have no effect on a recording, a folder, or cameras.
+        """Refuse options that have no effect with this source.
+
+        Args:
+            source: a recording, a folder, or cameras.
 
         Raises:
-            InputError: the message names the option.
+            InputError: an option has no effect; the message names it.
         """
         from alight.records import InputError
         from alight.sources.live import is_cameras
@@ -76,7 +79,7 @@ class LiveOptions(FlightOptions):
 @app.command()
 @options.command_of(LiveOptions)
 def live(o: LiveOptions) -> None:
-    """Find a landing site during a flight; Ctrl-C ends it, and the map so far is judged."""
+    """Find a landing site during a flight. Ctrl-C ends it; the map is then judged as it is."""
     chosen = o.read_settings()
     o.refuse_unused(o.source, o.follow, o.speed)
     from alight.flight.live.run import LiveRequest, fly_live
@@ -89,7 +92,7 @@ def live(o: LiveOptions) -> None:
         from alight.flight.live.telemetry import with_telemetry
 
         opened = with_telemetry(opened, o.telemetry, o.separation)
-    compile_if_cold()  # a lane that compiles does not answer
+    compile_if_cold()  # a lane cannot answer while it compiles
     inputs = [path] if (path := Path(o.source)).is_file() else []
     request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs)
     with live_table() as show:
@@ -98,7 +101,7 @@ def live(o: LiveOptions) -> None:
 
 
 def compile_if_cold() -> None:
-    """Compile all loops if they are not in the cache: once, before a flight."""
+    """Compile all loops, once before a flight, if they are not in the cache."""
     from alight import compiled
 
     if not compiled.is_warm():
@@ -159,7 +162,7 @@ def fly(o: FlyOptions) -> None:
 
 
 def _flown(request: FlightRequest) -> FlightOutcome:
-    """Fly; the status is a table on a terminal, else a line at a new phase and every ten seconds."""
+    """Fly and show the status: a table on a terminal, otherwise a line at each new phase and every ten seconds."""
     from alight.flight.session.flight import fly_vehicle
 
     if is_terminal():
@@ -184,7 +187,7 @@ def _flown(request: FlightRequest) -> FlightOutcome:
 
 
 def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
-    """Name and value of each fact of the status for a person."""
+    """Yield the name and value of each fact of the status, as text."""
     from alight.records import p_safe_text
 
     view, telemetry = status.view, status.telemetry

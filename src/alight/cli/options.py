@@ -1,4 +1,4 @@
-"""Options that commands share, as records, and the settings that they stand for."""
+"""Options that commands share, as records, and the settings that they give."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def command_of(options: type) -> Callable[[Callable[[Any], None]], Callable[..., None]]:
-    """Make a command of a function of one record: the fields of the record are the options of the command."""
+    """Return a decorator that turns a function of one record into a command with the record's fields as options."""
     hints = get_type_hints(options, include_extras=True)
     parameters = [
         Parameter(
@@ -66,10 +66,13 @@ class SettingsOptions:
     verbose: Verbose = False
 
     def read_settings(self, before: Sequence[str] = (), after: Sequence[str] = ()) -> Settings:
-        """Read the settings; assignments of other options come before or after those of `--set`, and the last one wins.
+        """Return the settings from the file and the assignments; a later assignment overrides an earlier one.
+
+        Args:
+            before, after: `key=value` assignments by other options, applied before and after those of `--set`.
 
         Raises:
-            SettingsError: the file cannot be read, a key is unknown, a value is out of range.
+            SettingsError: the file cannot be read, a key is unknown, or a value is out of range.
         """
         from alight.records import SettingsError
         from alight.settings import load_settings
@@ -111,10 +114,10 @@ class RouteOptions(ResultOptions):
 
 
 def yaml_text(file: Path) -> str:
-    """Read a file that a person wrote.
+    """Read the text of a settings file.
 
     Raises:
-        SettingsError: it cannot be read.
+        SettingsError: the file cannot be read.
     """
     from alight.documents import DocumentError, read_text
     from alight.records import SettingsError

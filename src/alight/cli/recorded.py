@@ -1,4 +1,4 @@
-"""Commands on recordings and rasters, and of the program: run, check, evaluate, hazards, terrain, settings, warmup."""
+"""Commands without a flight: run, check, evaluate, hazards, terrain, settings, warmup."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class CheckOptions(options.SettingsOptions):
 @app.command()
 @options.command_of(CheckOptions)
 def check(o: CheckOptions) -> None:
-    """Find faults of a rig, or whether photos will do; the exit code is 3 if a check is bad.
+    """Find faults of a rig, or check whether photos can be used; the exit code is 3 if a check is bad.
 
     With --verbose, the facts in the tags of each photo are logged.
     """
@@ -122,7 +122,7 @@ def evaluate(
     ],
     verbose: options.Verbose = False,
 ) -> None:
-    """Compare a run with the truth and print the numbers."""
+    """Compare a run with the truth and print the errors."""
     from alight.evaluation import evaluate as compare
 
     for line in compare(out, truth).lines():
@@ -151,7 +151,7 @@ class HazardsOptions(options.ResultOptions):
 @app.command("hazards")
 @options.command_of(HazardsOptions)
 def judge_raster(o: HazardsOptions) -> None:
-    """Judge any height raster: P(safe) and reasons of each cell, and the landing sites of this lander."""
+    """Judge any height raster: P(safe) and reasons of each cell, and the landing sites for the lander."""
     from alight.outputs.folder import prepare_folder
     from alight.runner import judge
     from alight.sources.raster import read_ground
@@ -181,7 +181,7 @@ def judge_raster(o: HazardsOptions) -> None:
 
 
 def _lander(file: Path) -> list[str]:
-    """The keys of a lander's file as assignments; they may stand alone or under `lander:`.
+    """Return the keys of a lander's file as assignments; the file may have them under `lander:` or without it.
 
     Raises:
         SettingsError: the file cannot be read or holds no keys.
@@ -206,7 +206,7 @@ def train_model(
     sampling: SamplingOption = 0.05,
     verbose: options.Verbose = False,
 ) -> None:
-    """Train a model on your own pictures, and test it on each site with that site left out."""
+    """Train a model on your own pictures, and test it on each site with a model trained on the other sites."""
     from alight.runner.appearance import train_to_file
 
     with progress_bar() as report:
@@ -273,7 +273,7 @@ class ShowOptions(options.SettingsOptions):
 @app.command("settings")
 @options.command_of(ShowOptions)
 def show_settings(o: ShowOptions) -> None:
-    """Print every setting with its value, as YAML that --settings takes back."""
+    """Print all settings with their values, as YAML for --settings."""
     chosen = o.read_settings()
     if o.markdown:
         from alight.settings.page import settings_page
@@ -285,7 +285,7 @@ def show_settings(o: ShowOptions) -> None:
 
 @app.command()
 def warmup(verbose: options.Verbose = False) -> None:
-    """Compile all loops, so that the first run does not wait for it."""
+    """Compile all loops, so that the first run does not wait for the compiler."""
     from alight.trials.warmup import compile_kernels
 
     with progress_bar() as report:

@@ -73,7 +73,7 @@ class SimulateOptions:
 @app.command()
 @options.command_of(SimulateOptions)
 def simulate(o: SimulateOptions) -> None:
-    """Make a flight over simulated ground, with exact truth."""
+    """Simulate a flight over generated ground, with exact truth."""
     if o.show:
         _print_scenes()
         return
@@ -105,12 +105,13 @@ def simulate(o: SimulateOptions) -> None:
 
 
 def read_scene_with(scene: str, assignments: list[str], seed: int = 0) -> Scene:
-    """Read a built-in scene by its name or a scene file, with `key=value` assignments that win over it.
+    """Read a built-in scene by its name, or a scene file, with `key=value` assignments that override it.
 
-    `seed`: of the values that the scene file leaves to chance.
+    Args:
+        seed: seed of the values that the scene file leaves to chance.
 
     Raises:
-        InputError: there is no such scene, or it cannot be read.
+        InputError: the scene does not exist, or cannot be read.
         SettingsError: an assignment names no key, or its value is out of range.
     """
     from alight.documents import parse_yaml, read_text
@@ -140,7 +141,7 @@ def _item(part: str) -> int:
 
 
 def _assign(tree: dict[str, Any], assignment: str) -> None:
-    """Put one value into the tree of a scene; items of a list are counted from 1."""
+    """Put one assigned value into the tree of a scene; list items are numbered from 1."""
     from alight.documents import DocumentError, parse_yaml
     from alight.records import SettingsError
 
@@ -208,7 +209,7 @@ class RehearseOptions:
 
     @property
     def pictures(self) -> dict[str, Any]:
-        """Size and rate of the pictures."""
+        """Size (width, height) and rate of the pictures."""
         return {"size": (self.width, self.width * 3 // 4), "rate_hz": self.rate}
 
 
@@ -225,7 +226,7 @@ def rehearse(o: RehearseOptions) -> None:
 
 
 def _rehearsed(o: RehearseOptions) -> Touchdown | None:
-    """Fly the simulated autopilot; return the oracle's verdict on its touchdown, None: it did not touch down."""
+    """Fly the simulated autopilot; return the oracle's verdict on its touchdown, None without a touchdown."""
     from alight_sim.oracle import OracleLander
     from alight_sim.rehearsal import Rehearsal
     from alight_sim.steered import SteeredFlight
@@ -249,7 +250,6 @@ def _rehearsed(o: RehearseOptions) -> Touchdown | None:
 
 
 def _followed(o: RehearseOptions, link: str) -> Touchdown | None:
-    """Draw the pictures of another autopilot; returns as `_rehearsed`."""
     from alight.records import InputError
     from alight.trials.rehearse import follow_vehicle
     from alight_sim.followed import FollowedCameras
@@ -343,7 +343,7 @@ def _again(planned: Campaign, out: Path, only: int) -> None:
 
 
 def print_landing(ended: Ended) -> None:
-    """Print a line on stderr for a landing that has ended."""
+    """Print one line on stderr about a landing that has ended."""
     from alight.records import p_safe_text
 
     r = ended.record

@@ -16,25 +16,25 @@ import typer
 if TYPE_CHECKING:
     from alight.records import RunResult, Site, Sites
 
-stdout_errors: list[str] = []  # reasons why stdout did not take the answer: reported when the work is done
+stdout_errors: list[str] = []  # errors of writing to stdout, reported when the work is done
 
 
 def discard(stream: TextIO) -> None:
-    """Send to the null device what a stream cannot write, or the interpreter fails on it at its end."""
-    with suppress(OSError):  # it has no number
+    """Redirect an unwritable stream to the null device; otherwise the interpreter fails on it at exit."""
+    with suppress(OSError):  # the stream has no file descriptor
         number = stream.fileno()
         os.dup2(os.open(os.devnull, os.O_WRONLY), number)
 
 
 def is_terminal() -> bool:
-    """True if a person sees stderr."""
+    """Whether stderr is a terminal."""
     return sys.stderr is not None and sys.stderr.isatty()
 
 
 def print_stderr(line: str, style: str = "yellow") -> None:
     """Print one line on stderr, however long: a terminal wraps it by itself, and a log needs it whole.
 
-    Nothing is raised where it cannot be written.
+    An error of writing is ignored.
     """
     from alight.documents import printable
 
@@ -51,7 +51,7 @@ def print_stderr(line: str, style: str = "yellow") -> None:
 
 
 def print_line(line: str) -> None:
-    """Print one line on stdout. A closed pipe (`| head`) is no error; another failure to write ends no work."""
+    """Print one line on stdout. A closed pipe (`| head`) is no error; other write errors are reported at the end."""
     from alight.documents import printable
 
     try:
@@ -63,7 +63,7 @@ def print_line(line: str) -> None:
 
 
 def progress_bar() -> AbstractContextManager[Callable[[str, float], None]]:
-    """Show a bar a stage on stderr, removed at the end; none where stderr is no terminal."""
+    """Return a context manager for progress bars on stderr, one per stage; without a terminal it shows nothing."""
     if not is_terminal():
         return nullcontext(lambda stage, share: None)
     from alight.cli.display import bars
@@ -72,7 +72,7 @@ def progress_bar() -> AbstractContextManager[Callable[[str, float], None]]:
 
 
 def live_table() -> AbstractContextManager[Callable[[Iterable[tuple[str, str]], Iterable[str]], None]]:
-    """Yield a function that shows names with values and lines below them; nothing where stderr is no terminal."""
+    """Return a context manager for a table of (name, value) rows with lines below it; idle without a terminal."""
     if not is_terminal():
         return nullcontext(lambda rows, lines: None)
     from alight.cli import display
@@ -81,7 +81,7 @@ def live_table() -> AbstractContextManager[Callable[[Iterable[tuple[str, str]], 
 
 
 def log_to_stderr() -> None:
-    """Log warnings and errors above the bar on a terminal, else as one plain line each."""
+    """Log warnings and errors above the progress bar on a terminal, otherwise as one plain line each."""
     handler: logging.Handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     if is_terminal():
@@ -91,10 +91,10 @@ def log_to_stderr() -> None:
 
 
 def print_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str = "") -> None:
-    """Print the answer on stdout: the best site, or the reason for none and the first candidate; one line each.
+    """Print the answer on stdout: the best site, or the reason for its absence and the first candidate.
 
     Args:
-        place: returns words for a position, (3,) metres.
+        place: returns the text for a position, (3,) metres.
         more: text after the numbers of sites and candidates.
     """
     from alight.report import words
@@ -121,7 +121,7 @@ def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
 
 
 def print_result(result: RunResult) -> None:
-    """Print the answer of a run on stdout, its warnings on stderr."""
+    """Print the answer of a run on stdout and its warnings on stderr."""
     from alight.report import warnings
 
     def place(position: Sequence[float]) -> str:

@@ -1,4 +1,4 @@
-"""Files written whole or not at all: beside, to the disk, then renamed."""
+"""Atomic writing: a temporary file in the same folder is synced to the disk, then renamed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ANOTHER = "choose another folder with --out"
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """Convert an error of the operating system into one line that a user can act on."""
+    """Return an error with one line that the user can act on, from an error of the operating system."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return OutputError(f"{path}: the disk is full; free some space or {ANOTHER}")
     if isinstance(error, PermissionError) or error.errno == errno.EROFS:
@@ -21,17 +21,18 @@ def output_error(path: Path, error: OSError) -> OutputError:
 
 
 def partial_path(path: Path) -> Path:
-    """The name under which a file is written before it is whole."""
+    """Return the path of the temporary file that becomes `path` once it is complete."""
     return path.with_name(f".{path.name}.tmp")
 
 
 def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
-    """Write `data` to `path` as a whole: no reader sees half of it, and no crash or Ctrl-C leaves half of it.
+    """Write `data` to `path` atomically: no reader sees an incomplete file, and no crash or Ctrl-C leaves one.
 
-    Not `durable`: a loss of power may damage or remove the file, and the call does not wait for the disk.
+    Args:
+        durable: whether to wait until the disk has the file; if false, a loss of power may damage or remove it.
 
     Raises:
-        OutputError: the disk is full or the place may not be written; the old file, if any, is untouched.
+        OutputError: the disk is full or writing is not permitted; the old file, if any, is untouched.
     """
     part = partial_path(path)
     try:

@@ -1,4 +1,4 @@
-"""Tiles of the map that the vehicle has left behind, on the disk instead of in memory."""
+"""Storage on disk for the map tiles that the vehicle has left behind, which saves memory."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from alight.outputs.atomic_write import output_error
 
 
 class FileStore(MutableMapping[Name, bytes]):
-    """Packed tiles in one nameless file beside the run's own, which the system removes however the run ends.
+    """Packed tiles by name, in one anonymous temporary file that the system removes however the run ends.
 
-    A tile that is put again takes its old place where it fits, and a new one at the end of the file where not.
+    A tile that is written again overwrites its old bytes if it fits; otherwise it is appended to the file.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._size: dict[Name, int] = {}
-        self._room: dict[Name, tuple[int, int]] = {}  # offset and size in bytes of a tile's room, even if deleted
+        self._room: dict[Name, tuple[int, int]] = {}  # offset and size in bytes, kept after a deletion
         try:
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  (lives as long as the run)
         except OSError as e:
             raise output_error(folder, e) from e
 
     def __setitem__(self, name: Name, packed: bytes) -> None:
-        """Write a tile.
+        """Write a packed tile.
 
         Raises:
-            OutputError: the disk is full.
+            OutputError: the tile cannot be written, such as when the disk is full.
         """
         where, room = self._room.get(name, (0, 0))
         try:
@@ -57,9 +57,9 @@ class FileStore(MutableMapping[Name, bytes]):
 
     @property
     def size(self) -> int:
-        """Bytes on the disk."""
+        """Size of the file in bytes."""
         return self._file.seek(0, 2)
 
     def close(self) -> None:
-        """Free the space on the disk."""
+        """Close the file, which frees its space on the disk."""
         self._file.close()

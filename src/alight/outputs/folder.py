@@ -1,4 +1,4 @@
-"""The folder of a run: its files, the reasons for missing ones, and the order in which they are written."""
+"""The folder of a run: its files, the reasons for missing files, and the order of writing."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FILES = (
     *("dem.tif", "flags.tif", "ortho.tif", "terrain.tif", "safe.tif", "reasons.tif", "sites.geojson", "route.plan"),
     *("route.geojson", "trajectory.tum", "trajectory.csv", "report.html"),
 )
-KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two of `alight hazards`
+KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two are written by `alight hazards`
 BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
-WORK = "unfinished-work"  # folder of a run that was interrupted
+WORK = "unfinished-work"  # folder of an interrupted run
 NO_PLACE = "the input has no place on Earth; run.json has the sites in metres"
 
-# a file's name -> the function that makes it, or the reason why it cannot be made
+# file name -> the function that returns the content, or the reason why there is none
 Contents = dict[str, Callable[[], bytes] | str]
 
 
@@ -55,7 +55,7 @@ def _rasters(r: RunResult) -> Contents:
 
 
 def _sites(r: RunResult) -> Contents:
-    if r.sites.listed and not r.georeferenced:  # "none, because ..." needs no place on Earth
+    if r.sites.listed and not r.georeferenced:  # an answer without a site or candidate needs no place on Earth
         return {"sites.geojson": NO_PLACE}
     covariance = r.elevation.position_covariance if r.elevation is not None else None
     return {"sites.geojson": lambda: vectors.json_bytes(vectors.sites_geojson(r.sites, r.local, covariance))}
@@ -76,22 +76,22 @@ def _route(r: RunResult) -> Contents:
 
 
 def report_file(result: RunResult) -> Contents:
-    """The report's file."""
+    """Return the report as an entry for `write_folder`."""
     return {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNENCODABLE)}
 
 
 def contents(r: RunResult) -> Contents:
-    """Every file but run.json, in the order of writing; the caller's own reasons win."""
+    """Return every file but run.json, in the order of writing; a reason in `r.not_written` replaces its file."""
     makers = {"trajectory.tum": vectors.tum, "trajectory.csv": vectors.csv}
     motion: Contents = {
         name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
     }
-    # the answer first: on a full disk, the small and most important files still find room
+    # the answer first: on a full disk, the small and most important files still fit
     return _sites(r) | _route(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
 
 
 def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Seconds of every step, by stage, as number, median, 95th percentile and sum; stages without a step left out."""
+    """Return number, median, 95th percentile and sum of the seconds per step for each stage that has steps."""
     found = {}
     for stage, steps in timings.items():
         if len(steps):
@@ -102,7 +102,7 @@ def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 
 def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
-    """Content of run.json: version, input, answer, settings in full, counts, times, warnings, and missing files."""
+    """Return the content of run.json; `missing` gives the reason for each file that was not written."""
     local = result.local
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     height = result.height_above_ground
@@ -126,7 +126,7 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
 
 
 def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
-    """Common error of all heights of the map, as in dem.tif's tags; None: the poses came without covariance."""
+    """Return the common error of all heights, as in dem.tif's tags; None: the poses have no covariance."""
     if elevation is None or elevation.datum is None:
         return None
     g = elevation.datum
@@ -140,7 +140,7 @@ def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
 
 
 def is_run(folder: Path) -> bool:
-    """True if the folder holds a finished run of ours."""
+    """Whether the folder holds a finished run of Alight."""
     try:
         tree = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
     except (OSError, DocumentError):
@@ -149,30 +149,30 @@ def is_run(folder: Path) -> bool:
 
 
 def is_work(path: Path) -> bool:
-    """True if a path is a folder of unfinished work."""
+    """Whether a path is the folder with the saved work of an interrupted run."""
     return path.name == WORK and path.is_dir() and not path.is_symlink()
 
 
 def remove_work(out: Path) -> None:
-    """Remove the saved work of an interrupted run from its output."""
+    """Remove the saved work of an interrupted run from the output folder."""
     if is_work(out / WORK):
         shutil.rmtree(out / WORK, ignore_errors=True)
 
 
 def is_finished(folder: Path) -> bool:
-    """True if the folder holds a finished run, and no saved work of a later, unfinished one."""
+    """Whether the folder holds a finished run and no saved work of a later, unfinished one."""
     return is_run(folder) and not is_work(folder / WORK)
 
 
 def _is_ours(folder: Path) -> bool:
-    """True if the folder is empty, or holds a finished run, or only the files of an interrupted one."""
+    """Whether the folder is empty, holds a finished run, or holds only the files of an interrupted run."""
     names = {LOCK, *KNOWN, "recording.rrd"}
     names |= {partial_path(Path(name)).name for name in names} | {"recording.mcap"}
 
     def is_by_others(path: Path) -> bool:  # files that a system or another program puts into any folder
         return path.is_file() and any(fnmatchcase(path.name, pattern) for pattern in BY_OTHERS)
 
-    def is_known(path: Path) -> bool:  # recordings that a later run has kept (`recorder.make_room`) as well
+    def is_known(path: Path) -> bool:  # includes recordings that a later run has kept (`recorder.make_room`)
         return path.is_file() and (path.name in names or fnmatchcase(path.name, "recording-*.mcap"))
 
     there = [p for p in folder.iterdir() if not is_by_others(p)]
@@ -181,7 +181,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _check_folder(out: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds other things, or a folder of its own where a file is to be written."""
+    """Raise OutputError if the folder holds other files, or a folder with the name of an output file."""
     if not overwrite and not _is_ours(out):
         raise OutputError(f"{out}: holds files that are not a run's; {ANOTHER} or add --force")
     for path in (out / name for name in KNOWN):
@@ -190,19 +190,19 @@ def _check_folder(out: Path, overwrite: bool) -> None:
 
 
 def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = ()) -> None:
-    """Make the folder, test that it can be written, and lock it, before any work is done for it.
+    """Create the folder, test that it can be written, and lock it, before any work is done for it.
 
-    An earlier run is replaced; a folder with other files is refused. Once this process holds the folder, other files
-    that appear there do not matter.
+    An earlier run is replaced; a folder with other files is refused. Once this process has locked the folder, other
+    files that appear in it do not matter.
 
     Args:
-        out: the folder.
-        overwrite: even where it holds other files.
-        inputs: files that the work reads, and which may not lie in the folder.
+        out: output folder.
+        overwrite: whether a folder with other files is accepted.
+        inputs: files that the work reads; they must not lie in the folder.
 
     Raises:
-        OutputError: the folder is a file, holds other things (and not `overwrite`), a folder in the place of a file,
-            or an input, may not be written, or another process writes there.
+        OutputError: the folder is a file, cannot be written, or is locked by another process; or it holds an input, a
+            folder with the name of an output file, or other files while `overwrite` is false.
     """
     probe = out / ".alight.tmp"
     try:
@@ -223,7 +223,7 @@ def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = 
 
 
 def _is_note(path: Path) -> bool:
-    """True for what GDAL or QGIS noted about a raster (statistics, colours): it is not true of a new one."""
+    """Whether a file is GDAL's or QGIS' notes on a raster (statistics, colours), which do not hold for a new raster."""
     with suppress(OSError):
         return path.is_file() and b"<PAMDataset" in path.read_bytes()[:200]
     return False
@@ -233,21 +233,21 @@ def write_folder(
     files: Contents, info: Callable[[Mapping[str, str]], dict[str, Any]], out: Path, overwrite: bool = False,
     inputs: Sequence[Path] = (),
 ) -> list[Path]:  # fmt: skip
-    """Write a folder, each file whole or not at all, run.json last; return the files written.
+    """Write a folder, each file atomically and run.json last; return the paths of the files written.
 
-    An earlier run's run.json is removed first, then its other files. So a folder with a run.json is always of one run,
-    and no old file survives beside a new answer. If a file cannot be written or removed, the rest is still written,
-    run.json lists the missing files, and then the error is raised.
+    The run.json of an earlier run is removed first, then its other files. So all files beside a run.json are of one
+    run, and no old file stays beside a new answer. If a file cannot be written or removed, the others are still
+    written, run.json lists the missing files, and then the error is raised.
 
     Args:
         files: every file but run.json, in the order of writing, or the reason why it is not written.
-        info: makes run.json from the missing files and their reasons.
-        out: the folder.
-        overwrite: even where it holds other files.
-        inputs: files that were read, and which may not lie in the folder.
+        info: returns the content of run.json, from the missing files and their reasons.
+        out: output folder.
+        overwrite: whether a folder with other files is accepted.
+        inputs: files that were read; they must not lie in the folder.
 
     Raises:
-        OutputError: see `prepare_folder`; or the disk is full, with the names of the files that are missing.
+        OutputError: see `prepare_folder`; or the disk is full: the message names the missing files.
     """
     prepare_folder(out, overwrite, inputs)
     written, missing, failed = list[Path](), dict[str, str](), dict[str, Exception]()
@@ -285,5 +285,5 @@ def write_folder(
 
 
 def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
-    """Write the folder of one run, as `write_folder`; return the files written."""
+    """Write the folder of one run and return the paths of the files written; see `write_folder`."""
     return write_folder(contents(result), partial(run_json, result), out, overwrite)

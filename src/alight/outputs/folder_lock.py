@@ -1,6 +1,6 @@
-"""A lock for one run a folder at a time, which the system releases however the run ends.
+"""A lock that allows one run per folder; the system releases it however the run ends.
 
-If a run ended before its folder was complete, the lock's file stays: it shows that the files beside it are a run's.
+If a run ends before its folder is complete, the lock's file stays. It shows that the other files belong to a run.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from alight.outputs.atomic_write import ANOTHER
 from alight.records import OutputError
 
 LOCK = ".alight.lock"
-_held: dict[Path, IO[str]] = {}  # of this process
+_held: dict[Path, IO[str]] = {}  # locked by this process
 
 
 def lock_folder(out: Path) -> None:
     """Lock the folder for this process, until `release_folder` or its end; a second call has no effect.
 
     Raises:
-        OutputError: another process writes there.
+        OutputError: another process has locked the folder.
         OSError: the folder cannot be written.
     """
     folder = out.resolve()
@@ -44,13 +44,13 @@ def lock_folder(out: Path) -> None:
 
 
 def holds_folder(out: Path) -> bool:
-    """True if this process holds the lock of the folder."""
+    """Whether this process holds the lock of the folder."""
     folder = out.resolve()
     return folder in _held and (folder / LOCK).exists()
 
 
 def release_folder(out: Path) -> None:
-    """Release the folder and remove its lock's file."""
+    """Release the folder and remove the lock's file."""
     folder = out.resolve()
     file = _held.pop(folder, None)
     if file is not None:
@@ -60,7 +60,7 @@ def release_folder(out: Path) -> None:
 
 
 def release_all() -> None:
-    """Release all folders of this process; a folder that a run began to fill keeps the lock's file as a mark."""
+    """Release all folders of this process; the lock's file stays in folders that hold other files."""
     for folder in list(_held):
         with suppress(OSError):
             if {p.name for p in folder.iterdir()} <= {LOCK}:

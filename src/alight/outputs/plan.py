@@ -20,7 +20,7 @@ ABOVE_SITE = (
 
 
 class Command(IntEnum):
-    """Commands of MAVLink, MAV_CMD."""
+    """MAVLink commands (MAV_CMD)."""
 
     WAYPOINT = 16
     LAND = 21
@@ -29,15 +29,15 @@ class Command(IntEnum):
 
 
 class PlanItem(NamedTuple):
-    """One item of a plan: a command, its parameters, and where it holds."""
+    """One mission item of a plan: a command, its parameters, and its position."""
 
     command: Command
     parameters: tuple[float, float, float, float]
-    position_world: F64 | None = None  # (3,) metres; None: speed and heading have no place
+    position_world: F64 | None = None  # (3,) metres; None: speed and heading have no position
 
 
 def plan_items(route: Route) -> list[PlanItem]:
-    """Items of a route: place, speed and heading of each way-point, and a hold where the ground is looked at."""
+    """Return the mission items of a route: a way-point, speed and heading for each leg, and a hold at each look."""
     *way, touchdown = route.waypoints
     items = [_stop(way[0])]
     for here, there in pairwise(way):
@@ -47,10 +47,10 @@ def plan_items(route: Route) -> list[PlanItem]:
 
 
 def _leg(here: Waypoint, there: Waypoint) -> tuple[PlanItem, PlanItem]:
-    """Speed and heading of a leg, in this order and both every time.
+    """Return the speed and heading items of a leg; every leg has both, in this order.
 
-    Items before a way-point are executed on the way to it. But ArduPilot executes the first one before it starts the
-    leg, and that start resets the heading: the heading must be the second.
+    Items before a way-point are executed on the leg to it. But ArduPilot executes the first item before it starts the
+    leg, and that start resets the heading. So the heading must be the second item.
     """
     east, north, up = there.position_world - here.position_world
     straight_down = up < 0 and math.hypot(east, north) < 0.5  # m
@@ -69,7 +69,7 @@ def _degrees(heading: float) -> float:
 
 
 def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[str, Any]:
-    """An item in QGroundControl's form; a parameter that is no number is null."""
+    """Return one item as QGroundControl's JSON, at altitudes above `zero` (ellipsoid height, m); NaN becomes null."""
     frame = 2 if item.position_world is None else 3  # MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT
     simple = {"type": "SimpleItem", "command": item.command, "frame": frame, "doJumpId": jump_id, "autoContinue": True}
     parameters = [number(p, 4) for p in item.parameters]
@@ -87,10 +87,10 @@ def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[
 
 
 def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home | None = None) -> dict[str, Any]:
-    """The route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
+    """Return the route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
 
-    Altitudes are relative to the vehicle's home. Without one they are relative to the ground of the landing site, which
-    is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name states this.
+    Altitudes are relative to the vehicle's home. Without a home they are relative to the ground of the landing site.
+    The site is then the planned home (with its altitude above the ellipsoid), and the plan's name states this.
     """
     longitude, latitude, zero = lon_lat_height(local, *route.waypoints[-1].position_world)
     planned, name = [latitude, longitude, zero], "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"

@@ -1,4 +1,4 @@
-"""The rasters of a run as cloud-optimised GeoTIFF: one grid, one CRS, named bands, colours where they make sense."""
+"""The rasters of a run as cloud-optimised GeoTIFF: one grid, one CRS, named bands, and colours for classes."""
 
 from __future__ import annotations
 
@@ -27,34 +27,35 @@ class RasterFile:
 
     grid: Grid
     bands: NDArray[Any]  # (B, R, C)
-    names: Sequence[str]  # one a band
-    units: Sequence[str] = ()  # one a band; none: numbers without a unit
+    names: Sequence[str]  # one per band
+    units: Sequence[str] = ()  # one per band; empty: no band has a unit
     nodata: float | None = None
     tags: Mapping[str, str] = field(default_factory=dict)  # of the first band
-    file_tags: Mapping[str, str] = field(default_factory=dict)  # of all bands
+    file_tags: Mapping[str, str] = field(default_factory=dict)  # of the whole file
     colours: Mapping[int, tuple[int, int, int, int]] | None = None
-    resampling: str = "AVERAGE"  # of the overviews
+    resampling: str = "AVERAGE"  # GDAL's method for the overviews
     mask: NDArray[np.bool_] | None = None  # (R, C): False = transparent
 
 
 def raster_crs(local: LocalFrame, georeferenced: bool) -> CRS:
-    """The CRS of every raster: transverse Mercator on the origin, or a plain local one where the place is unknown."""
+    """Return the CRS of the rasters: transverse Mercator about the origin, or a local one if not georeferenced."""
     return CRS.from_string(local.crs) if georeferenced else CRS.from_wkt(LOCAL_WKT)
 
 
 def ellipsoidal_height(elevation: ElevationMap, local: LocalFrame) -> F32:
-    """Heights above the WGS84 ellipsoid, (R, C) metres, NaN where a flag refuses them.
+    """Return heights above the WGS84 ellipsoid, (R, C) metres, NaN where a flag refuses the height.
 
-    World up is measured from the tangent plane, from which the ellipsoid falls away. The inverse is `world_up`.
+    World up is measured from the tangent plane, and the ellipsoid curves away below it. The inverse is `world_up`.
     """
     height = local.height + elevation.height + ellipsoid_fall(elevation.grid)
     return np.where(elevation.trusted, height, np.nan).astype(np.float32)
 
 
 def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool) -> RasterFile:
-    """Height and sigma, NaN where no height may be given out.
+    """Return the bands height and sigma of dem.tif, NaN where a flag refuses the height.
 
-    Not `georeferenced`: the world has no place on Earth, and heights count from its origin.
+    Args:
+        georeferenced: whether the world has a place on Earth; if not, heights are relative to its origin.
     """
     sigma = np.where(elevation.trusted, elevation.relative_sigma, np.nan).astype(np.float32)
     bands = np.stack([ellipsoidal_height(elevation, local), sigma])
@@ -70,9 +71,9 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool) 
 
 
 def common_tags(datum: Datum | None) -> dict[str, str]:
-    """Tags of the common error of all cells: sigma of offset and tilt, and the covariance about its centre.
+    """Return tags for the common error of all cells: sigma of offset and tilt, and the covariance about its centre.
 
-    Empty if the poses came without covariance.
+    They are empty if the poses have no covariance.
     """
     if datum is None:
         return {}
@@ -86,17 +87,16 @@ def common_tags(datum: Datum | None) -> dict[str, str]:
 
 
 def _bits(reasons: Mapping[Flag, Reason] | Mapping[Hazard, Reason]) -> dict[str, str]:
-    """Tags that name the bits of a raster."""
     return {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why.text}" for f, why in reasons.items()}
 
 
 def flags_raster(elevation: ElevationMap) -> RasterFile:
-    """Flags of each height, as bits: the reasons why it is missing or doubtful."""
+    """Return the flags of each height as bits: the reasons why it is missing or doubtful."""
     return RasterFile(elevation.grid, elevation.flags[None], ("flags",), tags=_bits(FLAGS), resampling="NEAREST")
 
 
 def terrain_raster(terrain: TerrainMap) -> RasterFile:
-    """Class codes with their names and colours."""
+    """Return the class codes as a raster with the names and colours of the classes."""
     tags = {f"class_{t.value}": t.name.lower() for t in Terrain}
     colours = {t.value: (*rgb(colour), 255) for t, colour in TERRAIN_COLOURS.items()} | {0: (0, 0, 0, 0)}
     bands, names = terrain.label[None], ("terrain class",)
@@ -104,29 +104,29 @@ def terrain_raster(terrain: TerrainMap) -> RasterFile:
 
 
 def measures_raster(hazards: HazardMap, names: Sequence[str], units: Sequence[str]) -> RasterFile:
-    """Some of the numbers of each cell, one a band."""
+    """Return hazard measures as bands: `names` are fields of the hazard map, and `units` their units."""
     bands = np.stack([getattr(hazards, name) for name in names]).astype(np.float32)
     return RasterFile(hazards.grid, bands, names, units, np.nan)
 
 
 def safe_raster(hazards: HazardMap) -> RasterFile:
-    """Probability of a safe touchdown over the worst heading, its factors, and the smallest obstacle to be found."""
+    """Return bands of P(safe) at the worst heading, its factors, and the smallest detectable obstacle's height."""
     return measures_raster(hazards, SAFE_BANDS, ("", "", "", "", "m"))
 
 
 def reasons_raster(hazards: HazardMap) -> RasterFile:
-    """Reasons why a touchdown is refused or doubtful, as bits."""
+    """Return the reasons why a touchdown is refused or doubtful, as bits."""
     return RasterFile(hazards.grid, hazards.reasons[None], ("reasons",), tags=_bits(HAZARDS), resampling="NEAREST")
 
 
 def ortho_raster(elevation: ElevationMap) -> RasterFile:
-    """Orthophoto, transparent where no view saw the ground."""
+    """Return the orthophoto, transparent where no view saw the ground."""
     bands = np.moveaxis(elevation.rgb, 2, 0)
     return RasterFile(elevation.grid, bands, ("red", "green", "blue"), mask=elevation.views > 0)
 
 
 def encode(raster: RasterFile, crs: CRS) -> bytes:
-    """The bytes of one cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
+    """Return the bytes of a cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
     count, rows, cols = raster.bands.shape
     profile: dict[str, Any] = {
         "driver": "COG",

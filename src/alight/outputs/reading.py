@@ -1,4 +1,4 @@
-"""Reading of a run's folder, for `evaluate`."""
+"""Reading the folder of a run, for `evaluate`."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ AGAIN = "run again to write it anew"
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The folder of one run. A file that was not written is None; `info["not_written"]` holds the reason."""
+    """The files of one run. The field of a missing file is None; `info["not_written"]` holds the reason."""
 
     folder: Path
-    info: dict[str, Any]  # run.json
+    info: dict[str, Any]  # content of run.json
     local: LocalFrame | None  # None: the run has no place on Earth
     grid: Grid | None = None
-    height: F32 | None = None  # (R, C) metres above the WGS84 ellipsoid, NaN = not given out
+    height: F32 | None = None  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown or refused
     sigma: F32 | None = None  # (R, C) metres
     flags: U16 | None = None  # (R, C) bits of Flag
     terrain: U8 | None = None  # (R, C) Terrain codes
@@ -40,10 +40,10 @@ class Run:
 
     @property
     def settings(self) -> Settings:
-        """The settings of the run.
+        """All settings of the run, from run.json.
 
         Raises:
-            InputError: run.json holds none, or a value that is not valid.
+            InputError: run.json holds no settings, or a value that is not valid.
         """
         try:
             return settings_of_run(self.info["settings"])
@@ -51,7 +51,7 @@ class Run:
             raise InputError(f"{self.folder / RUN_JSON}: of another version of Alight; run again") from e
 
 
-# of a run's rasters: bands, kind of their numbers (floating, unsigned), and the fields of `Run` that they fill
+# the rasters of a run: number of bands, NumPy kind (float, unsigned), and the fields of `Run` that they fill
 RASTERS = {
     "dem": (2, "f", ("height", "sigma")), "flags": (1, "u", ("flags",)), "terrain": (1, "u", ("terrain",)),
     "safe": (1, "f", ("safe",)), "reasons": (1, "u", ("reasons",)), "ortho": (3, "u", ()),
@@ -89,16 +89,16 @@ class _RunJson(BaseModel):
 
 
 def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[Any], Grid]:
-    """Read all bands (B, R, C) of a raster of Alight's own, and its grid.
+    """Read all bands of a raster written by Alight, (B, R, C), and its grid.
 
     Args:
         least: smallest number of bands.
-        kinds: of numbers that it may hold, as NumPy's letters.
-        mend: remedy for a damaged raster, for the message.
+        kinds: NumPy kind letters that are allowed for its numbers.
+        mend: remedy for a damaged raster, added to the message.
 
     Raises:
-        InputError: it is no plain file, cannot be read, has too few bands, other numbers, or cells that are not square
-            with north up.
+        InputError: the file is not a plain file, cannot be read, is too large, or has too few bands, numbers of another
+            kind, or cells that are not square with north up.
     """
     if not path.is_file():
         raise InputError(f"{path}: missing, or not a plain file; {mend}")
@@ -120,7 +120,7 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
 
 
 def _maps(folder: Path) -> dict[str, Any]:
-    """The fields of `Run` that its rasters fill, and their one grid."""
+    """Read the rasters of a run: the fields of `Run` that they fill, and the grid that they share."""
     found: dict[str, Any] = {}
     for name, (least, kind, fields) in RASTERS.items():
         path = folder / f"{name}.tif"
@@ -136,7 +136,7 @@ def read_run(folder: Path) -> Run:
     """Read the rasters and run.json of one run.
 
     Raises:
-        InputError: the folder holds no finished run, or a raster of it cannot be read.
+        InputError: the folder holds no finished run, or one of its rasters cannot be read.
     """
     if not is_run(folder):
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")

@@ -1,8 +1,8 @@
 """The recorder of a live run: all events, the schedule and every decision, as MCAP.
 
-It writes on a thread of its own. Messages are written as they are, without chunks, and given to the disk every half
-second: whatever ends the run, all but the last second can be read. A disk that is full or too slow costs messages,
-never the flight; lost messages are counted and reported.
+A thread writes the messages without chunks and flushes the file to the disk every half second. So however the run ends,
+only its last second may be lost. A disk that is full or too slow costs messages, but never the flight. Lost messages
+are counted and reported.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ log = logging.getLogger(__name__)
 
 HEAD = "alight"  # name of the metadata record
 TOPICS = (CAMERAS, NAV, IMU, SCHEDULE, NOTES, MOTION, SITES, TELEMETRY, ORDERS, LANDING)  # all but CAMERAS are JSON
-SYNC = 0.5  # s between two times that the file is given to the disk
+SYNC = 0.5  # s between two flushes to the disk
 
 Message = tuple[str, int, "list[bytes | memoryview]"]  # topic, stamp in ns, parts
 
 
 def make_room(path: Path) -> Path | None:
-    """Make room for a recording: that of a finished run is removed with its run.json, any other one is renamed.
+    """Make room for a recording: delete a finished run's recording and run.json, and rename any other recording.
 
-    So a `run.json` never stands beside the recording of a later run that did not end.
+    So a run.json never lies next to the recording of a later run that did not finish.
 
     Returns:
-        the new name of the recording that was kept; None: there was none.
+        the new path of the recording that was kept; None: no recording was kept.
 
     Raises:
-        OutputError: it can neither be removed nor renamed.
+        OutputError: the old recording can neither be removed nor renamed.
     """
     try:
         if is_run(path.parent):
@@ -76,16 +76,16 @@ def make_room(path: Path) -> Path | None:
 
 
 class Recorder:
-    """Writes one recording.
+    """Writer of one recording.
 
     Raises:
-        OutputError: the file cannot be made.
+        OutputError: the file cannot be created.
     """
 
     def __init__(self, path: Path, head: FlightHead, waiting_mb: float = 256) -> None:
         self.path = path
-        self.lost: Counter[str] = Counter()  # messages by reason
-        self._room, self._most = 0, waiting_mb * 1_000_000  # bytes that wait
+        self.lost: Counter[str] = Counter()  # number of messages by reason
+        self._room, self._most = 0, waiting_mb * 1_000_000  # bytes in the queue
         self._waiting, self._changed = deque[Message](), threading.Condition()
         self._closed, self._broken = False, ""
         try:
@@ -112,21 +112,21 @@ class Recorder:
     # -- called by a live run (`alight.flight.live.Diary`)
 
     def event(self, event: Event) -> None:
-        """Record an event as it came in."""
+        """Record an event of a sensor, stamped by its own time."""
         topic, parts = pack(event)
         self.put(topic, event.t_ns, parts)
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        """Record that a lane used an exposure; for a judged map, also the place that it shows."""
+        """Record that a lane used an exposure: `kind` of work, `value`, and the position `about` of a judged map."""
         tree = {"kind": kind, "t_ns": t_ns, "value": value, "about": about}
         self._put_json(SCHEDULE, t_ns, tree)
 
     def note(self, lane: str, words: str) -> None:
-        """Record a note on a lane, in words."""
+        """Record a note about a lane, as text."""
         self._put_json(NOTES, 0, {"lane": lane, "note": words})
 
     def motion(self, motion: Motion) -> None:
-        """Record a motion."""
+        """Record an estimated motion."""
         body = motion.world_from_body
         tree = {
             "t_ns": motion.t_ns, "position": body.translation.tolist(), "rotation": body.rotation.tolist(),
@@ -143,7 +143,7 @@ class Recorder:
         self._put_json(SITES, t_ns, tree)
 
     def telemetry(self, t_ns: int, report: Telemetry) -> None:
-        """Record a report of the autopilot."""
+        """Record a telemetry report of the autopilot."""
         place, gps = report.place, report.gps
         tree = {
             "t_ns": t_ns, "mode": report.mode_name, "armed": report.armed, "landed": report.landed.name,
@@ -155,7 +155,7 @@ class Recorder:
         self._put_json(TELEMETRY, t_ns, plain(tree))
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """Record an order to the vehicle, in words."""
+        """Record an order to the vehicle, as text, with the state of the flight."""
         self._put_json(ORDERS, t_ns, {"t_ns": t_ns, "state": state, "order": words})
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
@@ -164,18 +164,18 @@ class Recorder:
 
     @property
     def behind(self) -> float:
-        """MB that wait for the disk."""
+        """Queued data that is not yet written, MB."""
         return self._room * 1e-6
 
     @property
     def warnings(self) -> list[str]:
-        """Warning of messages that are missing in the recording, with the reasons; empty: none is missing."""
+        """Warning about messages missing from the recording, with the reasons; empty if no message is missing."""
         total = sum(self.lost.values())
         why = ", ".join(f"{n} because {reason}" for reason, n in self.lost.items())
         return [f"recording: {total} messages are missing ({why}); a replay gives other results"] if total else []
 
     def close(self) -> None:
-        """Write the waiting messages and end the file; a second call has no effect."""
+        """Write the queued messages and close the file; a second call has no effect."""
         with self._changed:
             if self._closed:
                 return
@@ -197,7 +197,7 @@ class Recorder:
     # -- the thread
 
     def put(self, topic: str, t_ns: int, parts: list[bytes | memoryview]) -> None:
-        """Queue a message of a topic, in parts, for the thread that writes."""
+        """Queue a message of a topic, as parts of bytes, for the thread that writes."""
         size = sum(len(p) for p in parts)
         with self._changed:
             if self._broken:
@@ -225,7 +225,7 @@ class Recorder:
             try:
                 if message is not None:
                     topic, t_ns, parts = message
-                    stamp = min(max(t_ns, 0), 2**63 - 1)  # MCAP's are unsigned; the message has its own
+                    stamp = min(max(t_ns, 0), 2**63 - 1)  # stamps of MCAP are unsigned; the message has its own
                     self._writer.add_message(self._channels[topic], time.time_ns(), b"".join(parts), stamp, number)
                     number += 1
                 if time.monotonic() - synced > SYNC:

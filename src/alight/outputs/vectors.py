@@ -1,4 +1,4 @@
-"""Sites and route as GeoJSON (RFC 7946); the estimated body poses as TUM text for `evo`, and as a table."""
+"""Sites and route as GeoJSON (RFC 7946); estimated body poses as TUM text for `evo`, and as CSV."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ COLUMNS = (
     "t_ns,east_m,north_m,up_m,q_w,q_x,q_y,q_z,v_e,v_n,v_u,"
     "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,state,tracks"
 )
-UNENCODABLE = "backslashreplace"  # of names of files that are no UTF-8: `\\udcff`, which JSON reads as well
+UNENCODABLE = "backslashreplace"  # for file names that are not UTF-8: `\\udcff`, which JSON can read
 
 
 def number(value: float, decimals: int) -> float | None:
-    """A number for JSON: rounded, and null where it is unknown."""
+    """Return a rounded number for JSON; None if it is not finite."""
     return round(float(value), decimals) if math.isfinite(value) else None
 
 
 def degrees(angle: float, decimals: int = 2) -> float | None:
-    """Radians as degrees for people."""
+    """Return an angle in radians as rounded degrees; None if it is not finite."""
     return number(math.degrees(angle), decimals)
 
 
 def heading_degrees(heading: float) -> float | None:
-    """A heading in radians as degrees from 0 to below 360."""
+    """Return a heading in radians as degrees in [0, 360); None if it is not finite."""
     return number(math.degrees(heading) % 360.0, 1) if math.isfinite(heading) else None
 
 
 def lon_lat_height(local: LocalFrame, east: float, north: float, up: float) -> list[float]:
-    """A position in GeoJSON's order: degrees to 0.1 mm, metres above the ellipsoid to 1 mm."""
+    """Return a world position in GeoJSON's order: longitude, latitude (degrees), height above the ellipsoid (m)."""
     latitude, longitude, height = local.to_geodetic([east, north, up])
     return [round(float(longitude), 9), round(float(latitude), 9), round(float(height), 3)]
 
 
 def site_properties(site: Site, look: Sequence[float | None] | None = None) -> dict[str, Any]:
-    """The properties of one place, named as in `formats/outputs`; `look`: place of a candidate's view, in any frame."""
+    """Return properties of a site or candidate, as in docs/formats/outputs.md; `look`: position of its next view."""
     look_from = None if site.look is None else number(site.look.height, 2)
     of_candidates = {"doubt": site.doubt, "look": look, "look_from_m": look_from}
     return {
@@ -68,14 +68,14 @@ def site_properties(site: Site, look: Sequence[float | None] | None = None) -> d
 
 
 def _in_metres(site: Site) -> dict[str, Any]:
-    """The properties of one place, with its height and the view of a candidate in metres from the origin."""
+    """Return the properties of a site or candidate, with its height and next view in metres from the origin."""
     v = site.look
     look = None if v is None else [number(x, 3) for x in (v.east, v.north, v.up)]
     return site_properties(site, look) | {"up_m": number(site.up, 3)}
 
 
 def answer_json(sites: Sites) -> dict[str, Any]:
-    """The answer of run.json: numbers of sites and candidates, their properties, and the reason."""
+    """Return the answer of run.json: numbers of sites and candidates, their properties, and the reason."""
     return {
         "counts": {"sites": len(sites.sites), "candidates": len(sites.candidates)},
         "sites": [_in_metres(s) for s in sites.sites],
@@ -85,15 +85,16 @@ def answer_json(sites: Sites) -> dict[str, Any]:
 
 
 def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
-    """One feature of GeoJSON."""
+    """Return one GeoJSON feature."""
     place = {"type": geometry, "coordinates": coordinates}
     return {"type": "Feature", "geometry": place, "properties": properties}
 
 
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
-    """The sites, then the candidates, in order of rank; without a site, the `reason`.
+    """Return sites and candidates in order of rank, as GeoJSON; if there is no site, it contains the reason.
 
-    `covariance`: (3, 3) m^2, of the whole map's place on Earth: 1-sigma in the worst direction, and up; None: unknown.
+    Args:
+        covariance: (3, 3) m^2, east, north, up, of the whole map's position on Earth; None: unknown.
     """
 
     def place(of: Site | NextView) -> list[float]:
@@ -110,7 +111,7 @@ def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None
 
 
 def collection(features: list[dict[str, Any]], sites: Sites) -> dict[str, Any]:
-    """GeoJSON of the places; without a site, with the reason."""
+    """Return a GeoJSON collection of features; if there is no site, it contains the reason."""
     none = {} if sites.sites else {"reason": sites.reason or "no site was found"}
     return {"type": "FeatureCollection", "features": features, **none}
 
@@ -126,7 +127,7 @@ def _waypoint_properties(w: Waypoint) -> dict[str, Any]:
 
 
 def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
-    """The route as one line with a time and speed for each vertex, then each way-point as a point."""
+    """Return the route as GeoJSON: one line with the time and speed of each vertex, then a point for each way-point."""
     positions = [lon_lat_height(local, *w.position_world) for w in route.waypoints]
     properties = [_waypoint_properties(w) for w in route.waypoints]
     line = {
@@ -139,7 +140,7 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
 
 
 def plain(thing: Any) -> Any:
-    """Convert numbers, words, lists, mappings and arrays to types of JSON; a number that is not finite becomes null."""
+    """Convert numbers, strings, lists, mappings and arrays to JSON types; a number that is not finite becomes None."""
     if isinstance(thing, Mapping):
         return {str(k): plain(v) for k, v in thing.items()}
     if isinstance(thing, (list, tuple, np.ndarray)):
@@ -152,19 +153,19 @@ def plain(thing: Any) -> Any:
 
 
 def json_bytes(tree: Any) -> bytes:
-    """JSON that every reader accepts: UTF-8, no NaN, a new line at the end."""
+    """Return strict JSON: UTF-8, without NaN, with a newline at the end."""
     text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", UNENCODABLE)
 
 
 def tum_time(t_ns: int) -> str:
-    """Seconds with all nine decimals; a float would round them away."""
+    """Return nanoseconds as text in seconds with nine decimals, which a float would lose."""
     sign, t = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
     return f"{sign}{t // 10**9}.{t % 10**9:09d}"
 
 
 def tum(motions: Sequence[Motion]) -> bytes:
-    """One line a pose: t tx ty tz qx qy qz qw; world_from_body, seconds, ENU metres."""
+    """Return poses as TUM text, one line per pose: t tx ty tz qx qy qz qw of world_from_body, s and ENU metres."""
     lines = ["# timestamp[s] tx ty tz[m, ENU] qx qy qz qw (world from body)"]
     for m in motions:
         w, x, y, z = m.world_from_body.quaternion
@@ -174,7 +175,7 @@ def tum(motions: Sequence[Motion]) -> bytes:
 
 
 def attitude_sigma(m: Motion) -> F64:
-    """1-sigma of roll, pitch, yaw, (3,) rad: root diagonal of the attitude's covariance in body axes."""
+    """Return 1-sigma of roll, pitch, yaw, (3,) rad: square roots of the covariance's diagonal in body axes."""
     R = m.world_from_body.rotation
     return np.sqrt(np.diag(R.T @ m.covariance[3:, 3:] @ R))
 
@@ -201,5 +202,5 @@ def _row(m: Motion) -> str:
 
 
 def csv(motions: Sequence[Motion]) -> bytes:
-    """One row a pose, SI and radians; an empty field is unknown."""
+    """Return motions as CSV, one row per pose, in SI units and radians; an empty field is unknown."""
     return ("\n".join([COLUMNS, *map(_row, motions)]) + "\n").encode()

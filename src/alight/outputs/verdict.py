@@ -1,4 +1,4 @@
-"""The folder of `alight hazards`: the judgement of a height raster, on that raster's own grid and coordinates."""
+"""The folder of `alight hazards`: the judgement of a height raster, on the raster's own grid and coordinates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _heights(e: ElevationMap) -> rasters.RasterFile:
 
 
 def _places(sites: Sites, plane: RasterPlane | None) -> list[list[float]] | None:
-    """Longitude, latitude (degrees) and height (m) of every place; None where the raster has no place on Earth."""
+    """Return longitude, latitude (degrees) and height (m) of each listed place; None if they are unknown."""
     if plane is None or not plane.reference.on_earth:
         return None
     x, y = [[plane.in_crs(s.east, s.north)[axis] for s in sites.listed] for axis in (0, 1)]
@@ -43,7 +43,7 @@ def _places(sites: Sites, plane: RasterPlane | None) -> list[list[float]] | None
 
 
 def verdict_geojson(sites: Sites, plane: RasterPlane | None) -> dict[str, Any] | None:
-    """Sites and candidates in order of rank, as GeoJSON; None where their place on Earth is unknown."""
+    """Return sites and candidates in order of rank, as GeoJSON; None if their positions on Earth are unknown."""
     places = _places(sites, plane)
     if places is None and sites.listed:
         return None
@@ -73,7 +73,7 @@ def _summary(result: RunResult, plane: RasterPlane | None, missing: Mapping[str,
 
 
 def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> Contents:
-    """Every file but run.json, in the order of writing, or the reason why it is not written."""
+    """Return every file but run.json, in the order of writing, or the reason why it is not written."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
@@ -102,9 +102,9 @@ def write_judgement(
     sharpened: bool,
     inputs: Sequence[Path] = (),
 ) -> list[Path]:
-    """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json, each whole or not at all.
+    """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json; return the paths written.
 
-    `heights.tif` is added where an image made the heights finer. See `folder.write_folder`.
+    `heights.tif` is added if an image made the heights finer (`sharpened`). See `folder.write_folder` for errors.
     """
     contents = _contents(result, plane, sharpened)
     return write_folder(contents, lambda missing: _summary(result, plane, missing), out, overwrite, inputs)

@@ -1,4 +1,4 @@
-"""The page a person opens first: the answer, the pictures, the numbers, the warnings. Self-contained, no script."""
+"""The report of a run as one HTML page without scripts: answer, pictures, numbers, warnings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ TEMPLATES = jinja2.Environment(
 
 
 def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
-    """The overview, the pictures beside it and the pictures below."""
     elevation = result.elevation
     places = [(s.east, s.north) for s in result.sites.listed]
     window = canvas.whole(elevation, places) if elevation is not None else None
@@ -32,13 +31,13 @@ def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figu
         return None, [], []
     overview, closeups = figures.overview(result, elevation, window), figures.closeups(result, elevation)
     below = maps.all_maps(result, elevation, window)
-    if not closeups and result.hazards is not None:  # no place: the reasons are the answer
+    if not closeups and result.hazards is not None:  # without a listed place, the reasons are the answer
         return overview, below[:1], below[1:]
     return overview, closeups, below
 
 
 def render(result: RunResult) -> str:
-    """Return one run as a single HTML page with its pictures inside; it needs neither network nor script."""
+    """Return the report of a run as one HTML page with embedded pictures; it needs neither network nor script."""
     overview, beside, below = _pictures(result)
     return TEMPLATES.get_template("page.html.j2").render(
         version=__version__,

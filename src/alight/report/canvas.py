@@ -1,4 +1,4 @@
-"""The part of the map that a picture shows: crop, size on the page, world to page, and the picture's bytes."""
+"""The part of the map that a picture shows: its crop, size and coordinates on the page, and its encoding."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from alight.arrays import U8
 from alight.geometry import Grid
 from alight.records import ElevationMap
 
-WIDTH = 1000.0  # of every picture, in page units; heights follow
+WIDTH = 1000.0  # width of every picture, page units; the height follows from the crop
 SHORTEST, TALLEST = 0.35, 1.6  # height over width of a picture; the crop grows to fit
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """A window of the map's cells, shown `WIDTH` units wide. Cells outside the map are transparent."""
+    """A window of the map's cells, shown `WIDTH` page units wide. Cells outside the map are transparent."""
 
-    grid: Grid  # of the window
+    grid: Grid  # grid of the window
     row: int  # of the window's first cell in the map, may be negative
     col: int
 
@@ -34,17 +34,17 @@ class Canvas:
 
     @property
     def per_metre(self) -> float:
-        """Page units a metre."""
+        """Page units per metre."""
         return WIDTH / (self.grid.cols * self.grid.cell)
 
     def xy(self, east: float, north: float) -> tuple[float, float]:
-        """Page units of a position in the world, metres."""
+        """Convert a position in the world, metres, to a position in the picture, page units."""
         row, col = self.grid.index(np.asarray(east), np.asarray(north))
         unit = WIDTH / self.grid.cols
         return round(float(col + 0.5) * unit, 2), round(float(row + 0.5) * unit, 2)
 
     def cut(self, array: NDArray[Any]) -> NDArray[Any]:
-        """The window of a map array, zeros outside the map."""
+        """Return the part of a map array (R, C, ...) in this window, zero outside the map."""
         out = np.zeros((*self.grid.shape, *array.shape[2:]), array.dtype)
         r0, c0 = max(self.row, 0), max(self.col, 0)
         r1, c1 = min(self.row + self.grid.rows, array.shape[0]), min(self.col + self.grid.cols, array.shape[1])
@@ -53,12 +53,12 @@ class Canvas:
         return out
 
     def uri(self, rgba: U8) -> str:
-        """A full-map RGBA picture as the data of this window's image, no larger than a page needs."""
+        """Return the part of a full-map RGBA picture in this window as a data URI, shrunk to page size."""
         return embedded(webp(shrink(self.cut(rgba))))
 
 
 def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -> Canvas | None:
-    """The canvas of all cells seen, thin fringes left out, and of every place; None if no cell was seen."""
+    """Return the canvas of all seen cells without thin fringes, and of the places; None: no cell was seen."""
     seen = elevation.views > 0
     if not seen.any():
         return None
@@ -70,12 +70,12 @@ def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -
 
 
 def _thick(count: NDArray[Any]) -> NDArray[np.int64]:
-    """Rows (or columns) that hold more than stray cells."""
+    """Return the indices of the rows (or columns) that contain more than stray cells."""
     return np.flatnonzero(count > 0.03 * count.max())
 
 
 def about(grid: Grid, east: float, north: float, radius: float) -> Canvas:
-    """The square canvas that shows `radius` metres about a place."""
+    """Return the square canvas that shows `radius` metres around a world position (metres)."""
     row, col = (round(float(v)) for v in grid.index(np.asarray(east), np.asarray(north)))
     n = max(4, round(radius / grid.cell))
     return _canvas(grid, row - n, col - n, 2 * n + 1, 2 * n + 1)
@@ -88,7 +88,7 @@ def _canvas(grid: Grid, row: int, col: int, rows: int, cols: int) -> Canvas:
 
 
 def shrink(rgba: U8, longest: int = 1400) -> U8:
-    """Make a picture small enough for a page, averaging by area with its transparency."""
+    """Return an RGBA picture reduced to at most `longest` pixels per side, as an area mean weighted by opacity."""
     scale = longest / max(rgba.shape[:2])
     if scale >= 1:
         return rgba
@@ -101,12 +101,12 @@ def shrink(rgba: U8, longest: int = 1400) -> U8:
 
 
 def webp(picture: U8) -> bytes:
-    """A picture (R, C, 3) RGB or (R, C, 4) RGBA as a file."""
+    """Return a picture (R, C, 3) RGB or (R, C, 4) RGBA encoded as WebP."""
     swapped = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
     _, data = cv2.imencode(".webp", cv2.cvtColor(picture, swapped), [cv2.IMWRITE_WEBP_QUALITY, 84])
     return data.tobytes()
 
 
 def embedded(file: bytes) -> str:
-    """A picture's file as text to embed."""
+    """Return a WebP file as a data URI."""
     return "data:image/webp;base64," + base64.b64encode(file).decode()

@@ -1,4 +1,4 @@
-"""The words and numbers of the page: the answer, the sites, the run, the times."""
+"""Text and numbers of the report: the answer, the sites, the run, the times."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from alight.report import words
 
 @dataclass(frozen=True)
 class Answer:
-    """The first thing on the page."""
+    """The answer at the top of the page."""
 
     kind: Literal["site", "candidate", "none"]
     headline: str
     detail: str
-    reason: str = ""  # why there is no site, beside candidates
+    reason: str = ""  # why there is no site, if there are candidates
     link: str = ""
     chips: Sequence[tuple[str, str]] = ()  # label, value
-    factors: str = ""  # of P(safe), in words
+    factors: str = ""  # factors of P(safe), as text
     cautions: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
 class Row:
-    """One place in a table: its numbers, and below them a note."""
+    """One site or candidate in a table: its cells, and a note below them."""
 
     cells: Sequence[str]
     note: str
@@ -37,7 +37,7 @@ class Row:
 
 @dataclass(frozen=True)
 class PlaceTable:
-    """Places of one kind."""
+    """Table of sites or of candidates."""
 
     title: str
     kind: Kind
@@ -46,7 +46,7 @@ class PlaceTable:
 
 
 def answer(result: RunResult) -> Answer:
-    """The answer in one sentence: the site, or the candidates, or the reason why there is neither."""
+    """Return the answer: the best site, else the candidates, else the reason why there are neither."""
     if result.sites.sites:
         return _land(result, result.sites.sites[0])
     if result.sites.candidates:
@@ -55,7 +55,6 @@ def answer(result: RunResult) -> Answer:
 
 
 def _reason(result: RunResult) -> str:
-    """Reason why there is no site, as a sentence."""
     reason = result.sites.reason.removeprefix("no safe site: ") or "no reason was given"
     return reason[:1].upper() + reason[1:].rstrip(".") + "."
 
@@ -95,14 +94,13 @@ NO_CLEARANCE = (
 
 
 def _place_sigma(result: RunResult) -> PlaceSigma | None:
-    """Accuracy of the whole map's place on Earth; None: unknown."""
     if not result.georeferenced or result.elevation is None or result.elevation.position_covariance is None:
         return None
     return PlaceSigma.of(result.elevation.position_covariance)
 
 
 def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
-    """Sentences to read before anyone flies to the place."""
+    """Return the sentences to read before anyone flies to the site."""
     place = _place_sigma(result)
     if place is None or 2.0 * place.horizontal <= site.clearance:
         return (NO_CLEARANCE,)
@@ -114,7 +112,7 @@ def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
 
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
-    """The numbers of the first place with their limits, and both accuracies."""
+    """Return the numbers of a site or candidate as (label, value), with limits and both accuracies."""
     lander, sigma = result.settings.lander, _place_sigma(result)
     place = words.UNKNOWN if sigma is None else "± {} across, ± {} up".format(*map(words.metres, sigma))
     look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []
@@ -132,7 +130,7 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
 
 
 def warnings(result: RunResult) -> list[str]:
-    """Warnings of the run, each once."""
+    """Return the warnings of the run and its route, each once."""
     return list(dict.fromkeys([*result.warnings, *(result.route.warnings if result.route else ())]))
 
 
@@ -164,7 +162,7 @@ def _row(result: RunResult, s: Site) -> Row:
 
 
 def place_tables(result: RunResult) -> list[PlaceTable]:
-    """Sites and candidates as text, in order of rank."""
+    """Return the tables of sites and candidates, in order of rank; empty tables are omitted."""
     sites, candidates = ([_row(result, s) for s in part] for part in (result.sites.sites, result.sites.candidates))
     found = (
         PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites),
@@ -191,7 +189,7 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
 
 
 def diary_rows(result: RunResult) -> list[tuple[str, str, str]]:
-    """Diary of a landing that was flown: second, event, reason."""
+    """Return the diary of a flown landing as rows (time, event, reason); empty without a landing."""
     if result.diary is None:
         return []
     rows = []
@@ -203,7 +201,7 @@ def diary_rows(result: RunResult) -> list[tuple[str, str, str]]:
 
 
 def run_facts(result: RunResult) -> list[tuple[str, str]]:
-    """Facts about the input and its use."""
+    """Return facts about the input and the map as (name, value)."""
     facts = [("input", f"{result.source_name} ({result.source_kind})")]
     facts += [(name, f"{n:,}") for name, n in result.counts.items()]
     if result.height_above_ground is not None:
@@ -215,12 +213,12 @@ def run_facts(result: RunResult) -> list[tuple[str, str]]:
 
 
 def details(result: RunResult) -> list[tuple[str, str]]:
-    """The notes that are no text, such as numbers, for the details of the page."""
+    """Return the notes that are not text, such as numbers, as (name, value) for the details of the page."""
     return [(words.name(k), words.value(v)) for k, v in result.notes.items() if not isinstance(v, str)]
 
 
 def times(timings: Mapping[str, Sequence[float]]) -> list[tuple[str, int, str, str, str, float]]:
-    """Stage, steps, median, 95th percentile, total, and share of all in percent, in the order of the run."""
+    """Return one row per stage: name, steps, median, 95th percentile, total, and share of the whole time in percent."""
     everything = sum(sum(steps) for steps in timings.values()) or 1.0
     found = []
     for stage, steps in timings.items():

@@ -1,4 +1,4 @@
-"""Pictures of the page: their record, the ground from above, and the best site from near."""
+"""Figures of the report: their records, the ground from above, and close-ups of the first place."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour ramp with its ends."""
+    """A colour ramp with the texts at its ends and middle."""
 
     colours: Sequence[str]
     low: str
@@ -45,8 +45,8 @@ class Mark:
 
     x: float
     y: float
-    r: float  # footprint
-    room: float  # largest safe disc
+    r: float  # radius of the footprint
+    room: float  # radius of the largest safe disc
     rank: int
     place: str
     kind: Kind
@@ -64,24 +64,24 @@ class Bar:
 
 @dataclass(frozen=True)
 class Figure:
-    """One picture with all that belongs to it."""
+    """One picture with its title, marks, legend and caption."""
 
     title: str
     alt: str
     uri: str
-    height: float  # page units, of 1000 across
+    height: float  # page units, for a width of 1000
     marks: Sequence[Mark] = ()
     bar: Bar | None = None
     caption: str = ""
     keys: Sequence[Key] = ()
     scale: Scale | None = None
     flown: str = ""  # SVG points of the flight path
-    route: str = ""  # SVG points of the way to the site
+    route: str = ""  # SVG points of the route
     classes: Sequence[str] = ()
 
 
 def scale_bar(c: Canvas, share: float = 0.22) -> Bar:
-    """The longest of 1, 2, 5 times a power of ten that is at most `share` of the picture."""
+    """Return the longest scale bar of 1, 2 or 5 times a power of ten that is at most `share` of the width."""
     longest = share * canvas.WIDTH / c.per_metre
     power = 10.0 ** math.floor(math.log10(longest))
     length = power * max(m for m in (1, 2, 5) if m * power <= longest)
@@ -89,7 +89,7 @@ def scale_bar(c: Canvas, share: float = 0.22) -> Bar:
 
 
 def marks(result: RunResult, c: Canvas) -> list[Mark]:
-    """The listed places on a picture, the best one last so that it lies on top."""
+    """Return the marks of sites and candidates on a picture; the best one is last, so that it is drawn on top."""
     radius = result.settings.lander.radius * c.per_metre
     out = []
     for s in result.sites.listed:
@@ -103,7 +103,7 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
 
 
 def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
-    """Put each number beside its disc, where it hides least of other discs and numbers; the best site chooses first."""
+    """Place each number beside its disc where it overlaps other marks least; the best site chooses first."""
     numbers: list[tuple[float, float, float]] = []
     out = []
     for m in found:
@@ -116,7 +116,7 @@ def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
 
 
 def _hidden(x: float, y: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
-    """Cost of a number at (x, y): its overlap with other marks, and its length outside the picture."""
+    """Return the cost of a number at (x, y): its overlap with other marks and with the outside of the picture."""
     outside = sum(max(BADGE - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
     return 4 * outside + sum(max(r + BADGE - math.hypot(x - a, y - b), 0.0) for a, b, r in others)
 
@@ -126,7 +126,6 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
 
 
 def _explain(result: RunResult) -> list[str]:
-    """Sentences for the marks that are drawn on the overview, and for no others."""
     lines = []
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
@@ -139,7 +138,7 @@ def _explain(result: RunResult) -> list[str]:
 
 
 def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
-    """Orthophoto with sites, flight path and route."""
+    """Return the orthophoto with sites, candidates, flight path and route."""
     sites, candidates = len(result.sites.sites), len(result.sites.candidates)
     shown = f"{words.counted(sites, 'numbered landing site')} and {words.counted(candidates, 'candidate')}"
     return Figure(
@@ -157,7 +156,7 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
-    """The first place from near: photo and relief, so that a person can check with the eye."""
+    """Return close-ups of the first site or candidate: photo and relief, for a check by eye."""
     if not result.sites.listed:
         return []
     best = result.sites.listed[0]

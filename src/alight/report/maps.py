@@ -1,4 +1,4 @@
-"""The maps behind the answer: reasons, P(safe), heights, sigma, land cover, missing heights; the film of the looks."""
+"""The maps of the report: reasons, P(safe), heights, sigma, land cover, missing heights; and pictures of the looks."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def _coded_figure(
     texts: tuple[str, str, str], index: NDArray[Any], legend: Sequence[tuple[str, str]], none: Key,
     elevation: ElevationMap, c: Canvas,
 ) -> Figure:  # fmt: skip
-    """Map with one colour a kind, and the share of each kind in the ground seen.
+    """Return a map with one colour per class, and the share of each class in the seen ground.
 
     Args:
         texts: title, alternative text, caption.
-        index: (R, C) of the kind in the legend, -1: none.
-        legend: label and colour of each kind.
-        none: key of no kind; of the colour `ground`, the ground is left as it is.
+        index: (R, C) class of each cell as index into `legend`, -1: no class.
+        legend: label and colour of each class.
+        none: label and colour of cells without a class; with the colour "ground" these cells are not painted.
     """
     seen = elevation.views > 0
     counts = np.bincount(index[seen].astype(np.int64) + 1, minlength=len(legend) + 1)
@@ -48,7 +48,7 @@ def _coded_figure(
 
 
 def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
-    """Map of the reasons of refusal, one colour a reason."""
+    """Return the map of the reasons of refusal, one colour per reason."""
     texts = (
         "Where a landing is refused, and why", "Map of the ground in one colour per reason of refusal",
         "The first reason against a touchdown centred there; shares are of the ground seen.",
@@ -58,7 +58,7 @@ def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Fi
 
 
 def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
-    """Map of the probability of a safe touchdown."""
+    """Return the map of P(safe)."""
     return Figure(
         title="Probability of a safe touchdown",
         alt="Map of the probability that a touchdown is safe",
@@ -72,7 +72,7 @@ def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
 
 
 def heights_figure(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
-    """Map of the heights, hillshaded."""
+    """Return the map of the heights with hill shading."""
     low, high = paint.span(elevation.height[elevation.trusted], 1, 96)  # objects on the ground may saturate
     up = result.local.height if result.georeferenced else 0.0
     reference = "above the WGS84 ellipsoid" if result.georeferenced else "above the origin"
@@ -88,7 +88,7 @@ def heights_figure(result: RunResult, elevation: ElevationMap, c: Canvas) -> Fig
 
 
 def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
-    """Map of the 1-sigma of the heights."""
+    """Return the map of the 1-sigma of the heights."""
     high = paint.span(elevation.sigma[elevation.trusted], 0, 98)[1]
     return Figure(
         title="How sure the heights are",
@@ -101,7 +101,7 @@ def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> Figure:
-    """Map of the land cover."""
+    """Return the map of the land cover."""
     texts = "Kind of ground", "Map of what covers the ground", "A veto beside the heights, never a licence to land."
     index = np.full(256, -1, np.int8)
     index[[t.value for t in paint.TERRAIN_COLOURS]] = np.arange(len(paint.TERRAIN_COLOURS))
@@ -113,7 +113,7 @@ def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> F
 
 
 def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
-    """Map of the reasons why heights are missing."""
+    """Return the map of the reasons why heights are missing."""
     texts = (
         "Where heights are missing, and why", "Map of the reasons why heights are missing or doubtful",
         "The first reason that holds; shares are of the ground seen.",
@@ -123,7 +123,7 @@ def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
-    """Every map below the answer, in the order of a reader's questions."""
+    """Return all maps below the answer, in the order of a reader's questions."""
     figures = []
     if (hazards := result.hazards_as_mapped) is not None:
         figures += [reasons_figure(hazards, elevation, c), p_safe_figure(hazards, c)]
@@ -136,7 +136,7 @@ def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figu
 
 
 def film(result: RunResult) -> list[Figure]:
-    """One picture a look, in order of time: above the photo, below P(safe), with the footprint at the place."""
+    """Return one picture per look, in order of time: photo above, P(safe) below, with the footprint at the site."""
     if result.diary is None:
         return []
     return [_frame(k, p, result) for k, p in enumerate(result.diary.pictures, 1)]
@@ -161,7 +161,7 @@ def _frame(number: int, p: LookPicture, result: RunResult) -> Figure:
 
 
 def _with_footprint(picture: U8, radius: float) -> U8:
-    """The circle of the footprint about the middle, radius in pixels."""
+    """Return a picture with the circle of the footprint about its centre; `radius` is in pixels."""
     out, middle = picture.copy(), (picture.shape[1] // 2, picture.shape[0] // 2)
     cv2.circle(out, middle, round(radius), (16, 21, 27, 255), 3, cv2.LINE_AA)
     cv2.circle(out, middle, round(radius), (255, 255, 255, 255), 1, cv2.LINE_AA)

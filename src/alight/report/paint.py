@@ -1,4 +1,4 @@
-"""Maps as pictures: RGBA of the whole grid, transparent where there is nothing to show."""
+"""Maps painted as RGBA pictures of the whole grid, transparent where there is nothing to show."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ SAFE_RAMP: Ramp = ("#7d3c05", "#c58a3d", "#f2e3bd", "#7cc4b4", "#02655c")
 
 
 class Reason(NamedTuple):
-    """A reason against a touchdown, or one why a height is missing, on a map."""
+    """Legend text and colour of a reason against a touchdown, or for a missing height."""
 
     text: str
     colour: str
 
 
 SAFE_COLOUR = "#12a37a"
-HAZARDS: Mapping[Hazard, Reason] = {  # in order of precedence: the first that holds is shown
+HAZARDS: Mapping[Hazard, Reason] = {  # in order of precedence: the first reason that holds is shown
     Hazard.TERRAIN: Reason("wrong kind of ground", "#2878b5"),
     Hazard.STEP: Reason("a step", "#d1495b"),
     Hazard.SLOPE: Reason("too steep", "#ed8b2f"),
@@ -66,13 +66,13 @@ TERRAIN_COLOURS: Mapping[Terrain, str] = {
 
 
 def rgb(colour: str) -> Colour:
-    """`#rrggbb` as three numbers."""
+    """Return `#rrggbb` as red, green, blue, 0 to 255."""
     r, g, b = bytes.fromhex(colour.lstrip("#"))
     return r, g, b
 
 
 def colour_ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) -> NDArray[np.float32]:
-    """Colours (..., 3) of values between low and high; NaN takes the lowest."""
+    """Return colours (..., 3), 0 to 255, of values between `low` and `high` on a ramp; NaN takes the lowest."""
     anchors = np.array([rgb(c) for c in colours], dtype=np.float32)
     t = np.nan_to_num((values - low) / max(high - low, 1e-9)).clip(0, 1) * (len(anchors) - 1)
     at, out = np.arange(len(anchors)), np.empty((*t.shape, 3), np.float32)
@@ -82,8 +82,8 @@ def colour_ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) ->
 
 
 def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
-    """Picture of colours (R, C, 3), transparent where not `shown` (R, C)."""
-    out = np.empty((*shown.shape, 4), np.uint8)  # one after the other: maps have millions of cells
+    """Return an RGBA picture of colours (R, C, 3), transparent where the mask `shown` (R, C) is false."""
+    out = np.empty((*shown.shape, 4), np.uint8)  # one channel at a time: maps have millions of cells
     for k in range(3):
         out[..., k] = np.clip(colours[..., k], 0, 255)
     out[..., 3] = np.where(shown, np.uint8(255), np.uint8(0))
@@ -91,7 +91,7 @@ def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
 
 
 def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
-    """The range of a colour scale: percentiles, so that one outlier does not flatten the picture."""
+    """Return the range of a colour scale: percentiles `low` and `high`, so that outliers do not flatten the picture."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
@@ -100,31 +100,31 @@ def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[fl
 
 
 def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.float32]:
-    """Light from the north-west at 45 degrees on the relief, (R, C), about 0.4 to 1.15; 1 on the flat."""
-    smooth = weighted_gaussian(height, known.astype(np.float32), 1.2).mean  # else noise of centimetres drowns it
+    """Return the light from the north-west at 45 degrees on the relief, (R, C), 0.45 to 1.17; 1 on level ground."""
+    smooth = weighted_gaussian(height, known.astype(np.float32), 1.2).mean  # noise of centimetres would hide the relief
     down, right = gradient(smooth, cell)
-    nx, ny = -right, down  # east, north parts of the upward normal
+    nx, ny = -right, down  # east and north components of the upward normal
     light = (-nx + ny + np.sqrt(2.0)) / np.sqrt(2.0 * (1 + nx**2 + ny**2))
     edge = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
     return np.where(edge, 1.0, 0.45 + 0.55 * np.clip(light, 0, 1.3)).astype(np.float32)
 
 
 def paint_heights(elevation: ElevationMap, low: float, high: float) -> U8:
-    """Heights by colour and light."""
+    """Return the heights as an RGBA picture, coloured between `low` and `high` (metres) and hill-shaded."""
     known = elevation.trusted
     shade = hillshade(elevation.height, known, elevation.grid.cell)
     return rgba(colour_ramp(elevation.height, low, high, HEIGHT_RAMP) * shade[..., None], known)
 
 
 def paint_ortho(elevation: ElevationMap) -> U8:
-    """The orthophoto as an image."""
+    """Return the orthophoto as an RGBA picture."""
     return rgba(elevation.rgb, elevation.views > 0)
 
 
 def over_ground(
     colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
 ) -> U8:
-    """Colours laid over the grey of the ground where `painted`, so that a person recognises the place."""
+    """Return colours blended by `strength` over the grey ground where `painted` (R, C) is true (None: everywhere)."""
     grey = grey_levels(elevation.rgb).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
     ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)
@@ -136,7 +136,7 @@ def over_ground(
 
 
 def first_reason(bits: NDArray[Any], order: Sequence[int]) -> NDArray[np.int8]:
-    """Index in `order` of the first bit that is set in each cell; -1 where none is."""
+    """Return the index in `order` of the first bit that is set in each cell, (R, C); -1 if no bit is set."""
     first = np.full(bits.shape, -1, np.int8)
     for i, bit in reversed(list(enumerate(order))):
         first[(bits & bits.dtype.type(bit)) != 0] = i

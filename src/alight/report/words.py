@@ -1,4 +1,4 @@
-"""Numbers and names as text for people."""
+"""Numbers and names as text for the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DOUBTS: Mapping[Doubt, str] = {"relief": "relief", "obstacle": "unseen obstacles
 
 
 def metres(value: float) -> str:
-    """4 cm, 32 cm, 6.3 m."""
+    """Return a length as text: 4 cm, 32 cm, 6.3 m."""
     if not math.isfinite(value):
         return UNKNOWN
     if abs(value) < 0.0095:
@@ -24,17 +24,17 @@ def metres(value: float) -> str:
 
 
 def angle(value: float) -> str:
-    """Radians as degrees."""
+    """Return an angle in radians as text in degrees."""
     return f"{math.degrees(value):.1f}°" if math.isfinite(value) else UNKNOWN
 
 
 def bearing(value: float) -> str:
-    """A heading as three figures."""
+    """Return a heading in radians as three figures in degrees."""
     return f"{round(math.degrees(value)) % 360:03d}°" if math.isfinite(value) else UNKNOWN
 
 
 def percent(value: float) -> str:
-    """A share in percent; never rounded up to 100 %, nor down to 0 %."""
+    """Return a share in percent, never rounded up to 100 % nor down to 0 %."""
     if not math.isfinite(value):
         return UNKNOWN
     if 0 < value < 0.0005:
@@ -45,12 +45,12 @@ def percent(value: float) -> str:
 
 
 def chance(probability: float) -> str:
-    """A probability for people: none is ever certain."""
+    """Return a probability in percent, never as 100 %."""
     return "> 99.9 %" if probability > 0.9995 else percent(probability)
 
 
 def seconds(value: float) -> str:
-    """76 µs, 4.2 ms, 1.25 s, 2 min 5 s."""
+    """Return a duration as text: 76 µs, 4.2 ms, 1.25 s, 2 min 5 s."""
     if value < 0.9995e-3:
         return f"{value * 1e6:.0f} µs"
     if value < 0.9995:
@@ -62,14 +62,14 @@ def seconds(value: float) -> str:
 
 
 def probability(p: float) -> str:
-    """0.93, 0.987; never rounded up to 1."""
+    """Return a probability as text: 0.93, 0.987; never rounded up to 1."""
     if not math.isfinite(p):
         return UNKNOWN
     return f"{p:.2f}" if p < 0.985 else p_safe_text(p)
 
 
 def factors(site: Site) -> str:
-    """The factors of P(safe): relief 0.99, unseen obstacles 0.93 (smallest that would be found: 22 cm), ground 0.98."""
+    """Return the factors of P(safe): relief 0.99, unseen obstacles 0.93 (smallest that would be found: 22 cm), ..."""
     smallest = f" (smallest that would be found: {metres(site.resolved)})" if math.isfinite(site.resolved) else ""
     return (
         f"relief {probability(site.p_relief)}, unseen obstacles {probability(site.p_obstacle)}{smallest}, "
@@ -78,23 +78,23 @@ def factors(site: Site) -> str:
 
 
 def doubt(site: Site) -> str:
-    """The factor that limits P(safe)."""
+    """Return the name of the factor that limits P(safe)."""
     return UNKNOWN if site.doubt is None else DOUBTS[site.doubt]
 
 
 def look_from(site: Site) -> str:
-    """Height of the next view, in words: 12 m above it."""
+    """Return the height of the next view as text, such as "12 m above it"."""
     return "no nearer view settles it" if site.look is None else f"{site.look.height:.0f} m above it"
 
 
 def counted(number: int, name: str) -> str:
-    """One candidate, three candidates, 12 candidates; in lower case."""
+    """Return a count with its noun in lower case: one candidate, three candidates, 12 candidates."""
     small = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
     return f"{small[number] if number < len(small) else number} {name}{'s' * (number != 1)}"
 
 
 def place(result: RunResult, at: Site | NextView) -> str:
-    """Position of a site or a view: geographic, or from the origin where the place on Earth is unknown; no height."""
+    """Return the horizontal position of a site or view as text, geographic or relative to the origin."""
     if not result.georeferenced:
         ew, ns = ("east" if at.east >= 0 else "west"), ("north" if at.north >= 0 else "south")
         return f"{abs(at.east):.1f} m {ew}, {abs(at.north):.1f} m {ns} of the origin"
@@ -104,7 +104,7 @@ def place(result: RunResult, at: Site | NextView) -> str:
 
 
 def geo_uri(result: RunResult, site: Site) -> str:
-    """The place as a link that map programs open; empty where the place on Earth is unknown."""
+    """Return the position of a site as a `geo:` link for map programs; empty if its place on Earth is unknown."""
     if not result.georeferenced:
         return ""
     latitude, longitude, _ = result.local.to_geodetic([site.east, site.north, site.up])
@@ -112,12 +112,12 @@ def geo_uri(result: RunResult, site: Site) -> str:
 
 
 def name(key: str) -> str:
-    """`focal_px` as 'focal px'."""
+    """Return a key as words: `focal_px` as 'focal px'."""
     return key.replace("_", " ")
 
 
 def value(thing: object) -> str:
-    """A note's value: four figures, lists with commas, mappings with colons."""
+    """Return a note's value as text: numbers with four figures, lists with commas, mappings with colons."""
     if isinstance(thing, Mapping):
         return ", ".join(f"{k}: {value(v)}" for k, v in thing.items())
     if isinstance(thing, (list, tuple, np.ndarray)):
@@ -130,5 +130,5 @@ def value(thing: object) -> str:
 
 
 def ground(name: str) -> str:
-    """SHORT_GRASS as 'short grass'."""
+    """Return a class name as words: SHORT_GRASS as 'short grass'."""
     return name.lower().replace("_", " ")

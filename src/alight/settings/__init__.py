@@ -1,4 +1,4 @@
-"""Settings: the keys of a user, the tuned constants of the stages, and the reading of both."""
+"""Settings: the keys for users, the tuned constants of the stages, and the functions that read both."""
 
 from alight.settings.loading import load_settings, settings_of_keys, settings_of_run
 from alight.settings.tuning import Tuning

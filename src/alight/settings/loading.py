@@ -1,4 +1,4 @@
-"""Reading settings: their keys, YAML text, `key=value` assignments, and the run.json of an earlier run."""
+"""Reading settings from keys, YAML text, `key=value` assignments, and the run.json of an earlier run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Tree = dict[str, Any]
 
 
 def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
-    """Make settings from YAML text and `key=value` assignments; the latter win.
+    """Return settings from YAML text and `key=value` assignments, which override the text.
 
     Raises:
-        ValueError: the text is no YAML, a key is unknown, or a value is out of range; the message names the key.
+        ValueError: the text is not YAML, a key is unknown, or a value is out of range; the message names the key.
     """
     try:
         tree = parse_yaml(text) or {}
@@ -35,7 +35,7 @@ def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
 
 
 def settings_of_keys(given: Mapping[str, Any]) -> Settings:
-    """Make settings from keys such as `parallax.cell` or groups of them; each wins over those before it.
+    """Return settings from keys such as `parallax.cell`, or groups of keys; a later item overrides an earlier one.
 
     Raises:
         ValueError: a key is unknown, or a value is out of range; the message names the key.
@@ -44,7 +44,7 @@ def settings_of_keys(given: Mapping[str, Any]) -> Settings:
 
 
 def settings_of_run(stored: Mapping[str, Any]) -> Settings:
-    """Read the settings of a run.json; unknown keys are left out.
+    """Return the settings stored in a run.json; unknown keys are ignored.
 
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
@@ -84,7 +84,7 @@ def _tree(pairs: Iterable[tuple[str, Any]]) -> Tree:
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
-    """Put a value into the tree; of a group of keys, those that are not named stay."""
+    """Put a value into the tree; if it is a group of keys, keys that it does not contain are kept."""
     *path, last = key.split(".")
     for part in path:
         tree = tree.setdefault(part, {})
@@ -122,7 +122,7 @@ def _explain(error: ValidationError) -> str:
 
 
 def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every key with its field: `lander.radius`, ..., `tuning.filter.gate`."""
+    """Yield every key with its field: `lander.radius`, ..., `tuning.filter.gate`."""
     for name, info in model.model_fields.items():
         inner = info.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):
@@ -133,17 +133,17 @@ def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[
 
 @cache
 def all_keys() -> Mapping[str, FieldInfo]:
-    """All keys in order, those of a user first."""
+    """Return the fields of all keys, in order, with the keys for users first."""
     return MappingProxyType(dict(walk()))
 
 
 def user_keys() -> dict[str, FieldInfo]:
-    """The keys of a user."""
+    """Return the fields of the keys for users."""
     return {k: v for k, v in all_keys().items() if not k.startswith("tuning.")}
 
 
 def nearest(key: str) -> str | None:
-    """The known key or group that is most like an unknown one; None where none is alike."""
+    """Return the known key or group that is most similar to an unknown key; None if there is no similar one."""
     names = dict.fromkeys(name for k in all_keys() for name in (k, k.rpartition(".")[0]))
     found = get_close_matches(key, names, n=3, cutoff=0.75)
     last = key.rpartition(".")[2]

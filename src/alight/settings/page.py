@@ -1,4 +1,4 @@
-"""The page of all settings, made from the models: `alight settings --markdown`."""
+"""The page of all settings, generated from the models: `alight settings --markdown`."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ not show that real ground can do without it. Empty: not measured.
 
 
 def settings_page() -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     user, everything = user_keys(), all_keys()
     tuning = {key: info for key, info in everything.items() if key not in user}
     return _HEAD + _tables(user, "##") + _TUNING + _tables(tuning, "###", effects())
 
 
 def effects() -> dict[str, dict[str, Any]]:
-    """Measured `effect` of tuned constants, the result `on` which it is, and `why` a value was chosen, by key."""
+    """Return the measured effects of tuned constants by key: size, affected result, and why the value was chosen."""
     return dict(yaml.safe_load((Path(__file__).parent / "tuning" / "effects.yaml").read_text(encoding="utf-8")))
 
 
 def _tables(keys: dict[str, FieldInfo], heading: str, measured: dict[str, dict[str, Any]] | None = None) -> str:
-    """One table for each group of keys, with the effects if there are any."""
+    """Return one table per group of keys; with `measured`, it has a column of effects."""
     parts = []
     names = ["key", "default", "meaning", *(["effect"] if measured is not None else [])]
     for group, members in groupby(keys.items(), lambda item: item[0].rpartition(".")[0]):
@@ -68,7 +68,6 @@ def _effect(found: dict[str, Any]) -> str:
 
 
 def _about(group: str) -> str:
-    """The first line of the docstring of a group's model."""
     model: Any = Settings
     for name in group.split("."):
         model = model.model_fields[name].annotation
@@ -76,7 +75,6 @@ def _about(group: str) -> str:
 
 
 def _shown(value: object) -> str:
-    """A default as YAML has it; numbers to six digits."""
     if value is None:
         return "null"
     if isinstance(value, bool):

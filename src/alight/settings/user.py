@@ -1,4 +1,4 @@
-"""Keys of a user: few, each with a description and its unit; none is needed to run."""
+"""Settings for users: few keys, each with a description and a unit. No run needs any of them to be set."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from alight.settings.base import (
 
 
 class SourcesKeys(FrozenModel):
-    """Reading of the recording."""
+    """How the recording is read."""
 
     calibration: str | None = Field(
         None,
@@ -49,7 +49,7 @@ class SourcesKeys(FrozenModel):
 
 
 class FilterKeys(FrozenModel):
-    """Clock and mounting of the cameras, for flights."""
+    """Settings for the clock and mounting of the cameras, used for flights."""
 
     mounting_sigma: NonNegative | None = Field(
         None,
@@ -63,7 +63,7 @@ class FilterKeys(FrozenModel):
 
 
 class BundleKeys(FrozenModel):
-    """Calibration of the camera, for photos."""
+    """Settings for the calibration of the camera, used for photos."""
 
     focal: Literal["held", "trusted", "free"] = Field(
         "held",
@@ -76,7 +76,7 @@ class BundleKeys(FrozenModel):
 
 
 class MotionKeys(FrozenModel):
-    """Estimation of the poses of the cameras."""
+    """Settings for the estimation of the camera poses."""
 
     method: Literal["auto", "filter", "bundle"] = Field(
         "auto",
@@ -94,12 +94,12 @@ class MotionKeys(FrozenModel):
     bundle: BundleKeys = BundleKeys()
 
     def bundles(self, kind: str) -> bool:
-        """True if all poses of a recording of this kind (`flight` or `photos`) are adjusted together, at its end."""
+        """Whether all poses of a recording (`kind`: flight or photos) are adjusted together, at its end."""
         return self.method == "bundle" or (self.method == "auto" and kind == "photos")
 
 
 class ParallaxKeys(FrozenModel):
-    """Measurement of heights."""
+    """Settings for the measurement of heights."""
 
     method: Literal["batch", "recursive"] = Field(
         "batch",
@@ -129,7 +129,7 @@ class ParallaxKeys(FrozenModel):
 
 
 class ElevationKeys(FrozenModel):
-    """The height map."""
+    """Settings of the height map."""
 
     max_sigma: Positive | None = Field(
         None, description="Heights with a larger 1-sigma are left out, m; null: 0.65 % of the height above ground"
@@ -143,7 +143,7 @@ class ElevationKeys(FrozenModel):
 
 
 class TerrainKeys(FrozenModel):
-    """Land cover."""
+    """Settings of the land cover."""
 
     enabled: bool = Field(True, description="Classify the ground and refuse water, plants, trees and structures")
     model: str | None = Field(
@@ -192,29 +192,29 @@ class Lander(FrozenModel):
 
     @property
     def has_gear(self) -> bool:
-        """True if feet or skids are given; else the lander stands on its whole footprint."""
+        """Whether feet or skids are given; without them the lander stands on its whole footprint."""
         return self.feet is not None or self.skids is not None
 
     @property
     def ground_reach(self) -> float:
-        """Distance from the centre within which it may touch the ground, metres: the radius, or gear beyond it."""
+        """Distance from the centre within which the lander may touch the ground, metres: the radius or its gear."""
         feet = max((math.hypot(*f) + self.foot_radius for f in self.feet or ()), default=0.0)
         skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
         return max(self.radius, feet, skids)
 
     @property
     def reach(self) -> float:
-        """Distance from the centre within which anything may touch the lander, metres: its rotors count as well."""
+        """Distance from the centre within which an object may touch the lander or its rotors, metres."""
         return max(self.ground_reach, self.rotor_radius or 0.0)
 
     @property
     def tallest_obstacle(self) -> float:
-        """Largest height of an obstacle under the lander, metres: the limit of roughness, or of a belly on gear."""
+        """Height limit of obstacles under the lander, metres: the roughness limit, or the belly clearance with gear."""
         return self.belly_clearance if self.has_gear and self.belly_clearance is not None else self.max_roughness
 
     @property
     def judging_cell(self) -> float:
-        """Largest cell on which the ground is judged for it, metres: finer cells cost time and change no verdict."""
+        """Largest cell size for judging the ground, metres; finer cells cost time and change no verdict."""
         return 0.7 * self.tallest_obstacle
 
     @model_validator(mode="after")
@@ -233,7 +233,7 @@ class Lander(FrozenModel):
 
 
 class HazardsKeys(FrozenModel):
-    """Strictness of the hazard judgement."""
+    """Settings for the strictness of the hazard judgement."""
 
     p_safe: Fraction = Field(0.95, description="Least probability of a safe touchdown at a site")
     alpha: NonNegative = Field(1.0, description="Weight of flatness in the quality Q of a site (paper, eq. 5)")
@@ -244,7 +244,7 @@ class HazardsKeys(FrozenModel):
 
 
 class SitesKeys(FrozenModel):
-    """Listing of sites."""
+    """Settings for the list of sites."""
 
     count: int = Field(8, ge=1, le=10_000, description="Most sites listed")
     margin: NonNegative = Field(0.5, description="Least distance between the footprint and the nearest hazard, m")
@@ -261,7 +261,7 @@ class SitesKeys(FrozenModel):
 
 
 class RouteKeys(FrozenModel):
-    """The way to the best site."""
+    """Settings of the route to the best site."""
 
     approach_height: Positive = Field(10.0, description="Height above the site at which the final descent starts, m")
     clearance: Positive = Field(
@@ -279,7 +279,7 @@ class RouteKeys(FrozenModel):
 
 
 class ExecutiveKeys(FrozenModel):
-    """Flight of a landing: search, look, look closer, land or go around."""
+    """Settings of a landing in flight: search, look, look closer, land or go around."""
 
     search_height: Positive = Field(30.0, description="Height above the ground at which a place is searched, m")
     search_speed: Positive = Field(7.0, description="Speed over the ground while a place is searched, m/s")

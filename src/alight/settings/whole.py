@@ -1,4 +1,4 @@
-"""All settings: the keys of a user with the tuned constants, and the same joined to one record a stage."""
+"""All settings: the keys for users with the tuned constants, and both merged into one record per stage."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class ImuNoise:
     accelerometer_random_walk: float | None = None  # m/s^3 per sqrt(Hz)
 
     def stated(self) -> dict[str, float]:
-        """The stated numbers, by field."""
+        """Return the stated values, by the name of the field."""
         return {k: v for k, v in asdict(self).items() if v is not None}
 
     def in_flight(self, margin: float) -> dict[str, float]:
-        """Noise by key of the filter: `margin` times the stated number; numbers that are not above zero are ignored."""
+        """Return the noise in flight by key of the filter: `margin` times each stated value that is above zero."""
         stated = {
             "gyro_noise": self.gyroscope_noise_density,
             "gyro_walk": self.gyroscope_random_walk,
@@ -38,11 +38,11 @@ class ImuNoise:
 
 
 class TracksSettings(tuned.TracksTuning):
-    """Feature tracks."""
+    """Settings of the feature tracks."""
 
 
 class FilterSettings(tuned.FilterTuning, user.FilterKeys):
-    """The filter and its smoother, with the noise of the IMU."""
+    """Settings of the filter and its smoother, with the noise of the IMU."""
 
     gyro_noise: Positive = Field(5e-4, description="rad/s per sqrt(Hz)")
     gyro_walk: Positive = Field(3e-5, description="rad/s^2 per sqrt(Hz)")
@@ -51,47 +51,47 @@ class FilterSettings(tuned.FilterTuning, user.FilterKeys):
 
 
 class BundleSettings(tuned.BundleTuning, user.BundleKeys):
-    """Bundle adjustment."""
+    """Settings of the bundle adjustment."""
 
 
 class MotionSettings(user.MotionKeys):
-    """Estimation of the poses."""
+    """Settings for the estimation of the poses."""
 
     filter: FilterSettings = FilterSettings()
     bundle: BundleSettings = BundleSettings()
 
 
 class ParallaxSettings(tuned.ParallaxTuning, user.ParallaxKeys):
-    """Planar parallax."""
+    """Settings of planar parallax."""
 
 
 class ElevationSettings(tuned.ElevationTuning, user.ElevationKeys):
-    """The elevation map."""
+    """Settings of the elevation map."""
 
 
 class TerrainSettings(tuned.TerrainTuning, user.TerrainKeys):
-    """Land cover."""
+    """Settings of the land cover."""
 
 
 class HazardsSettings(tuned.HazardsTuning, user.HazardsKeys):
-    """The hazard judgement."""
+    """Settings of the hazard judgement."""
 
 
 class SitesSettings(tuned.SitesTuning, user.SitesKeys):
-    """The choice of sites."""
+    """Settings for the choice of sites."""
 
 
 class RouteSettings(tuned.RouteTuning, user.RouteKeys):
-    """The route."""
+    """Settings of the route."""
 
 
 class ExecutiveSettings(tuned.ExecutiveTuning, user.ExecutiveKeys):
-    """The executive."""
+    """Settings of the executive."""
 
 
 @dataclass(frozen=True)
 class StageSettings:
-    """The settings of every stage. `Settings.stages` makes it."""
+    """The settings of every stage, made by `Settings.stages`."""
 
     tracks: TracksSettings
     motion: MotionSettings
@@ -107,7 +107,7 @@ class StageSettings:
 
 
 class Settings(FrozenModel):
-    """The keys of a user, by group, and under `tuning` the tuned constants by stage."""
+    """The keys for users by group, and the tuned constants by stage under `tuning`."""
 
     sources: user.SourcesKeys = user.SourcesKeys()
     motion: user.MotionKeys = user.MotionKeys()
@@ -123,7 +123,7 @@ class Settings(FrozenModel):
 
     @property
     def too_low(self) -> str:
-        """Reason why no landing may be flown with these settings; empty: none. Recordings of such flights are read."""
+        """Why no landing may be flown with these settings, empty if one may. Recordings can be read in any case."""
         given, k = self.executive.commit_height, self.tuning.executive
         least = k.abort_height + k.unchecked
         if given >= least:
@@ -133,9 +133,10 @@ class Settings(FrozenModel):
         )
 
     def stages(self, imu: ImuNoise | None = None) -> StageSettings:
-        """The settings of every stage: its keys of a user and its tuned constants, which are valid already, as one.
+        """Return the settings of every stage, each merged from its keys for users and its tuned constants.
 
-        `imu`: noise that the recording states for its IMU; constants that are set here win over it.
+        Args:
+            imu: noise that the recording states for its IMU; constants that are set here override it.
         """
         t, motion, stages = self.tuning, self.motion, get_type_hints(StageSettings)
         noise = (imu or ImuNoise()).in_flight(t.filter.imu_margin)
@@ -146,7 +147,11 @@ class Settings(FrozenModel):
         return StageSettings(**{name: kind.model_construct(**parts[name]) for name, kind in stages.items()})
 
     def to_yaml(self, tuning: bool = False) -> str:
-        """YAML text that `load_settings` takes back: the keys of a user, and changed (or all) constants of `tuning`."""
+        """Return YAML text for `load_settings`: the keys for users, and the changed constants of `tuning`.
+
+        Args:
+            tuning: whether to write all constants of `tuning`.
+        """
         tree: dict[str, Any] = self.model_dump(mode="json")
         if not tuning:
             tree.pop("tuning")

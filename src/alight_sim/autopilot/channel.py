@@ -1,4 +1,4 @@
-"""Model of a bad link: it loses, doubles, delays and reorders datagrams; equal seeds give equal results."""
+"""Model of a bad link that loses, doubles, delays and reorders datagrams; equal seeds give equal results."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class LossyChannel:
 
     loss: float = 0.0  # probability
     delay: float = 0.0  # s
-    jitter: float = 0.0  # s, uniform on top of the delay: datagrams overtake each other
+    jitter: float = 0.0  # s, uniform, added to the delay: datagrams overtake each other
     double: float = 0.0  # probability of a second copy
     damage: float = 0.0  # probability that a byte of the datagram is wrong
     seed: int = 0
-    damaged: int = field(default=0, init=False)  # datagrams with a wrong byte
+    damaged: int = field(default=0, init=False)  # number of datagrams with a wrong byte
     _queue: list[tuple[float, int, bytes]] = field(default_factory=list, init=False)
     _count: int = field(default=0, init=False)
 

@@ -1,4 +1,4 @@
-"""Differences between the simulated autopilots: numbers of modes, requests and refusals."""
+"""Differences between the simulated autopilots: mode numbers, supported messages and behaviour."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ class Dialect:
 
     autopilot: int  # MAV_AUTOPILOT
     lacks: tuple[str, ...]  # messages that it does not send
-    modes: Mapping[Doing, tuple[int, int]]  # second and third parameter of MAV_CMD_DO_SET_MODE; the last one counts
-    mode_shift: int  # bits, of the first of these in a heartbeat's custom mode
-    reports_changes: bool  # sends a heartbeat at once when its mode changes, else every second alone
-    needs_setpoints: bool  # leaves guided flight when they stop
-    turns_to_course: bool  # turns the nose along the course where no heading is commanded
-    speeds_by_command: bool  # guided flight obeys DO_CHANGE_SPEED until its controller starts anew
-    returns_at_disarm: bool  # disarming restores the last mode that allows arming
-    lands_in_guided: bool  # detects the ground under position set-points too, not under velocities alone
-    dead_reckoning: float  # s for which its estimator keeps its position without a receiver's
-    target_delay: float  # s of reports before LAND uses a target; LAND waits for the first one; infinite: it uses none
+    modes: Mapping[Doing, tuple[int, int]]  # parameters 2 and 3 of MAV_CMD_DO_SET_MODE; the last of equal pairs is used
+    mode_shift: int  # bits by which the first parameter is shifted in a heartbeat's custom mode
+    reports_changes: bool  # whether it sends a heartbeat at once when its mode changes, not only every second
+    needs_setpoints: bool  # whether it leaves guided flight when set-points stop
+    turns_to_course: bool  # whether it turns the nose along the course if no heading is commanded
+    speeds_by_command: bool  # whether guided flight obeys DO_CHANGE_SPEED, until its controller restarts
+    returns_at_disarm: bool  # whether disarming restores the last mode that allows arming
+    lands_in_guided: bool  # whether it detects the ground under position set-points too, not only under velocities
+    dead_reckoning: float  # s for which its estimator keeps the position without the receiver
+    target_delay: float  # s of reports before LAND uses a target; LAND waits for the first; infinite: never used
 
     def number(self, doing: Doing) -> int:
-        """The custom mode of a heartbeat."""
+        """Return the custom mode with which a heartbeat reports a mode."""
         main, sub = self.modes[doing]
         return main << self.mode_shift | sub << 24
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """The mode that MAV_CMD_DO_SET_MODE requests; None: there is no such mode."""
+        """Return the mode that MAV_CMD_DO_SET_MODE requests by its parameters; None: there is no such mode."""
         return {pair: doing for doing, pair in self.modes.items()}.get((round(parameters[1]), round(parameters[2])))
 
 
@@ -89,7 +89,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         turns_to_course=False,
         speeds_by_command=False,
         returns_at_disarm=True,  # since 1.14
-        lands_in_guided=False,  # its land detector needs a set-point of the velocity
+        lands_in_guided=False,  # its land detector needs a velocity set-point
         dead_reckoning=5.0,  # EKF2_NOAID_TOUT
         target_delay=math.inf,
     ),

@@ -15,15 +15,15 @@ class NavigationError:
     """Errors of a navigation solution at one instant."""
 
     position: F64  # (3,) metres, world
-    attitude: F64  # (3, 3) rotation in the body, to the right of the true one
-    heading: F64  # (3, 3) rotation in the world, to the left of the true one
+    attitude: F64  # (3, 3) rotation in the body, right factor of the true one
+    heading: F64  # (3, 3) rotation in the world, left factor of the true one
     velocity: F64  # (3,) m/s, world
-    sigma: F64  # (3,) metres, claimed for the position
-    blind: float  # s since the last position of the receiver
+    sigma: F64  # (3,) metres, reported for the position
+    blind: float  # s since the receiver's last position
 
 
 class Estimate(Protocol):
-    """Errors of the estimate at present, and their course."""
+    """Interface of a simulated estimate: its present errors, and a step forward in time."""
 
     @property
     def now(self) -> NavigationError: ...

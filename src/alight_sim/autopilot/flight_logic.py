@@ -11,8 +11,8 @@ from alight.arrays import F64
 from alight_sim.autopilot.dialects import Dialect, Doing
 from alight_sim.point_mass import Wanted
 
-_SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # landing: sink rate, m/s; that above _SLOW_BELOW, m/s; metres
-_TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each stays valid
+_SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # landing: sink rate, m/s; sink rate above _SLOW_BELOW, m/s; metres
+_TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each input stays valid
 _STREAM = 0.5  # s of set-points that are needed before guided flight
 
 
@@ -22,18 +22,18 @@ class FlightLogic:
 
     dialect: Dialect
     armed: bool = False
-    disarms: bool = True  # after a landing; False: as PX4 with COM_DISARM_LAND below 0
+    disarms: bool = True  # whether it disarms after a landing; False: as PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
-    texts: list[str] = field(default_factory=list)  # status texts since the last reading
+    texts: list[str] = field(default_factory=list)  # status texts since they were last read
 
     def __post_init__(self) -> None:
         self._wanted = Wanted()
         self._set_at = self._set_since = -math.inf
-        self._turning_since: float | None = None  # a helicopter's rotor
+        self._turning_since: float | None = None  # time at which a helicopter's rotor started
         self._speed = self._sink = math.inf
-        self._target: tuple[float, F64] | None = None  # s of the newest report, and its place
-        self._target_since = math.inf  # s, of reports without a gap
+        self._target: tuple[float, F64] | None = None  # s of the newest report, and its position
+        self._target_since = math.inf  # s, begin of reports without a gap
         self._target_seen = False
         self._landing_since: float | None = None
         self._controller = ""  # kind of guided flight: take-off, positions, velocities, or both
@@ -52,12 +52,12 @@ class FlightLogic:
 
     @property
     def _is_blind(self) -> bool:
-        """True if it is guided by positions and, in its dialect, does not detect the ground below it."""
+        """Whether guided flight by positions keeps the autopilot from detecting the ground, as in some dialects."""
         guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
         return guided and not self.dialect.lands_in_guided
 
     def enter(self, doing: Doing, t: float) -> bool:
-        """Change the mode; False: refused."""
+        """Change the mode at time `t` (s); return false if the change is refused."""
         stale = t - self._set_at > _SETPOINT_AGE / 2 or t - self._set_since < _STREAM
         if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
             return False
@@ -66,7 +66,7 @@ class FlightLogic:
         return True
 
     def arm(self, wanted: bool) -> bool:
-        """Start or stop the motors; stopping is refused in the air, starting in modes that cannot take off."""
+        """Start (`wanted`) or stop the motors; return false if refused (stop in the air, start without take-off)."""
         if not wanted:
             if not self._stands:
                 return False
@@ -79,7 +79,7 @@ class FlightLogic:
         return True
 
     def take_off(self, height: float) -> bool:
-        """Climb to a height above the home, metres; False: refused."""
+        """Climb to a height above the home, metres; return false if the command is refused."""
         if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
             return False
         if self.interlock is False or not self._stands:
@@ -91,7 +91,7 @@ class FlightLogic:
         return True
 
     def guide(self, wanted: Wanted, t: float) -> None:
-        """Take a set-point of guided flight."""
+        """Store a set-point of guided flight, received at time `t` (s)."""
         if t - self._set_at > _STREAM:
             self._set_since = t
         self._set_at = t
@@ -106,9 +106,9 @@ class FlightLogic:
             self._speed = self._sink = math.inf
 
     def limit(self, kind: float, speed: float) -> bool:
-        """Limit the speed over the ground (SPEED_TYPE 0 and 1) or downwards (3), m/s; False: not in this mode.
+        """Limit the speed over the ground (SPEED_TYPE 0, 1) or downwards (3), m/s; return false if not allowed.
 
-        PX4 takes every kind as the speed over the ground and applies it in missions alone, which are not simulated.
+        PX4 accepts every kind but applies it as ground speed in missions only, which are not simulated.
         """
         if not self.dialect.speeds_by_command:
             return True
@@ -121,13 +121,13 @@ class FlightLogic:
         return True
 
     def aim_landing(self, target: F64, t: float) -> None:
-        """Take the reported position of a landing target, (3,) metres."""
+        """Store the reported position of a landing target, (3,) metres, received at time `t` (s)."""
         if self._target is None or t - self._target[0] > 0.5:
             self._target_since = t
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
-        """Return the vehicle's set-point at time `t`, seconds; None: the motors stand still."""
+        """Return the set-point at time `t` (s) for position `here` (3,); `stands`: on the ground. None: motors off."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):
@@ -139,7 +139,7 @@ class FlightLogic:
         return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
 
     def _runs(self, t: float) -> bool:
-        """True if the motors lift: ArduPilot waits for the command to take off, a helicopter for its rotor."""
+        """Whether the motors lift: ArduPilot waits for the take-off command, a helicopter for its rotor."""
         waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
         if waits and not self.dialect.needs_setpoints:
             return False
@@ -190,7 +190,7 @@ class FlightLogic:
         return self._wanted
 
     def _landing(self, place: F64, t: float) -> Wanted:
-        """Set-point of a landing: first over the place, then down, towards the target where one is reported."""
+        """Return the set-point of a landing: first over the site, then down, towards the target if one is reported."""
         seen = self._target is not None and t - self._target[0] < _TARGET_AGE
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen
@@ -199,7 +199,7 @@ class FlightLogic:
         waits = math.isfinite(self.dialect.target_delay) and early and not self._target_seen
         goal = self._target[1] if seen and self._target is not None else place
         if seen and self.doing is Doing.LAND:
-            self._anchor = self._here.copy()  # where the target is lost it comes straight down
+            self._anchor = self._here.copy()  # if the target is lost, it descends vertically
         fast = self._here[2] - goal[2] > _SLOW_BELOW and not seen
         sink = _RUSH if fast else _SINK
         near = not waits and bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)

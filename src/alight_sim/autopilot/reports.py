@@ -1,4 +1,4 @@
-"""Messages that the simulated autopilot sends: its heartbeat, and the streams that were requested."""
+"""Messages that the simulated autopilot sends: its heartbeat, and the requested streams."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from alight.geometry import quaternion_from_matrix
 if TYPE_CHECKING:
     from alight_sim.autopilot.simulated import SimulatedAutopilot
 
-_GOOD_ESTIMATE, _NO_POSITION = 831, 165  # flags of the estimator; without GPS it assumes that it stands still
+_GOOD_ESTIMATE, _NO_POSITION = 831, 165  # estimator flags; without GPS it assumes that it is at rest
 _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED from ENU
 _FLIP = np.diag([1.0, -1.0, -1.0])  # FLU from FRD
 _PRE_ARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
-Maker = Callable[["SimulatedAutopilot"], Any]  # of a message; None: there is nothing to send
+Maker = Callable[["SimulatedAutopilot"], Any]  # maker of a message; None: there is nothing to send
 
 
 class Reports:
@@ -31,14 +31,14 @@ class Reports:
     def __init__(self, lacks: Iterable[str]) -> None:
         self.intervals: dict[str, float] = {}  # s, by message
         self._due: dict[str, float] = {}
-        self._heartbeat, self._mode = 0.0, 0  # s, when the next one is due; custom mode of the last one
+        self._heartbeat, self._mode = 0.0, 0  # s, when the next heartbeat is due; custom mode of the last one
         self.sticks = [1500, 1500, 1100, 1500]
         self.lacks = set(lacks)  # messages that this build cannot send
-        self.silent: set[str] = set()  # messages that it could send but has no data for
+        self.silent: set[str] = set()  # messages that it could send, but for which it has no data
         self.makers: dict[str, Maker] = dict(MAKERS)
 
     def request(self, message: int, interval_us: float) -> bool:
-        """Handle SET_MESSAGE_INTERVAL, microseconds; False: there is no such message."""
+        """Handle SET_MESSAGE_INTERVAL (message number, microseconds); return false if the message is not supported."""
         kind = mavlink.mavlink_map.get(message)
         name = "" if kind is None else str(kind.msgname)
         if name not in self.makers or name in self.lacks:
@@ -48,7 +48,7 @@ class Reports:
         return True
 
     def step(self, t: float, now: SimulatedAutopilot) -> None:
-        """Send the messages that are due at time `t`, seconds."""
+        """Send the messages of the autopilot `now` that are due at time `t`, seconds."""
         mode = now.dialect.number(now.logic.doing)
         if t >= self._heartbeat or (now.dialect.reports_changes and mode != self._mode):
             self._heartbeat, self._mode = t + 1.0, mode
@@ -89,19 +89,19 @@ def _gps_raw_int(now: SimulatedAutopilot) -> Any:
 
 
 def _imu_values(now: SimulatedAutopilot) -> tuple[F64, F64] | None:
-    """Specific force and turn rates in FRD; None: the IMU is silent."""
+    """Return specific force (m/s^2) and angular rates (rad/s) in FRD; None: the IMU is silent."""
     imu = now.vehicle.imu
     return None if imu is None else (_FLIP @ imu[1], _FLIP @ imu[0])
 
 
 def _rates(now: SimulatedAutopilot) -> F64:
-    """(3,) rad/s in FRD; 0 while the IMU is silent."""
+    """Return the (3,) angular rates in FRD, rad/s; 0 while the IMU is silent."""
     values = _imu_values(now)
     return np.zeros(3) if values is None else values[1]
 
 
 def _milli_imu(now: SimulatedAutopilot) -> list[int] | None:
-    """Specific force in mg and turn rates in mrad/s, as integers."""
+    """Return specific force in mg and angular rates in mrad/s, as integers; None: the IMU is silent."""
     values = _imu_values(now)
     return None if values is None else [*(round(v / g * 1e3) for v in values[0]), *(round(v * 1e3) for v in values[1])]
 
@@ -124,7 +124,6 @@ def _highres_imu(now: SimulatedAutopilot) -> Any:
 
 
 def _ned_from_frd(now: SimulatedAutopilot) -> F64:
-    """(3, 3) estimated attitude: rotation of FRD axes into NED."""
     return np.asarray(_SWAP @ now.attitude @ _FLIP)
 
 

@@ -1,4 +1,4 @@
-"""The simulated autopilot behind a UDP socket, in a thread of its own."""
+"""The simulated autopilot behind a UDP socket, in its own thread."""
 
 from __future__ import annotations
 
@@ -18,10 +18,15 @@ from alight_sim.autopilot.simulated import SimulatedAutopilot
 
 
 class UdpServer:
-    """UDP server of the autopilot. It sends to `to` and to the senders of the last ten seconds, at `speed` times
-    the clock.
+    """UDP server of the autopilot; a context manager with its own thread.
 
-    `after_step` is called in its thread after every step, with the vehicle's events.
+    It sends to `to` and to all senders of the last ten seconds.
+
+    Args:
+        speed: simulated seconds per second of the clock.
+        step: length of a step, s.
+        outwards, inwards: channels of the link; None: without faults.
+        after_step: called in the server's thread after every step, with the vehicle's events.
     """
 
     def __init__(
@@ -35,14 +40,14 @@ class UdpServer:
         after_step: Callable[[Sequence[Event]], None] = lambda events: None,
     ) -> None:
         self.autopilot = autopilot
-        self._spoke: dict[Any, float] = {} if to is None else {to: math.inf}  # s, last datagram; `to`: for ever
+        self._spoke: dict[Any, float] = {} if to is None else {to: math.inf}  # s, last datagram; `to`: never expires
         self._speed, self._step, self._after_step = speed, step, after_step
         self._outwards, self._inwards = outwards or LossyChannel(), inwards or LossyChannel()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self._stop = Signal()
-        self.behind = 0.0  # s, largest delay against the clock: a machine that is too slow
+        self.behind = 0.0  # s, largest delay against the clock, on a machine that is too slow
         self._thread = Thread(target=self._run, daemon=True)
 
     @property

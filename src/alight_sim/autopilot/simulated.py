@@ -1,4 +1,4 @@
-"""The simulated autopilot: MAVLink bytes in and out, its own clock, its own estimate, its own vehicle."""
+"""The simulated autopilot: MAVLink bytes in and out, with its own clock, estimate and vehicle."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from alight_sim.autopilot.flight_logic import FlightLogic
 from alight_sim.autopilot.reports import Reports
 from alight_sim.point_mass import PointMass, Wanted
 
-_START_UP = 3.0  # s from a start until it may be armed
+_START_UP = 3.0  # s from boot until it may be armed
 _IGNORE_POSITION, _IGNORE_VELOCITY = 7, 56  # all bits of X, Y, Z and of VX, VY, VZ
 
 
 class TrueVehicle(Protocol):
-    """Interface of the vehicle: a point with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
+    """Interface of the vehicle: a point mass with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
 
     @property
     def body(self) -> PointMass: ...
@@ -38,7 +38,7 @@ class TrueVehicle(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedHome:
-    """Home of the autopilot on Earth: the origin of its vehicle's metres."""
+    """Home of the autopilot on Earth: the origin of its vehicle's coordinates."""
 
     latitude: float = 47.6
     longitude: float = 13.4
@@ -46,7 +46,7 @@ class SimulatedHome:
     separation: float = 46.0  # metres, ellipsoid above sea level
 
     def degrees(self, enu: F64) -> tuple[float, float, float]:
-        """Latitude, longitude and altitude above sea level of (3,) metres from the home."""
+        """Convert (3,) metres from the home to latitude, longitude (degrees) and altitude above sea level (m)."""
         meridian, parallel = self._radii()
         return (
             self.latitude + math.degrees(float(enu[1]) / meridian),
@@ -55,14 +55,14 @@ class SimulatedHome:
         )
 
     def metres(self, latitude: float, longitude: float, altitude_msl: float) -> F64:
-        """(3,) metres from the home, of latitude and longitude in degrees and altitude above sea level."""
+        """Convert latitude, longitude (degrees) and altitude above sea level (m) to (3,) metres from the home."""
         meridian, parallel = self._radii()
         north = math.radians(latitude - self.latitude) * meridian
         east = math.radians(longitude - self.longitude) * parallel
         return np.array([east, north, altitude_msl - self.altitude_msl])
 
     def _radii(self) -> tuple[float, float]:
-        """Radii along the meridian and of the parallel, metres, at the home's height above the WGS84 ellipsoid."""
+        """Return radii of the meridian and of the parallel, metres, at the home's height above the WGS84 ellipsoid."""
         a, e2 = 6378137.0, 0.00669437999014
         height, s = self.altitude_msl + self.separation, math.sin(math.radians(self.latitude))
         w = math.sqrt(1 - e2 * s * s)
@@ -70,10 +70,14 @@ class SimulatedHome:
 
 
 class SimulatedAutopilot:
-    """One autopilot with its vehicle. `receive` bytes, `step` time, send the `pending` datagrams.
+    """One autopilot with its vehicle. Call `receive` with bytes, `step` with time, and send the `pending` datagrams.
 
-    It streams its heartbeat and the requested messages alone, and forgets the requests at a reboot. It stamps messages
-    with its own clock; `drift` is the relative error of that clock's rate. `kind`: MAV_TYPE.
+    It streams only its heartbeat and the requested messages, and forgets the requests at a reboot. It stamps messages
+    with its own clock.
+
+    Args:
+        drift: relative error of its clock's rate.
+        kind: MAV_TYPE.
     """
 
     def __init__(
@@ -90,14 +94,14 @@ class SimulatedAutopilot:
         self.vehicle: TrueVehicle = vehicle or PointMass()
         self.home = home or SimulatedHome()
         self.estimate: Estimate = estimate or EstimateError()
-        self.healthy = self.checks = True  # checks: before arming, switched on
+        self.healthy = self.checks = True  # checks: whether the checks before arming are switched on
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._mavlink.robust_parsing = True
         self._out: list[bytes] = []
         self.reboot()
 
     def reboot(self) -> None:
-        """Start again: motors off, clock at 0, streams forgotten."""
+        """Boot again: motors off, clock at 0, requested streams forgotten."""
         self.boot = self.middle = 0.0  # s, its own clock; and the middle of the interval of the inertial measurements
         self._refuses_until = 0.0  # s
         self.logic: FlightLogic = FlightLogic(
@@ -108,42 +112,42 @@ class SimulatedAutopilot:
 
     @property
     def boot_ms(self) -> int:
-        """Its own clock, ms since boot."""
+        """Time since boot on the autopilot's own clock, ms."""
         return round(self.boot * 1e3)
 
     @property
     def ready(self) -> bool:
-        """True if it may be armed."""
+        """Whether the autopilot may be armed."""
         return self.located and self.boot > _START_UP and (self.logic.armed or not self.logic.interlock)
 
     @property
     def located(self) -> bool:
-        """True while it has an absolute position, for some time after the last one of its receiver as well."""
+        """Whether an absolute position is known; it is kept for some time after the receiver's last position."""
         return self.healthy and self.estimate.now.blind < self.dialect.dead_reckoning
 
     @property
     def fixed(self) -> bool:
-        """True while its receiver has a fix: until half a second without a position."""
+        """Whether the receiver has a fix; the fix is lost after half a second without a position."""
         return self.healthy and self.estimate.now.blind < 0.5
 
     @property
     def estimated(self) -> F64:
-        """(3,) metres: its estimate of its position."""
+        """Estimated position, (3,) metres from the home."""
         return self.vehicle.body.position + self.estimate.now.position
 
     @property
     def velocity(self) -> F64:
-        """(3,) m/s: its estimate of its velocity."""
+        """Estimated velocity, (3,) m/s."""
         return self.vehicle.body.velocity + self.estimate.now.velocity
 
     @property
     def attitude(self) -> F64:
-        """(3, 3) rotation, world from body: its estimate."""
+        """Estimated attitude, (3, 3) rotation, world from body."""
         errors = self.estimate.now
         return np.asarray(errors.heading @ self.vehicle.body.world_from_body.rotation @ errors.attitude)
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
-        """Put it in the air at the vehicle's position, armed, as after a take-off."""
+        """Put the vehicle in the air at its position, armed and in a mode, as after a take-off."""
         self.logic.armed, self.boot = True, _START_UP + 1.0
         self.logic.step(self.boot, self.estimated, False)
         self.logic.doing = Doing.TAKE_OFF
@@ -154,7 +158,7 @@ class SimulatedAutopilot:
         self._refuses_until = self.boot + seconds
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
-        """Change the mode as a pilot does."""
+        """Change the mode in the pilot's name, not by a command over the link."""
         self.logic.enter(doing, self.boot)
 
     def pending(self) -> list[bytes]:
@@ -168,19 +172,19 @@ class SimulatedAutopilot:
         self.boot += dt * (1 + self._drift)
         self.estimate.step(dt)
         wanted = self.logic.step(self.boot, self.estimated, self.vehicle.body.stands)
-        if wanted is not None and wanted.position is not None:  # it steers by its estimate, and is off by its error
+        if wanted is not None and wanted.position is not None:  # true position is off by the estimate's error
             wanted = replace(wanted, position=wanted.position - self.estimate.now.position)
         events = self.vehicle.step(dt, wanted)
         self.reports.step(self.boot, self)
         return events
 
     def send(self, message: Any) -> None:
-        """Send a message."""
+        """Queue a message to send."""
         self._out.append(bytes(message.pack(self._mavlink)))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
 
     def receive(self, data: bytes) -> None:
-        """Take a datagram and handle its messages."""
+        """Receive a datagram and handle its messages."""
         for m in self._mavlink.parse_buffer(data) or ():
             if getattr(m, "target_system", self._system) in (0, self._system):
                 self._on_message(m)
@@ -211,7 +215,7 @@ class SimulatedAutopilot:
         self.logic.guide(wanted, self.boot)
 
     def _on_landing_target(self, m: Any) -> None:
-        """Take a target in body axes, unless its angles and its position contradict each other."""
+        """Handle a landing target in body axes, unless its angles and its position contradict each other."""
         angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
         if np.abs(angles).max() <= 0.05 * max(m.distance, 1.0):
             self.logic.aim_landing(self.estimated + self.attitude @ np.array([m.x, -m.y, -m.z]), self.boot)

@@ -1,1 +1,1 @@
-"""The simulator's compiled loops: bare arrays in and out, as those of the stages."""
+"""The simulator's compiled loops, on bare arrays like those of the stages."""

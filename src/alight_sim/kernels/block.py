@@ -1,7 +1,7 @@
-"""A block of pixels as vectors: one flat scratch array, cut into slots that all passes of the shading share.
+"""A block of pixels as vectors: one flat scratch array, divided into slots that all passes of the shading share.
 
-A pass is one branch-free loop over the block. Slots lie a fixed number of pixels apart in one array. So LLVM finds that
-they do not overlap and turns the loop into vector code (texture noise: 27 -> 2.3 ns a sample with AVX-512).
+A pass is one branch-free loop over the block. Slots are a fixed number of pixels apart in one array. So LLVM finds that
+they do not overlap and vectorises the loop (texture noise: 27 -> 2.3 ns per sample with AVX-512).
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 f32, u32, i32 = np.float32, np.uint32, np.int32
-B = 64  # pixels of a block: a wider one wasted half at the right rim of 320; all slots stay close in memory
+B = 64  # pixels of a block: a wider one wasted half at the right border of 320; all slots stay close in memory
 
 # hit point from the block's base point, metres; unit vector to the camera; distance, metres; pixel footprint, metres
 X, Y, Z, VX, VY, VZ, DIST, FOOT = (k * B for k in range(8))
-# layers of light, then the place on the texture
+# layers of light, then the position on the texture
 SLOPE_E, SLOPE_N, MARGIN, SKY, DEPTH, TX, TY = (k * B for k in range(8, 15))
 # noise: coordinates in, value and slopes out
 U, V, N, DU, DV = (k * B for k in range(15, 20))
-# texture: detail and its slopes, weight of an octave; large and middle fields of the place; shadow of small things
+# texture: detail and its slopes, weight of an octave; large and middle fields; shadow of small things
 VALUE, BUMP_E, BUMP_N, WEIGHT, LARGE, MIDDLE, ASIDE, SHADE = (k * B for k in range(20, 28))
 RED, GREEN, BLUE, NX, NY, NZ, SUN, CLOUD = (k * B for k in range(28, 36))
 # water: 1 where wet; slopes of resolved waves, variance of the others; drifting scum; factor on the slopes
 WATER, WAVE_E, WAVE_N, WAVE_VAR, SCUM, CALM = (k * B for k in range(36, 42))
 TINT_R, TINT_G, TINT_B = (k * B for k in range(42, 45))
 KEPT_X, KEPT_Y, ALONG, LEAF, FACE, BODY_R, BODY_G, BODY_B, DULL_R, DULL_G, DULL_B = (k * B for k in range(45, 56))
-PARAM = 56 * B  # then one slot for each number of a look
+PARAM = 56 * B  # then one slot for each parameter of a look
 F0, F1, F2, F3 = f32(0), f32(1), f32(2), f32(3)
 
 
 @pixelwise
 def smoothstep(low: np.float32, high: np.float32, x: np.float32) -> np.float32:
-    """Return 0 below `low`, 1 above `high`, smooth between."""
+    """Return 0 below `low`, 1 above `high`, with a smooth step between."""
     t = min(max((x - low) / (high - low), F0), F1)
     return t * t * (F3 - F2 * t)
 
@@ -59,7 +59,7 @@ def fading(x: np.float32) -> np.float32:
 def noise_lattice(
     base: F64, wavelength: float, c: float, s: float, dx: float, dy: float
 ) -> tuple[float, float, int, int]:
-    """Return a block's base on a turned lattice: fractions, then whole steps; `dx`, `dy`: a shift, metres."""
+    """Return lattice coordinates of a block's base point, shifted by (dx, dy) m: fractions, then integer parts."""
     x, y = base[0] + dx, base[1] + dy
     u, v = (c * x - s * y) / wavelength, (s * x + c * y) / wavelength
     i, j = math.floor(u), math.floor(v)
@@ -75,7 +75,6 @@ def _coordinates(buf: F32, a: np.float32, b: np.float32, u0: np.float32, v0: np.
 
 @kernel
 def _one_cell(buf: F32) -> bool:
-    """True if all coordinates lie in one cell of the lattice."""
     i, j = floor32(buf[U]), floor32(buf[V])
     if floor32(buf[U + B - 1]) != i or floor32(buf[V + B - 1]) != j:
         return False
@@ -87,7 +86,7 @@ def _one_cell(buf: F32) -> bool:
 
 @kernel
 def _noise(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
-    if _one_cell(buf):  # its corners are hashed once, which is half of the work
+    if _one_cell(buf):  # the corners are hashed once, which is half of the work
         i, j = floor32(buf[U]), floor32(buf[V])
         corners, left, low = corners32(i32(i + i0), i32(j + j0), seed), f32(i), f32(j)
         for k in range(B):
@@ -113,7 +112,7 @@ def _values(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
 def noise_at(
     buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
 ) -> None:
-    """Fill N, DU, DV with noise of a wavelength at the block's texture places, on a lattice turned by (c, s)."""
+    """Fill slots N, DU, DV with noise and its slopes at the texture positions, on a lattice turned by (c, s)."""
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _noise(buf, i32(i), i32(j), seed32(seed))
@@ -123,7 +122,7 @@ def noise_at(
 def values_at(
     buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
 ) -> None:
-    """Fill N as `noise_at` does, without the slopes."""
+    """Fill the slot N with noise like `noise_at`, without the slopes."""
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _values(buf, i32(i), i32(j), seed32(seed))
@@ -145,7 +144,7 @@ def copy(buf: F32, source: int, target: int) -> None:
 
 @kernel
 def largest(buf: F32, slot: int) -> float:
-    """Return the largest number of a slot."""
+    """Return the largest value of a slot."""
     top = buf[slot]
     for i in range(slot, slot + B):
         top = max(top, buf[i])
@@ -154,7 +153,7 @@ def largest(buf: F32, slot: int) -> float:
 
 @kernel
 def smallest(buf: F32, slot: int) -> float:
-    """Return the smallest number of a slot."""
+    """Return the smallest value of a slot."""
     low = buf[slot]
     for i in range(slot, slot + B):
         low = min(low, buf[i])

@@ -1,7 +1,7 @@
-"""Upright boxes that move over the ground: cars, each drawn exactly where it is at the moment of the ray.
+"""Upright boxes that move over the ground, such as cars, drawn at their exact positions at the time of each ray.
 
-A box is 12 numbers: east, north and height of the middle of its base, cosine and sine of its heading (of its length,
-from east to north), half length, half width, height, red, green, blue, and 1 where its sides are glass.
+A box is 12 numbers: east, north and height of the centre of its base, cosine and sine of its direction (of the
+length, from east to north), half length, half width, height, red, green, blue, and 1 if its sides are glass.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MISS = -1.0
 
 @kernel
 def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
-    """Return the parameter at which a ray enters a box, and the face, or MISS.
+    """Return the parameter at which a ray enters a box, and the face; MISS if it does not.
 
     Faces: 1 top, 2/3 front/back, 4/5 left/right, 0 below. `origin`, `ray`: world. Slab method (Kay and Kajiya, 1986).
     """
@@ -48,7 +48,7 @@ def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
 
 @kernel
 def _spheres(boxes: F64, origin: Three, out: F64) -> None:
-    """Fill `out` (M, 4): centres of the boxes' spheres from the origin, least squared projection on a unit ray."""
+    """Fill `out` (M, 4): centres of the boxes' spheres from the origin, least squared projection of a hitting ray."""
     for m in range(boxes.shape[0]):
         box = boxes[m]
         half = 0.5 * box[7]
@@ -59,9 +59,9 @@ def _spheres(boxes: F64, origin: Three, out: F64) -> None:
 
 @parallel_kernel
 def cast_boxes(boxes: F64, origins: F64, directions: F32 | F64, turns: F64, depth: F64, faces: I16) -> None:
-    """Bring `depth` (H, W) forward to the boxes and fill `faces` (H, W): 8 times the box plus its face, 0 the ground.
+    """Replace `depth` (H, W) where a box is nearer; fill `faces` (H, W): 8 times the box plus its face, 0: ground.
 
-    `boxes` (N, M, 12), `origins` (N, 3), `turns` (N, 3, 3): world, N = 1 for all rows or one each; `directions`
+    `boxes` (N, M, 12), `origins` (N, 3), `turns` (N, 3, 3): world, N = 1 for all rows or one per row; `directions`
     (H, W, 3) with z = 1.
     """
     for r in prange(depth.shape[0]):

@@ -1,6 +1,6 @@
-"""From light to grey values: gain, shot and read noise, saturation and tone, one pass over a picture.
+"""From light to grey values: gain, shot and read noise, saturation and tone, in one pass over a picture.
 
-The noise is a pure function of a key and the pixel's number: any order and any number of threads give the same.
+The noise is a pure function of a key and the pixel's index, so order and number of threads do not change it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BYTES, SUM = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 def dice(key: np.uint64, number: np.uint64) -> float:
     """Return noise of mean 0 and deviation 1: the sum of the eight bytes of SplitMix64 (Steele et al. 2014).
 
-    Within 0.003 of the normal distribution; never beyond 4.9.
+    Its distribution is within 0.003 of the normal distribution, and it never exceeds 4.9.
     """
     z = key + (number + np.uint64(1)) * STEP
     z = (z ^ (z >> S30)) * MIX_A
@@ -39,10 +39,10 @@ def dice(key: np.uint64, number: np.uint64) -> float:
 
 @parallel_kernel
 def develop(light: F32, falloff: F32, gain: F64, shot: float, read: float, tone: U8, key: np.uint64, out: U8) -> None:
-    """Fill `out` (H, W, 3) from linear light (H, W, 3).
+    """Fill the picture `out` (H, W, 3) from linear light (H, W, 3).
 
-    `falloff` (H, W): share of light that gets through. `gain` (3,) brings it to full scale 1. The variance of the noise
-    is `shot * signal + read`. `tone` (LEVELS,): grey value by the square root of the signal.
+    `falloff` (H, W): share of light that reaches the sensor. `gain` (3,) scales the light to full scale 1. The variance
+    of the noise is `shot * signal + read`. `tone` (LEVELS,): grey value by the square root of the signal.
     """
     rows, cols, _ = light.shape
     for r in prange(rows):

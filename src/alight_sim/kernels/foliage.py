@@ -46,7 +46,7 @@ from alight_sim.kernels.texture import P_COARSE, P_DEEP, P_LIFT, P_OPEN, P_SWAY
 
 @kernel
 def sway(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Shift the texture of plants in the wind; gusts run over it with the wind. `wind` (2,): m/s east, north."""
+    """Shift the texture of plants by the wind (2,), m/s east and north, with gusts that travel along it."""
     if largest(buf, PARAM + P_SWAY * B) <= 0.0:
         return
     speed = math.hypot(wind[0], wind[1])
@@ -68,12 +68,12 @@ def _sift(buf: F32, wavelength: np.float32, coarse: np.float32) -> None:
 
 @kernel
 def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) -> None:
-    """Fix the pixels whose layer is opaque: ALONG, depth below the surface over VZ, and SHADE, the light there."""
+    """Set the slots ALONG (depth below the surface over VZ) and SHADE (light) of pixels whose layer is opaque."""
     for i in range(B):
         deep = part * buf[PARAM + P_DEEP * B + i]
         free = F1 if buf[SHADE + i] < F0 else F0
         take = free if buf[WEIGHT + i] > buf[PARAM + P_OPEN * B + i] - opaque else F0
-        shown = F1 + (gain - F1) * min(f32(2.2) * buf[PARAM + P_DEEP * B + i], F1)  # little dark under short grass
+        shown = F1 + (gain - F1) * min(f32(2.2) * buf[PARAM + P_DEEP * B + i], F1)  # little shade under short grass
         buf[SHADE + i] = shown if take > F0 else buf[SHADE + i]
         fall = min(deep / max(buf[VZ + i], f32(0.3)), f32(1.5))
         buf[ALONG + i] = fall if take > F0 else buf[ALONG + i]
@@ -81,10 +81,10 @@ def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) ->
 
 @kernel
 def foliage(buf: F32, base: F64, seed: int) -> None:
-    """Draw crowns and grass as three layers of leaves; the first opaque one is seen, and fills LEAF with its light.
+    """Draw crowns and grass as three layers of leaves; fill the slot LEAF with the light of the first opaque layer.
 
-    Leaves hang at several depths below the surface, so views from two places disagree, as with real plants. The true
-    height is that of the topmost layer.
+    Leaves are at several depths below the surface, so views from two positions disagree, as with real plants. The true
+    height is the height of the topmost layer.
     """
     fill(buf, SHADE, 1.0)
     if largest(buf, PARAM + P_DEEP * B) > 0.0:
@@ -93,7 +93,7 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
         finest = smallest(buf, FOOT)
         copy(buf, TX, KEPT_X)
         copy(buf, TY, KEPT_Y)
-        values_at(buf, base, 0.33, 0.28, 0.96, seed + 77)  # leaves of a layer hang at many heights
+        values_at(buf, base, 0.33, 0.28, 0.96, seed + 77)  # leaves of a layer have many heights
         _hang(buf)
         for k, (part, gain, opaque) in enumerate(((0.0, 1.2, 0.0), (0.4, 0.55, 0.35), (1.0, 0.2, 9.0))):
             fill(buf, WEIGHT, 0.0)
@@ -113,9 +113,9 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _hang(buf: F32) -> None:
-    """Shift the place of the leaves by the parallax of their own height: clumps of two depths in a crown.
+    """Shift the positions of the leaves by the parallax of their own height: clumps of two depths in a crown.
 
-    P_LIFT is subtracted: the tips of short plants stand so far above the true height, the mean of the visible heights.
+    P_LIFT is subtracted: the tips of short plants are that far above the true height, the mean of the visible heights.
     """
     for i in range(B):
         deep = buf[PARAM + P_DEEP * B + i]

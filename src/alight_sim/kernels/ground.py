@@ -1,7 +1,7 @@
-"""The layers of a patch at the places of a block of pixels: look, light, tint.
+"""The layers of a patch at the positions of a block of pixels: look, light, tint.
 
-At a step of the ground, the height of the hit decides its side of the step. The surface's contour is straight where a
-thing's edge is straight (`alight_sim.kernels.stamps`); the border between two cells is a stair.
+At a step of the ground, the height of the hit point determines its side of the step. The surface's contour is straight
+along a straight edge (`alight_sim.kernels.stamps`), whereas the border between two cells is a staircase.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ U8 = NDArray[np.uint8]
 TREE, ROCK, PAVED, STRUCTURE = 4, 6, 7, 8
 STEEP = 3.0  # slope of a side
 EDGE, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; its side is ground up to FOOT_OF
-STEP, PLAIN = 1, 2  # bits of a cell: the four from it on are an edge; all cells within WIDE have its class and look
+STEP, PLAIN = 1, 2  # bits of a cell: it and the next cells in x and y are an edge; all cells within WIDE are equal
 WIDE = 3
 FAR = 2.5  # cells: a border that wanders farther ends beyond WIDE
 SKIN = 8  # layers that are read at once
@@ -63,7 +63,7 @@ def _hard(kind: int) -> bool:
 
 @kernel
 def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]:
-    """Return row and column of the nearest cell on the point's side of a step, and whether that is the upper side."""
+    """Return row and column of the nearest cell on a point's side of a height step, and whether it is the upper one."""
     ix, iy = int(gx), int(gy)
     top, low = height[iy, ix], height[iy, ix]
     for r in range(iy - 1, iy + 3):
@@ -85,10 +85,10 @@ def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]
 
 @kernel
 def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
-    """Return the cell that gives a place its look. Borders between two kinds of ground wander, as real ones do."""
+    """Return row and column of the cell that gives a pixel its look; natural borders between two classes wander."""
     east, north = float(buf[SLOPE_E + i]), float(buf[SLOPE_N + i])
     steep = math.sqrt(east * east + north * north)
-    if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
+    if steep > STEEP:  # the side of a thing shows the thing, not the staircase of cells at its foot
         return _class_near(label, gx + east / steep, gy - north / steep)
     r, c = _class_near(label, gx, gy)
     q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
@@ -102,9 +102,9 @@ def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
 def look_up_layers(
     buf: F32, height: F32, label: U8, cells: U8, skin: F32, place: F64, base: F64, wet: F32, look: I32
 ) -> None:
-    """Fill look, light and tint; see `shade`.
+    """Fill the look, light and tint of a block from the layers; see `shade` for the arguments.
 
-    TX, TY hold the wandering of class borders, cells: see `wander_borders`.
+    The slots TX, TY hold the shifts of class borders, cells: see `wander_borders`.
     """
     per, plain, far = 1.0 / place[2], PLAIN, False
     for i in range(B):
@@ -119,7 +119,7 @@ def look_up_layers(
         about = cells[r, c, 1]
         if about & STEP:
             r, c, upper = beside(height, gx, gy, base[2] + buf[Z + i])
-            if not upper and not _hard(label[r, c]):  # ground at the foot of a thing: level, however cells slope
+            if not upper and not _hard(label[r, c]):  # ground at the foot of a thing is level, however cells slope
                 buf[SLOPE_E + i], buf[SLOPE_N + i] = f32(0.1) * buf[SLOPE_E + i], f32(0.1) * buf[SLOPE_N + i]
             for k in range(3):
                 buf[TINT_R + k * B + i] = skin[r, c, 5 + k]
@@ -131,7 +131,7 @@ def look_up_layers(
 
 @kernel
 def _skin_at(buf: F32, i: int, skin: F32, gx: float, gy: float) -> None:
-    """Fill light and tint of a pixel with the layers (R, C, SKIN) at a place of the grid, bilinear."""
+    """Fill the light and tint of pixel `i` by bilinear interpolation of the layers (R, C, SKIN) at a grid position."""
     rows, cols = skin.shape[0], skin.shape[1]
     gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
     ix, iy = int(gx), int(gy)
@@ -145,7 +145,7 @@ def _skin_at(buf: F32, i: int, skin: F32, gx: float, gy: float) -> None:
 
 @kernel
 def wander_borders(buf: F32, base: F64) -> None:
-    """Fill TX, TY with the wandering of class borders, cells: noise of 0.4 and 0.1 m."""
+    """Fill the slots TX, TY with the shifts of class borders, cells, from noise of 0.4 and 0.1 m wavelength."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     noise_at(buf, base, 0.4, 0.8, 0.6, 77)

@@ -54,7 +54,7 @@ from alight_sim.kernels.block import (  # fmt: skip
 )
 from alight_sim.kernels.texture import P_BUMP, P_GLOSS, P_HOT
 
-# numbers of the light, after the sun's direction (3), its colour (3) and the sky's (3)
+# values of the light, after the sun's direction (3), its colour (3) and the sky's (3)
 HAZE, AIR, CLOUDS, CLOUD_SIZE, CLOUD_DARK, WIND, DRIFT = 9, 10, 13, 14, 15, 16, 18
 LIGHTS = 20
 SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: half shadow between
@@ -62,7 +62,7 @@ SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: ha
 
 @kernel
 def face_normals(buf: F32, boxes: F64) -> None:
-    """Set the normals of pixels on a car to that of the visible face."""
+    """Set the normals of pixels on a car to the normal of the visible face."""
     for i in range(B):
         code = int(buf[FACE + i])
         side = code & 7
@@ -78,7 +78,7 @@ def face_normals(buf: F32, boxes: F64) -> None:
 
 @kernel
 def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
-    """Set SUN to 0 in the shadows of cars."""
+    """Set the slot SUN to 0 in the shadows of cars."""
     for m in range(boxes.shape[0]):
         box = boxes[m]
         reach = math.hypot(box[5], box[6]) + (box[7] + 1.0) * math.hypot(sun[0], sun[1]) / max(sun[2], 0.05)
@@ -101,7 +101,7 @@ def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
 
 @kernel
 def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
-    """Fill SUN, the share of the sun that passes terrain, small things and clouds, and CLOUD, the share clouds take."""
+    """Fill the slots SUN (share of sun past terrain, small things and clouds) and CLOUD (share that clouds take)."""
     for i in range(B):
         buf[SUN + i] = smoothstep(f32(SHADED), f32(LIT), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
     fill(buf, CLOUD, 0.0)
@@ -122,7 +122,7 @@ def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
 
 @kernel
 def slope_normals(buf: F32) -> None:
-    """Fill NX, NY, NZ from the slopes of the ground and of its micro-relief."""
+    """Fill the normals NX, NY, NZ from the slopes of the ground and of its micro-relief."""
     for i in range(B):
         bump = buf[PARAM + P_BUMP * B + i]
         e, n = buf[SLOPE_E + i] + bump * buf[BUMP_E + i], buf[SLOPE_N + i] + bump * buf[BUMP_N + i]
@@ -169,7 +169,7 @@ def dye(buf: F32) -> None:
 
 @kernel
 def haze(buf: F32, lights: F32) -> None:
-    """Dim far points and add the light that the air scatters (Koschmieder, 1924); sky where nothing was hit."""
+    """Dim far points and add the light that the air scatters (Koschmieder, 1924); sky if nothing was hit."""
     for i in range(B):
         up = max(-buf[VZ + i], F0)
         low = (F1 - up) * (F1 - up)

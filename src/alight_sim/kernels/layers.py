@@ -1,6 +1,6 @@
-"""Ground by world position: fractal relief and distances to lines, for cells of a tile and for single places alike.
+"""Ground by world position: fractal relief and distances to lines, for the cells of a tile or single positions.
 
-Every value is a function of its place and the seed alone: tiles that share a border agree on it, on any thread.
+Every value is a function of its position and the seed only, so adjacent tiles agree at their border, on any thread.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BLOCK = 8  # cells of a block's side
 
 @kernel
 def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Add the octaves at places (C,) to `out` (C,), in single precision from the first place."""
+    """Add the octaves at positions (C,) to `out` (C,), in single precision from the first position."""
     cos, sin = 1.0, 0.0
     for k in range(wavelengths.size):
         # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
@@ -46,17 +46,17 @@ def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, s
 
 @kernel
 def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Do as `add_fractal` on the calling thread alone: faster for a few places."""
+    """Add noise octaves like `add_fractal`, but on the calling thread alone, which is faster for a few positions."""
     for r in range(out.shape[0]):
         _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
 
 
 @parallel_kernel
 def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Add noise octaves at places (R, C) to `out` (R, C).
+    """Add noise octaves at positions (R, C) to `out` (R, C).
 
-    `form`: HILLS: as they are; RIDGES: creases upwards; DUNES: long crests across the east. An octave has about its
-    amplitude as standard deviation.
+    `form`: HILLS: as they are; RIDGES: creases upwards; DUNES: long crests across the east. The standard deviation of
+    an octave is about its amplitude.
     """
     for r in prange(out.shape[0]):
         _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
@@ -64,9 +64,9 @@ def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, se
 
 @parallel_kernel
 def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
-    """Fill `out` (R, C, 3) with each place's position against a line: aside (left is negative), along, height there.
+    """Fill `out` (R, C, 3) for positions near a line: distance aside (left is negative), distance along, line's height.
 
-    `line` (N, 4): east, north, metres along, height of each vertex. Places farther than `reach`: aside is `reach`.
+    `line` (N, 4): east, north, metres along, height of each vertex. Beyond `reach`, the distance aside is `reach`.
     """
     for r in prange(out.shape[0]):
         for c in range(out.shape[1]):
@@ -86,7 +86,7 @@ def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
 
 @parallel_kernel
 def box_mean(values: F32, half: int, out: F32) -> None:
-    """Fill `out` (R, C) with the mean of the square of 2 half + 1 cells about each cell, cut at the edges."""
+    """Fill `out` (R, C) with the mean over the square of 2 half + 1 cells around each cell, cut at the edges."""
     rows, cols = values.shape
     across = np.empty((rows, cols))
     for r in prange(rows):
@@ -113,8 +113,8 @@ def box_mean(values: F32, half: int, out: F32) -> None:
 def ground_light(height: F32, means: F32, row: int, col: int, cell: float, gains: F64, out: F32) -> None:
     """Fill `out` (R, C, 3) with slope east, slope north and the share of open sky.
 
-    Cell (0, 0) of `out` is (`row`, `col`) of `height`, which goes on by a cell or more on every side. `means` (K, ...):
-    heights smoothed over K widths; a hollow is a cell below them, darker by `gains` (K,) a metre.
+    Cell (0, 0) of `out` is (`row`, `col`) of `height`, which extends a cell or more beyond `out` on every side. `means`
+    (K, ...): heights smoothed over K widths; a hollow is a cell below them, darker by `gains` (K,) per metre.
     """
     for r in prange(out.shape[0]):
         for c in range(out.shape[1]):
@@ -138,7 +138,7 @@ def _bilinear(layer: F32, x: float, y: float) -> float:
 
 @parallel_kernel
 def tile_block_tops(height: F32, out: F32) -> None:
-    """Fill `out` with the highest cell of each block of BLOCK x BLOCK, one cell about it included."""
+    """Fill `out` with the highest cell of each block of BLOCK x BLOCK and of a margin of one cell around it."""
     rows, cols = height.shape
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
@@ -151,7 +151,7 @@ def tile_block_tops(height: F32, out: F32) -> None:
 
 @kernel
 def _to_leave(x: float, step: float) -> int:
-    """Return the number of steps that stay inside the block."""
+    """Return the number of steps along one axis that stay inside the block."""
     inside = x - BLOCK * math.floor(x / BLOCK)
     if step > 0.0:
         return int((BLOCK - inside) / step)
@@ -165,8 +165,8 @@ def sun_margin(
     """Fill `out` (R, C) with the clearance of each cell's ray to the sun above the ground, metres (negative: shadow).
 
     Cell (0, 0) of `out` is (`row`, `col`) of `height`. `step` (3,): one step towards the sun in columns, rows, metres;
-    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. `tops` of `tile_block_tops` lets a ray skip
-    blocks that lie too deep below it to matter; the result is the same.
+    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. With `tops` of `tile_block_tops` a ray
+    skips blocks that are too far below it to matter; the result is the same.
     """
     rows, cols = height.shape
     for r in prange(out.shape[0]):

@@ -58,7 +58,7 @@ def _scatter(
         there = F1 if f32(u32(h & low)) < f32(256) * buf[N + i] else F0
         x = (u - f32(a) - f32(0.3) - f32(0.4) * unit * f32(u32(u32(h >> u32(8)) & low))) * cell
         y = (v - f32(b) - f32(0.3) - f32(0.4) * unit * f32(u32(u32(h >> u32(16)) & low))) * cell
-        x += y * (unit * f32(u32(h2 >> u32(24))) - f32(0.5))  # no two of one shape
+        x += y * (unit * f32(u32(h2 >> u32(24))) - f32(0.5))  # no two have the same shape
         size = F1 / (radius * (f32(0.45) + f32(0.55) * unit * f32(u32(h >> u32(24)))))
         x, y = x * size, y * size
         soft = f32(0.35) + f32(0.5) * buf[FOOT + i] * size
@@ -79,9 +79,9 @@ def _scatter(
 
 @kernel
 def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
-    """Scatter stones, leaves, tufts below the cell: WEIGHT = gain of the colour, bump of their domes, SHADE = shadow.
+    """Scatter stones, leaves and tufts: fill the slots WEIGHT (gain of colour) and SHADE (shadow), and add their bumps.
 
-    Some cells of a lattice hold one, in four sizes. The shadow falls away from the sun, in proportion to the height.
+    Some cells of a lattice contain one, in four sizes. The shadow falls away from the sun, in proportion to the height.
     """
     fill(buf, WEIGHT, 1.0)
     fill(buf, SHADE, 0.0)
@@ -94,6 +94,6 @@ def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
             continue
         u, v, i, j = noise_lattice(base, 5.5 * radius, 1.0, 0.0, 0.0, 0.0)
         copy(buf, slot, N)  # a fixed slot: LLVM must see that input and output are apart
-        for m in range(B):  # many here, none there
+        for m in range(B):  # many in some areas, none in others
             buf[N + m] *= min(max(F1 + f32(0.9) * buf[ASIDE + m], f32(0.05)), F2)
         _scatter(buf, f32(radius), (f32(u), f32(v), i32(i), i32(j)), towards, seed32(seed + k))

@@ -1,6 +1,6 @@
-"""Procedural noise by world position: an integer hash, so that no place repeats and nothing is stored.
+"""Procedural noise by world position: an integer hash, so that no position repeats and nothing is stored.
 
-Everything is a pure function of position and seed: the same on every thread and in NumPy.
+All values are pure functions of position and seed, equal on every thread and in NumPy.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def _hash_point(column: int, j: int) -> int:
 def hash3(i: int, j: int, seed: int) -> int:
     """Return 32 well mixed bits of two lattice indices and a seed.
 
-    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other: combining the indices first, by XOR of
-    their multiples, gave one lattice point in six the bits of another.
+    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other. When the indices were first
+    combined by XOR of their multiples, one lattice point in six had the bits of another one.
     """
     h: int = _hash_point(_hash_column(i, seed), j)
     return h
@@ -48,7 +48,7 @@ def hash3(i: int, j: int, seed: int) -> int:
 def gradient_noise(x: float, y: float, seed: int) -> tuple[float, float, float]:
     """Return Perlin's gradient noise of unit wavelength and unit standard deviation, and its two derivatives.
 
-    Quintic blending: the value is twice differentiable, so its slopes can be used as micro-relief.
+    Quintic blending makes the value twice differentiable, so its slopes can be used as micro-relief.
     """
     i, j = math.floor(x), math.floor(y)
     u, v = x - i, y - j
@@ -71,7 +71,7 @@ def gradient_noise(x: float, y: float, seed: int) -> tuple[float, float, float]:
     return value, slope_x, slope_y
 
 
-# ---- the same in 32 bits, for loops over a block of pixels that LLVM turns into vector code -------------------------
+# ---- 32-bit versions, for loops over a block of pixels that LLVM vectorises ------------------------------------
 
 Two = tuple[np.float32, np.float32]
 Three = tuple[np.float32, np.float32, np.float32]
@@ -84,14 +84,14 @@ _F1, _F2, _F6, _F10, _F15, _F30 = f32(1), f32(2), f32(6), f32(10), f32(15), f32(
 
 @pixelwise
 def floor32(x: np.float32) -> np.int32:
-    """Largest integer not above `x`; unlike `math.floor`, vectorised."""
+    """Return the largest integer not above `x`; unlike `math.floor`, vectorised."""
     i = i32(x)
     return i32(i - i32(f32(i) > x))
 
 
 @pixelwise
 def column32(i: np.int32, seed: np.uint32) -> np.uint32:
-    """First half of the hash, common to all points of one lattice column; `seed` already multiplied (`seed32`)."""
+    """Return the first half of the hash, common to a lattice column; `seed` comes from `seed32`."""
     h = u32(u32(i) * _I + seed)
     h = u32(h ^ u32(h >> _16))
     h = u32(h * _FIRST)
@@ -100,7 +100,7 @@ def column32(i: np.int32, seed: np.uint32) -> np.uint32:
 
 @pixelwise
 def point32(column: np.uint32, j: np.int32) -> np.uint32:
-    """Second half of the hash: bits of one lattice point."""
+    """Return the second half of the hash: the bits of one lattice point."""
     h = u32(column + u32(u32(j) * _J))
     h = u32(h ^ u32(h >> _16))
     h = u32(h * _FIRST)
@@ -111,19 +111,18 @@ def point32(column: np.uint32, j: np.int32) -> np.uint32:
 
 @pixelwise
 def seed32(seed: int) -> np.uint32:
-    """The seed, multiplied for the 32-bit hash."""
+    """Return a seed multiplied for the 32-bit hash."""
     return u32(((seed & MASK) * 0x4B1AB31F) & MASK)
 
 
 @pixelwise
 def _slopes32(h: np.uint32) -> Two:
-    """One lattice point's two slopes."""
     return f32(u32(h & _LOW)) * _STEP - _STD, f32(u32(h >> _16)) * _STEP - _STD
 
 
 @pixelwise
 def corners32(i: np.int32, j: np.int32, seed: np.uint32) -> tuple[Two, Two, Two, Two]:
-    """Slopes of the four lattice points about a cell, (0, 0), (1, 0), (0, 1), (1, 1) in (x, y)."""
+    """Return the slopes at the corners of a lattice cell: (0, 0), (1, 0), (0, 1), (1, 1) in (x, y)."""
     left, right, up = column32(i, seed), column32(i32(i + i32(1)), seed), i32(j + i32(1))
     return (
         _slopes32(point32(left, j)), _slopes32(point32(right, j)),
@@ -133,7 +132,7 @@ def corners32(i: np.int32, j: np.int32, seed: np.uint32) -> tuple[Two, Two, Two,
 
 @pixelwise
 def blend32(u: np.float32, v: np.float32, corners: tuple[Two, Two, Two, Two]) -> Three:
-    """Noise and its two derivatives at (u, v) of a cell, from the slopes of its corners."""
+    """Return noise and its two derivatives at (u, v) of a cell, from the slopes of its corners."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners
     a, b = ax * u + ay * v, bx * (u - _F1) + by * v
     c, d = cx * u + cy * (v - _F1), dx * (u - _F1) + dy * (v - _F1)
@@ -150,6 +149,6 @@ def blend32(u: np.float32, v: np.float32, corners: tuple[Two, Two, Two, Two]) ->
 def noise32(
     x: np.float32, y: np.float32, i0: np.int32, j0: np.int32, seed: np.uint32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """`gradient_noise` at (i0 + x, j0 + y) in single precision; whole steps are apart, so it is exact far from zero."""
+    """Return `gradient_noise` at (i0 + x, j0 + y) in single precision; integer parts keep it exact far from zero."""
     i, j = floor32(x), floor32(y)
     return blend32(x - f32(i), y - f32(j), corners32(i32(i + i0), i32(j + j0), seed))

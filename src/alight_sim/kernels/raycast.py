@@ -1,4 +1,4 @@
-"""Rays into a height field: exact intersection with its bilinear patches, sped up by a pyramid of maxima.
+"""Rays into a height field: exact intersection with its bilinear patches, accelerated by a pyramid of maxima.
 
 The surface is bilinear between cell centres, so along a ray its height is a quadratic in the ray's parameter: each
 patch is solved, not marched (error: rounding). Patch (r, c) spans the centres r..r+1, c..c+1. Pyramid of maxima after
@@ -24,7 +24,7 @@ I64 = NDArray[np.int64]
 Three = tuple[float, float, float]
 
 MISS = -1.0
-NEAR = 4  # the coarsest level of the pyramid by which rays fall freely
+NEAR = 4  # the coarsest level of the pyramid at which rays advance freely
 FALLS = 6  # at each level, at most
 STRIP = 16  # pixels of a row that start their rays together
 
@@ -80,7 +80,7 @@ def _clip(origin: Three, ray: Three, shape: tuple[int, int], top: float) -> tupl
 def _walk(
     height: F32, pyramid: F32, offsets: I64, widths: I64, origin: Three, ray: Three, span: Three, level: int
 ) -> float:
-    """Follow a ray over the grid from `span[0]` to `span[1]`, down and up the pyramid; see `cast_ray`."""
+    """Return the first hit of a ray between parameters `span[0]` and `span[1]`, or MISS; see `cast_ray`."""
     rows, cols, last = height.shape[0], height.shape[1], offsets.size - 1
     ox, oy, oz = origin
     rx, ry, rz = ray
@@ -157,8 +157,8 @@ def _ceiling(
 ) -> float:
     """Return a height above which no ray of a fan meets the surface.
 
-    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows a metre of fall. The pyramid
-    bounds the surface over the box that the rays cross between `top` and `low`: that bound is the next `top`.
+    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows per metre of fall. The
+    pyramid bounds the surface over the box that the rays cross between `top` and `low`; that bound is the next `top`.
     """
     box = np.empty(4)
     for _ in range(5):
@@ -175,7 +175,7 @@ def _ceiling(
 
 @kernel
 def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64, rays: F64, fan: F64) -> bool:
-    """Fill `rays` (STRIP, 3) with a strip's rays in grid coordinates, `fan` with their slopes; False: some look up."""
+    """Fill `rays` (STRIP, 3) with rays in grid coordinates, `fan` with their slopes; return whether all point down."""
     falls = True
     fan[0], fan[1], fan[2], fan[3] = math.inf, -math.inf, math.inf, -math.inf
     for c in range(first, last):
@@ -194,9 +194,9 @@ def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64,
 def _fall(
     about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64, level: int
 ) -> bool:
-    """Bring `starts` (STRIP,) down to the highest ground within 2^level cells, or so far aside; True: one ended aside.
+    """Advance `starts` (STRIP,) to the highest ground within 2^level cells; return whether a ray left its node first.
 
-    No ray meets the surface before: it stays over the 3 x 3 nodes about its place.
+    No ray meets the surface earlier, because it stays over the 3 x 3 nodes around its position.
     """
     aside = False
     for k in range(STRIP):
@@ -214,7 +214,7 @@ def _fall(
 def _fall_freely(
     about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64
 ) -> None:
-    """Bring the starts of a strip's rays down as far as the pyramid of maxima about each node allows."""
+    """Advance the starts of a strip's rays through space that the pyramid of local maxima `about` shows to be empty."""
     for k in range(min(NEAR, offsets.size - 1) + 1):
         level = min(NEAR, offsets.size - 1) - k
         for _ in range(FALLS):
@@ -227,12 +227,13 @@ def cast_rays(
     height: F32, pyramid: F32, offsets: I64, widths: I64, about: F32, origins: F64, directions: F32 | F64, turns: F64,
     low: float, out: F64,
 ) -> None:  # fmt: skip
-    """Fill `out` (H, W) with each pixel's ray parameter at its first hit (depth along the optical axis), MISS without.
+    """Fill `out` (H, W) with each pixel's ray parameter at its first hit (depth along the optical axis), or MISS.
 
     `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3), `turns` (N, 3, 3): grid coordinates from the
-    camera's axes, N = 1 for all rows or one each. `low`: no surface is lower. `about`: as `pyramid`, the maxima of the
-    3 x 3 nodes about each node. Rays start at the highest ground below their strip: 2.5 to 3 times as fast as from the
-    camera. Then they fall freely to the highest ground about their own place: a fifth less time.
+    camera's axes, N = 1 for all rows or one per row. `low`: no surface is lower. `about`: like `pyramid`, with maxima
+    over the 3 x 3 nodes around each node. Rays start at the highest ground below their strip, which is 2.5 to 3 times
+    as fast as from the camera. Then they advance to the highest ground around their own position, which saves another
+    fifth.
     """
     shape = height.shape
     summit = float(pyramid[offsets[offsets.size - 1]])

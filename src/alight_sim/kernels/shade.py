@@ -1,4 +1,4 @@
-"""The light that a hit point sends to a pixel: look by world position, sun with shadow, clouds, haze, moving water.
+"""Radiance from a hit point to a pixel: look by world position, sun with shadow, clouds, haze, moving water.
 
 Blocks of 64 pixels of a row go through passes that are vector loops (`alight_sim.kernels.block`). Linear radiance; a
 white flat surface in the sun is about 1.
@@ -66,7 +66,7 @@ PAINT, GLASS = 30, 34  # codes of alight_sim.looks.Look
 
 @kernel
 def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) -> None:
-    """Fill four slots of `buf` with the rays of a block in the world, and the rays' parameters at the ground."""
+    """Fill four slots of `buf` with a block's rays in the world (x, y, z) and their parameters at the ground."""
     count = min(B, depth.shape[1] - first)
     for i in range(count):
         d0, d1, d2 = directions[r, first + i, 0], directions[r, first + i, 1], directions[r, first + i, 2]
@@ -80,7 +80,7 @@ def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) 
 
 @kernel
 def _settle_base(ways: F64, centre: F64, base: F64) -> bool:
-    """Fill `base` with the hit of the first pixel on the ground, rounded down to whole metres; False: no pixel hits."""
+    """Fill `base` with the first ground point of a block, floored to metres; return whether the block has one."""
     for i in range(B):
         t = ways[3 * B + i]
         if t > 0.0:
@@ -95,12 +95,12 @@ def _aim(
     buf: F32, ways: F64, directions: F32, depth: F64, r: int, first: int, centre: F64, turn: F64, pixel: float,
     level: float, base: F64,
 ) -> bool:  # fmt: skip
-    """Fill places, directions to the camera, distance (-1: sky) and footprint; False: the block sees only sky.
+    """Fill positions, directions to the camera, distances (-1: sky) and footprints; return whether ground is seen.
 
     `ways` (4 B,) is scratch.
     """
     _turn(ways, directions, depth, r, first, turn)
-    for i in range(B):  # where the patch ends, the plane goes on
+    for i in range(B):  # where the patch ends, the plane continues
         t, z = ways[3 * B + i], ways[2 * B + i]
         ways[3 * B + i] = (level - centre[2]) / z if t < 0.0 and z < -1e-3 else t
     seen = _settle_base(ways, centre, base)
@@ -108,7 +108,7 @@ def _aim(
         x, y, z, t = ways[i], ways[B + i], ways[2 * B + i], ways[3 * B + i]
         length, ground = np.sqrt(x * x + y * y + z * z), t > 0.0
         there = t if ground else 0.0
-        buf[X + i] = f32(centre[0] + there * x - base[0]) if ground else F0  # sky: anywhere
+        buf[X + i] = f32(centre[0] + there * x - base[0]) if ground else F0  # sky: any position
         buf[Y + i] = f32(centre[1] + there * y - base[1]) if ground else F0
         buf[Z + i] = f32(centre[2] + there * z - base[2]) if ground else F0
         buf[VX + i], buf[VY + i], buf[VZ + i] = f32(-x / length), f32(-y / length), f32(-z / length)
@@ -119,7 +119,7 @@ def _aim(
 
 @kernel
 def _unfold(buf: F32, base: F64) -> None:
-    """Fill TX, TY: from above on ground and roofs, from the side on walls, where a pixel's footprint is larger."""
+    """Fill the texture coordinates TX, TY: from above on ground and roofs, from the side on walls."""
     x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
     z0 = f32(base[2])
     for i in range(B):
@@ -129,7 +129,7 @@ def _unfold(buf: F32, base: F64) -> None:
         east = wall if e > n else F0
         north = wall - east
         x, y, z = buf[X + i], buf[Y + i], buf[Z + i] + z0  # true height: blocks must agree
-        side_x, side_y = y + y0 - x0 + f32(300), z - y0 + f32(0.3) * (x + x0)  # of a wall that looks east or west
+        side_x, side_y = y + y0 - x0 + f32(300), z - y0 + f32(0.3) * (x + x0)  # of a wall that faces east or west
         front_x, front_y = x - f32(300), z - y0 + f32(0.3) * (y + y0)
         buf[TX + i] = (F1 - wall) * (x + leafy * f32(0.8) * z) + east * side_x + north * front_x
         buf[TY + i] = (F1 - wall) * (y - leafy * f32(0.5) * z) + east * side_y + north * front_y
@@ -138,7 +138,7 @@ def _unfold(buf: F32, base: F64) -> None:
 
 @kernel
 def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look: I32) -> bool:
-    """Give pixels on a car its look; False: there are none. See `alight_sim.kernels.boxes`."""
+    """Give the pixels on cars their look; return whether there are any. See `alight_sim.kernels.boxes`."""
     any_car, last = False, faces.shape[1] - 1
     for i in range(B):
         code = int(faces[r, min(first + i, last)])
@@ -188,12 +188,12 @@ def shade(
 ) -> None:  # fmt: skip
     """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
 
-    `height` (R, C; empty: the layers are coarser than it); `label` (R, C); `cells` (R, C, 2): look, and bits of its
-    surroundings (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky,
+    `height` (R, C; empty: the layers are coarser than it); `label` (R, C); `cells` (R, C, 2): look, and bits about its
+    neighbours (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky,
     water depth, tint. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS), `wet` (L,) 1 for water:
     `alight_sim.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
     picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W)
-    from `cast_boxes`; `pixel`: angle of a pixel, rad; `level`: height of the plane that goes on where the patch ends;
+    from `cast_boxes`; `pixel`: angle of a pixel, rad; `level`: height of the plane that continues beyond the patch;
     `lights` (LIGHTS,): see `illuminate`.
     """
     lights32 = lights.astype(np.float32)

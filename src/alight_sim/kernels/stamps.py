@@ -1,7 +1,7 @@
 """Standing things, stamped into the layers of a tile: domes (rocks, crowns) and boxes (houses, cars).
 
-A thing replaces lower surfaces. Rows run in parallel and each goes through the things in their order, so the result
-does not depend on threads; heights come from world positions, so two tiles draw the same thing the same way.
+A thing replaces lower surfaces. Rows run in parallel, and each processes the things in their order, so the result does
+not depend on threads. Heights are functions of world positions, so two tiles draw the same thing equally.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def stamp_domes(
     x: F64, y: F64, cell: float, things: F64, form: F64, shape: int, kind: int, rooted: bool, seed: int,
     ground: F64, height: F64, label: U8, depth: F64, look: U8, tint: F32,
 ) -> None:  # fmt: skip
-    """Stamp `things` (N, COLUMNS). `x` (C,), `y` (R,): cell centres. `rooted`: stands on the level of its foot.
+    """Stamp `things` (N, COLUMNS) as domes. `x` (C,), `y` (R,): cell centres. `rooted`: based on the level of its foot.
 
     `form` (4,): skirt (share of the top at the rim), lumps (times EXTRA, metres), size of lumps in metres, raggedness.
     `kind` < 0 keeps the class of the ground.
@@ -132,8 +132,8 @@ def stamp_boxes(
 ) -> None:  # fmt: skip
     """Stamp `things` (N, COLUMNS) with vertical sides, each on the level of its foot; `kind`: GABLE, HIP, FLAT, CAR.
 
-    A cell that an edge cuts rises by its covered share: edges askew to the grid are straight lines on the surface, no
-    stairs. It is of the thing's class where half of it is covered.
+    A cell that an edge cuts rises by its covered share, so edges askew to the grid are straight lines on the surface.
+    The cell gets the thing's class if half of it is covered.
     """
     for r in prange(y.size):
         for k in range(things.shape[0]):

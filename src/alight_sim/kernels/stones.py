@@ -1,6 +1,6 @@
 """Stones stamped into the layers of a tile: round or angular, of the ground's own material or of another.
 
-Rows run in parallel and each goes through the stones in their order, so the result does not depend on threads.
+Rows run in parallel, and each processes the stones in their order, so the result does not depend on threads.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
 
-FACES = 6  # of an angular stone, around it
-# distance of a face from the middle over the radius, [least, spread]: the area stays that of the ellipse
+FACES = 6  # number of faces around an angular stone
+# distance of a face from the centre over the radius, [least, spread]: the area stays that of the ellipse
 FACE = (0.81, 0.29)
 STEEP = 3.0  # rise of an angular stone from its outline: its top is nearly level
 ROCK = 6  # code of records.Terrain
@@ -29,7 +29,7 @@ FORM_ANGULAR, FORM_ROCK_FROM, FORM_HIDDEN, FORM_LOOK, FORM_TINT = range(5)
 
 @kernel
 def _outline(u: float, v: float, bits: int) -> float:
-    """Return the distance of a place from the middle of a polygon with `FACES` sides, relative to its outline (1)."""
+    """Return the distance of a point from the centre of a polygon with `FACES` sides; 1 on the polygon's outline."""
     far = 0.0
     for k in range(FACES):
         h = hash3(bits, k, 11)
@@ -41,7 +41,7 @@ def _outline(u: float, v: float, bits: int) -> float:
 
 @kernel
 def _stone(thing: F64, dx: float, dy: float, x: float, y: float, angular: bool, seed: int) -> tuple[float, float]:
-    """Return a stone's height above the ground (negative: outside) and the distance from its middle, 0 to 1 (rim)."""
+    """Return a stone's height above the ground (negative: outside) and the distance from its centre, 0 to 1 (rim)."""
     cos, sin = math.cos(thing[TURN]), math.sin(thing[TURN])
     u, v = (cos * dx + sin * dy) / thing[HALF_U], (cos * dy - sin * dx) / thing[HALF_V]
     if math.hypot(u, v) > 1.4:
@@ -66,9 +66,9 @@ def stamp_stones(
 ) -> None:  # fmt: skip
     """Stamp stones (N, COLUMNS) on the ground. `x` (C,), `y` (R,): cell centres.
 
-    Columns of a stone as in `stamps`; EXTRA: diameter, RED: brightness over that of the ground, BLUE: its outline.
-    `form` (7,): angular or not, diameter from which it is of class rock, share that is hidden, look (0: the ground's),
-    tint of that look (3). `by_class` (9,): look of a class; `under` (R, C, 3): tint of the ground.
+    Columns of a stone as in `stamps`; EXTRA: diameter, RED: brightness over the ground's, BLUE: its outline. `form`
+    (7,): angular or not, diameter from which it is of class rock, hidden share, look (0: the ground's), tint of that
+    look (3). `by_class` (9,): look of a class; `under` (R, C, 3): tint of the ground.
     """
     for r in prange(y.size):
         for k in range(things.shape[0]):

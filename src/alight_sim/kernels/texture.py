@@ -1,7 +1,7 @@
 """The texture of the ground for a block of pixels: large patches, detail at every scale, cracks, laid patterns.
 
-Noise of the world position, so that no place repeats. Each octave fades out below two pixel footprints: the picture is
-band-limited as a lens would make it. Columns of a look (P_...) are named in `alight_sim.materials`.
+Noise of the world position, so that no position repeats. Each octave fades out below two pixel footprints, so the
+picture is band-limited as by a lens. Columns of a look (P_...) are named in `alight_sim.materials`.
 """
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ from alight_sim.kernels.block import (  # fmt: skip
 )
 from alight_sim.kernels.noise import column32, point32, seed32
 
-FIRST_WAVELENGTH, OCTAVES = 3.0, 9  # metres, of octave 0; each next is half as long
+FIRST_WAVELENGTH, OCTAVES = 3.0, 9  # metres, of octave 0; each next one is half as long
 
-# numbers of a look
+# parameters of a look
 (
     P_RED1, P_GREEN1, P_BLUE1, P_RED2, P_GREEN2, P_BLUE2, P_RED3, P_GREEN3, P_BLUE3,
     P_MIX, P_PATCH, P_EDGE, P_CONTRAST, P_UNEVEN, P_VARY, P_HUE, P_FALL, P_RIDGE, P_BUMP, P_CRACK,
     P_THINGS0, P_THINGS1, P_THINGS2, P_THINGS3, P_TONE, P_SPREAD, P_TALL,
     P_DEEP, P_OPEN, P_COARSE, P_SWAY, P_HOT, P_GLOSS, P_PATTERN, P_LIFT, P_BED, P_WAVES, P_SCUM,
 ) = range(38)  # fmt: skip
-PARAMS = 38  # the last three are read for water alone
+PARAMS = 38  # the last three are read only for water
 TILES, SLABS, SEAMS, JOINTS = 1, 2, 3, 4
 
 
 @kernel
 def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> int:
-    """Fill the parameter slots with columns below `last`; return the look of the block, -1 where it has several.
+    """Fill the slots of the looks' parameters below index `last`; return the block's look, -1 if it has several.
 
-    `before`: the look that the slots hold already, -1 none: most blocks have the look of the one before.
+    `before`: the look that the slots already hold, -1: none; most blocks have the look of the previous block.
     """
     same = True
     for i in range(1, B):
@@ -85,7 +85,7 @@ def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> 
 
 @kernel
 def _spread_patches(buf: F32, w: float, slot: int) -> None:
-    """Add the noise to LARGE or MIDDLE, and its slope (as good as another noise) to ASIDE."""
+    """Add the noise in N to the slot LARGE or MIDDLE, and its slope (as good as another noise) to ASIDE."""
     g = f32(0.45 * w)
     if slot == LARGE:
         for i in range(B):
@@ -99,7 +99,7 @@ def _spread_patches(buf: F32, w: float, slot: int) -> None:
 
 @kernel
 def patches(buf: F32, base: F64, seed: int) -> None:
-    """Fill LARGE, MIDDLE, ASIDE with the variation within a class from place to place, 130 m down to 6 m."""
+    """Fill the slots LARGE, MIDDLE, ASIDE with the variation within a class at wavelengths from 130 m to 6 m."""
     for slot in (LARGE, MIDDLE, ASIDE):
         fill(buf, slot, 0.0)
     for k, (wavelength, w) in enumerate(((131.0, 0.6), (53.0, 0.6), (23.0, 0.55), (11.0, 0.7), (5.5, 0.7))):
@@ -109,8 +109,8 @@ def patches(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
-    """Add the octave in N, DU, DV; a share P_RIDGE of it becomes ridges, which real ground has and noise has not."""
-    relief = min(F1, f32(0.4) / wavelength)  # long waves of relief are the height layer's
+    """Add the octave in the slots N, DU, DV to the detail; a share P_RIDGE of it becomes ridges."""
+    relief = min(F1, f32(0.4) / wavelength)  # long waves of relief belong to the height layer
     for i in range(B):
         w = buf[WEIGHT + i] * smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
         n, ridge = buf[N + i], buf[PARAM + P_RIDGE * B + i]
@@ -125,7 +125,7 @@ def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) 
 
 @kernel
 def texture_detail(buf: F32, base: F64, seed: int) -> None:
-    """Fill VALUE (about unit deviation) and BUMP_E, BUMP_N: the octaves that a pixel resolves, 3 m to 1.2 cm."""
+    """Fill the slots VALUE (about unit deviation), BUMP_E, BUMP_N: octaves of 3 m to 1.2 cm that a pixel resolves."""
     for slot in (VALUE, BUMP_E, BUMP_N):
         fill(buf, slot, 0.0)
     for i in range(B):  # octaves of unit sum of squares
@@ -144,12 +144,12 @@ def texture_detail(buf: F32, base: F64, seed: int) -> None:
         noise_at(buf, base, wavelength, c, s, seed + 101 * k)
         _add_octave(buf, f32(wavelength), f32(c), f32(s))
         wavelength *= 0.5
-        c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s  # 37 degrees an octave: lattices never line up
+        c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s  # 37 degrees per octave: lattices never line up
 
 
 @kernel
 def _stain(buf: F32) -> None:
-    """Fill RED, GREEN, BLUE without detail: the three colours of a look, mixed by the place."""
+    """Fill the colours RED, GREEN, BLUE without detail: the three colours of a look, mixed by position."""
     p = PARAM
     for i in range(B):
         value, large, middle = buf[VALUE + i], buf[LARGE + i], buf[MIDDLE + i]
@@ -186,7 +186,7 @@ def _grain(buf: F32) -> None:
 
 @kernel
 def _cracks(buf: F32, base: F64, seed: int) -> None:
-    """Darken thin lines, 1 to 2 cm wide and metres long, where a noise crosses zero; fewer in some places."""
+    """Darken thin lines, 1 to 2 cm wide and metres long, where a noise crosses zero; there are fewer in some areas."""
     slot = PARAM + P_CRACK * B
     if largest(buf, slot) <= 0.0 or smallest(buf, FOOT) > 0.2:
         return
@@ -204,7 +204,7 @@ def _cracks(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def colours(buf: F32, base: F64, seed: int) -> None:
-    """Fill RED, GREEN, BLUE with the reflectance: three colours mixed by the place, times detail and small things."""
+    """Fill the slots RED, GREEN, BLUE: the three colours of a look mixed by position, times detail and small things."""
     _cracks(buf, base, seed)
     _stain(buf)
     _grain(buf)
@@ -212,7 +212,7 @@ def colours(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _pattern(kind: int, x: float, y: float, z: float, slope_e: float, slope_n: float, foot: float, seed: int) -> float:
-    """Return the gain of a place of laid material: tiles in rows of one height, slabs, seams down the slope, joints."""
+    """Return the gain of a laid material at a position: tiles in even rows, slabs, seams down the slope, or joints."""
     if kind in (SLABS, JOINTS):
         size = 0.5 if kind == SLABS else 4.0
         u, v, line = (0.921 * x - 0.389 * y) / size, (0.389 * x + 0.921 * y) / size, 0.012 / size
@@ -232,7 +232,7 @@ def _pattern(kind: int, x: float, y: float, z: float, slope_e: float, slope_n: f
 
 @kernel
 def laid(buf: F32, base: F64, seed: int) -> None:
-    """Multiply the colours by the pattern of tiles, slabs, seams or joints; blocks without such a look cost nothing."""
+    """Multiply the colours by the pattern of tiles, slabs, seams or joints; blocks without such a look are skipped."""
     slot = PARAM + P_PATTERN * B
     if largest(buf, slot) <= 0.0:
         return

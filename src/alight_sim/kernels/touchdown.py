@@ -1,6 +1,6 @@
 """Truth of a touchdown, cell by cell: the least-squares plane of the disc, and the deviations from it.
 
-For the simulator's truth alone: the stages that it judges have kernels of their own.
+Only for the simulator's truth: the stages that it judges have kernels of their own.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ B = NDArray[np.bool_]
 def running_sums(height: F32, barred: B, base: float, sums: F64, count: I64) -> None:
     """Fill running sums along each row: `sums` (R, C + 1, 2) of heights above `base` and of column times height.
 
-    `count` (R, C + 1): of barred cells, whose heights are left out.
+    `count` (R, C + 1): number of barred cells, whose heights are left out.
     """
     rows, cols = height.shape
     for r in prange(rows):
@@ -36,7 +36,7 @@ def running_sums(height: F32, barred: B, base: float, sums: F64, count: I64) -> 
 
 @kernel
 def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[float, float, float], limit: float) -> bool:
-    """True if all cells of the disc lie within `limit` of a plane: mean, rise a column, rise a row."""
+    """Return whether the disc's cells lie within `limit` of a plane, given by mean, rise per column, rise per row."""
     mean, rise_x, rise_y = plane
     k = half.size // 2
     for i in range(-k, k + 1):
@@ -53,10 +53,11 @@ def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[floa
 def touchdown(
     height: F32, base: float, sums: F64, count: I64, half: I64, steep: float, limit: float, out: B
 ) -> None:  # fmt: skip
-    """Fill `out` (R, C), true for: no barred cell in the disc, plane at most `steep` (a cell), deviations in `limit`.
+    """Fill `out` (R, C): whether the disc around a cell has no barred cell, slope <= `steep`, deviations <= `limit`.
 
-    `half` (2 k + 1,): cells either side of the middle in each row of the disc. On a full disc the normal equations are
-    diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is not safe.
+    `steep`: rise per cell. `half` (2 k + 1,): half widths of the disc's rows in cells. On a full disc the normal
+    equations are diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is
+    not safe.
     """
     rows, cols = height.shape
     k = half.size // 2

@@ -1,7 +1,7 @@
-"""Water for a block of pixels: moving waves, the bed refracted and dimmed, the sky mirrored, glints, scum that drifts.
+"""Water for a block of pixels: moving waves, the bed refracted and dimmed, the mirrored sky, glints, drifting scum.
 
-The bed is textured by the same passes as dry ground, at the place where the refracted ray meets it. So stereo matches
-the bed, below the true surface: a failure that must not mislead a lander.
+The bed is textured by the same passes as dry ground, at the position where the refracted ray meets it. So stereo
+matches the bed, below the true surface: a failure that must not mislead a lander.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045
 
 @kernel
 def dive(buf: F32, looks: F32, look: I32) -> bool:
-    """Keep the water's own numbers and give its pixels the look of the bed; False: no water in the block."""
+    """Store the parameters of water, and set the look of its pixels to the bed's; return whether there is water."""
     wet = False
     for i in range(B):
         wet |= buf[WATER + i] > 0.0
@@ -93,7 +93,7 @@ def _add_train(buf: F32, w: np.float32, wavelength: np.float32, c: np.float32, s
 
 @kernel
 def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Fill the slopes of the waves: five lengths, each running both down the wind and across it at sqrt(g L / 2 pi)."""
+    """Fill the slopes of the waves: five wavelengths, each running down the wind and across it at sqrt(g L / 2 pi)."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     fill(buf, WAVE_E, 0.0)
@@ -101,7 +101,7 @@ def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
     fill(buf, WAVE_VAR, 0.0004)
     speed = max(math.hypot(wind[0], wind[1]), 0.3)
     values_at(buf, base, 14.0, 0.6, 0.8, seed + 90, -wind[0] * time, -wind[1] * time)
-    for i in range(B):  # gusts roughen the water here and leave it smooth there
+    for i in range(B):  # gusts roughen the water in some areas and leave it smooth in others
         buf[CALM + i] *= f32(0.25) + f32(0.75) * smoothstep(f32(-1.0), f32(1.0), buf[N + i])
     for k, (wavelength, slope) in enumerate(TRAINS):
         run = 1.25 * math.sqrt(wavelength) * time
@@ -115,7 +115,7 @@ def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
 
 @kernel
 def refract(buf: F32) -> None:
-    """Move the texture coordinates of wet pixels to the place where the refracted ray meets the bed."""
+    """Move the texture coordinates of wet pixels to the position where the refracted ray meets the bed."""
     for i in range(B):
         deep = max(buf[DEPTH + i], F0) * buf[WATER + i]
         down = max(buf[VZ + i], f32(0.2))
@@ -125,7 +125,7 @@ def refract(buf: F32) -> None:
 
 @kernel
 def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
-    """Render one channel, N: the bed through the water, of colour V and attenuation U, and the mirrored sky."""
+    """Render one channel in the slot N: the bed through water of colour V and attenuation U, and the mirrored sky."""
     sx, sy, flat = towards[0], towards[1], towards[2]
     for i in range(B):
         v = buf[VX + i] * buf[WAVE_E + i] + buf[VY + i] * buf[WAVE_N + i]
@@ -157,7 +157,7 @@ def water_light(buf: F32, sun: F64) -> None:
 
 @kernel
 def _glints(buf: F32, sx: np.float32, sy: np.float32, sz: np.float32) -> None:
-    """Add the sun's mirror image where a wave tilts far enough (Cox and Munk, 1954, with the waves that are seen)."""
+    """Add the sun's mirror image where a wave tilts far enough (Cox and Munk, 1954, with the resolved waves)."""
     for i in range(B):
         hx, hy, hz = buf[VX + i] + sx, buf[VY + i] + sy, max(buf[VZ + i] + sz, f32(0.05))
         ex, ey = hx / hz + buf[WAVE_E + i], hy / hz + buf[WAVE_N + i]
@@ -172,7 +172,7 @@ def _glints(buf: F32, sx: np.float32, sy: np.float32, sz: np.float32) -> None:
 
 @kernel
 def scum(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Cover part of the water with algae or foam that the wind drives slowly: it moves from picture to picture."""
+    """Cover part of the water with algae or foam that the wind drives slowly, so it moves between pictures."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     fill(buf, CLOUD, 0.0)

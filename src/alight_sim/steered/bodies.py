@@ -1,4 +1,4 @@
-"""Bodies that come on command: a car that parks, a person that walks in. Upright boxes with exact places."""
+"""Bodies that appear on command: a car that parks, a person who walks in. Upright boxes with exact positions."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ PERSON = (0.30, 0.50, 1.75)  # metres: depth, width, height
 HEAD = 0.24  # metres, sides of the head's box
 PAINT, CLOTHES, SKIN = (0.40, 0.04, 0.03), (0.08, 0.10, 0.30), (0.45, 0.28, 0.20)
 _BRAKING = 2.0  # m/s^2
-_NODE = 0.5  # metres along the way between the heights that it stands on
+_NODE = 0.5  # metres along the path between the ground heights under it
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One body that comes along a straight line, brakes, and stays. Before `since` it does not exist."""
+    """A car or person that moves along a straight line, brakes, and stays. Before `since` it does not exist."""
 
     car: bool  # False: a person
     start: tuple[float, float]  # east, north, metres
     goal: tuple[float, float]
     since: float  # s of the flight
     speed: float  # m/s
-    heading: float  # rad from east to north, where start and goal are the same place
+    heading: float  # rad from east to north, used if start and goal are equal
     height_at: Height
 
     @property
@@ -39,12 +39,12 @@ class Body:
 
     @property
     def arrives(self) -> float:
-        """Second of the flight from which it stands at its goal."""
+        """Time of the flight at which the body stops at its goal, s."""
         reach = min(self.away, self.speed**2 / (2 * _BRAKING))  # under braking
         return self.since + (self.away - reach) / self.speed + math.sqrt(2 * reach / _BRAKING)
 
     def place_at(self, times: F64) -> F64:
-        """(T, 3) middle of its base, metres, at times in seconds."""
+        """Return the (T, 3) centre of the body's base, metres, at times (s)."""
         reach = min(self.away, self.speed**2 / (2 * _BRAKING))
         left = np.maximum(self.arrives - np.asarray(times, float), 0.0)
         braking = math.sqrt(2 * reach / _BRAKING)
@@ -55,13 +55,12 @@ class Body:
 
     @cached_property
     def _ride(self) -> tuple[F64, F64]:
-        """Shares of the way, and the height of the ground there."""
         nodes = np.linspace(0.0, 1.0, max(2, round(self.away / _NODE) + 1))
         way = np.array(self.start) + nodes[:, None] * np.subtract(self.goal, self.start)
         return nodes, np.array([self.height_at(float(e), float(n)) for e, n in way])
 
     def boxes_at(self, times: F64) -> F64:
-        """(T, 2, 12) its two boxes, as `kernels.boxes` takes them; of size 0 before `since`."""
+        """Return the body's two boxes (T, 2, 12) as in `kernels.boxes`; their size is 0 before `since`."""
         places = self.place_at(times)[:, None]
         heading = self.heading if self.away == 0 else math.atan2(*np.subtract(self.goal, self.start)[::-1])
         turns = np.full((len(times), 1), heading)
@@ -71,7 +70,7 @@ class Body:
 
 
 def _person(places: F64, heading: F64) -> F64:
-    """(T, 2, 12) boxes of trunk and head."""
+    """Return the (T, 2, 12) boxes of trunk and head of a person."""
     depth, width, height = PERSON
     out = np.zeros((len(places), 2, NUMBERS))
     out[:, :, 3], out[:, :, 4] = np.cos(heading), np.sin(heading)

@@ -1,4 +1,4 @@
-"""The cameras of a steered flight: exposures one after the other, with faults on command."""
+"""The cameras of a steered flight: exposures one after another, with faults on command."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Seeds = Callable[..., np.random.SeedSequence]
 
 @dataclass(frozen=True)
 class CameraFault:
-    """A fault of the cameras on command, from one second of the flight to another."""
+    """A commanded fault of the cameras, between two times of the flight (s)."""
 
     what: str  # freeze, lose, cover, late
     start: float
     end: float
-    camera: int | None = None  # its number; None: all of them
-    amount: float = 0.0  # share of the light kept out; seconds late
+    camera: int | None = None  # index of the camera; None: all cameras
+    amount: float = 0.0  # share of the light kept out; seconds of delay
 
     def holds(self, seconds: float, camera: int | None = None) -> bool:
-        """True if the fault holds at a time, seconds, for a camera."""
+        """Whether the fault affects a camera at a time (s)."""
         return self.start <= seconds < self.end and (self.camera is None or camera == self.camera)
 
 
@@ -45,7 +45,7 @@ class SteeredCameras:
     seeds: Seeds
     bodies: Sequence[Moving] = ()
     commanded: list[CameraFault] = field(default_factory=list)
-    next: int = 0  # number of the next exposure
+    next: int = 0  # index of the next exposure
 
     def __post_init__(self) -> None:
         cams = self.true_rig.cameras
@@ -57,12 +57,12 @@ class SteeredCameras:
         self._gains: list[F64] = []
 
     def done_at(self) -> float:
-        """Second of the flight at which the last row of the next exposure has been read."""
+        """Return the time of the flight (s) at which the last row of the next exposure has been read."""
         rows = max(c.camera.height for c in self.true_rig.cameras)
         return self._seconds(self.next) + 0.5 * (self.imaging.exposure_time + rows * self.imaging.line_time)
 
     def expose(self, body: Poses) -> tuple[int, Frame] | None:
-        """Draw the next exposure at a body's true poses; return arrival, ns, and frame; None: all is lost."""
+        """Draw the next exposure at the body's true poses; return arrival (ns) and frame, None if all are lost."""
         k, plan = self.next, self._planned(self.next)
         self.next += 1
         seconds = self._seconds(k)
@@ -86,10 +86,10 @@ class SteeredCameras:
         return self._last[cam]
 
     def _light(self, cam: int, seconds: float, body: Poses) -> F32:
-        """(H, W, 3) linear light of one camera.
+        """Return the (H, W, 3) linear light of one camera.
 
         Raises:
-            InputError: the world gives an array of another shape.
+            InputError: the world returns an array of another shape.
         """
         lens, body_from_cam = self.true_rig.cameras[cam].camera, self.true_rig.cameras[cam].body_from_cam
 
@@ -105,7 +105,7 @@ class SteeredCameras:
         return light
 
     def _gain(self, k: int, cam: int, seconds: float, light: F32) -> F64:
-        """(3,) gains, with exposure control by the light of the previous exposure."""
+        """Return the (3,) gains, with exposure control by the light of the previous exposure."""
         base: F64 = self._gains[cam][k]
         if not self.imaging.auto:
             return base
@@ -118,7 +118,7 @@ class SteeredCameras:
         return float(self._planned(k).true_ns[k] - START_NS) * 1e-9
 
     def _planned(self, k: int) -> Exposures:
-        """Plan of the exposures, made ahead: twice as many whenever exposure `k` lies beyond its end."""
+        """Return the plan of the exposures; if index `k` lies beyond its end, the plan is made twice as long."""
         if self._plan is None or k >= len(self._plan.true_ns):
             count = 256 if self._plan is None else 2 * len(self._plan.true_ns)
             beat_ns = START_NS + np.round(np.arange(count) * 1e9 / self.rate_hz).astype(np.int64)

@@ -1,4 +1,4 @@
-"""A flight that is steered: set-points in, events out, step by step, over the same worlds and with the same errors."""
+"""A flight that is steered step by step: set-points in, events out, over the same worlds and with the same errors."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class TrueBattery:
     """Charge of the battery, and consumption in flight."""
 
     share: float = 1.0  # left at the start
-    endurance: float = 1200.0  # s of hovering with a full one
-    climb: float = 1.5e-4  # share for each metre upwards, on top of that
+    endurance: float = 1200.0  # s of hovering with a full battery
+    climb: float = 1.5e-4  # additional share per metre of climb
 
 
 @dataclass
@@ -48,12 +48,12 @@ class MovingAir:
     """Wind and gusts on command, and the part of them that the autopilot has learned."""
 
     velocity: F64  # (3,) m/s
-    learned: F64  # (3,) m/s, of the velocity
+    learned: F64  # (3,) m/s, learned part of the velocity
     pushes: list[tuple[float, float, F64]] = field(default_factory=list)  # s from and to, m/s^2
     leant: F64 = field(default_factory=lambda: np.zeros(3))  # m/s^2, learned part of the pushes
 
     def push(self, now: float, h: float, drag: float) -> F64:
-        """(3,) m/s^2 on the vehicle in a step of `h` seconds, less the part that the autopilot has learned."""
+        """Return the acceleration (3,) m/s^2 by wind and gusts in a step of `h` s, minus the learned part."""
         share = 1.0 - math.exp(-h / _TRIM)
         self.learned = self.learned + share * (self.velocity - self.learned)
         gusts: F64 = sum((a for start, end, a in self.pushes if start <= now < end), np.zeros(3))
@@ -68,19 +68,19 @@ class SteeredFlight:
 
     Args:
         scene: a built-in scene's name, a scene file, a scene, or a world.
-        size: of the pictures, pixels; the world's rig is scaled to it.
-        stereo: all cameras of the rig, or the first alone.
-        start: east and north, and metres above the ground there.
-        limits: of the vehicle; None: `NIMBLE`.
+        size: width and height of the pictures, pixels; the world's rig is scaled to it.
+        stereo: whether all cameras of the rig are used, or only the first.
+        start: east and north (m), and metres above the ground there.
+        limits: limits of the vehicle; None: `NIMBLE`.
         wind: (3,) m/s, east, north, up: velocity of the air.
-        gusts: m/s^2, standard deviation of their acceleration.
+        gusts: m/s^2, standard deviation of the acceleration by gusts.
         battery: charge and consumption; None: `TrueBattery()`.
-        faults, nav, imu: instead of the world's, whose IMU is read `IMU_RATE_HZ` times a second.
-        standing: metres from the plane of the feet to the body's origin.
-        radius: metres about its middle within which it strikes things higher than its feet; 0: it strikes none.
+        faults, nav, imu: replace the world's own; None: the world's, with an IMU rate of `IMU_RATE_HZ`.
+        standing: height of the body's origin above the plane of the feet, metres.
+        radius: metres around the vehicle within which it strikes objects higher than its feet; 0: it strikes none.
 
     Raises:
-        InputError: no such scene, or `size` is not of the shape of the rig's pictures.
+        InputError: the scene does not exist, or `size` has another aspect ratio than the rig's pictures.
     """
 
     kind: Literal["flight"] = "flight"
@@ -107,7 +107,7 @@ class SteeredFlight:
         radius: float = 0.0,
     ) -> None:
         self.world: World = build(scene, seed) if isinstance(scene, str | Path | Scene) else scene
-        self.bodies: list[Body] = []  # that have come on command
+        self.bodies: list[Body] = []  # that appeared on command
         self.seed, self.rate_hz, self.standing = seed, rate_hz, standing
         self.warnings = list(self.world.warnings)
         faults = faults or self.world.faults
@@ -140,12 +140,12 @@ class SteeredFlight:
 
     @property
     def name(self) -> str:
-        """The scene and the seed."""
+        """Name of the scene and seed of the flight."""
         return f"{self.world.name}-{self.seed}"
 
     @property
     def local(self) -> LocalFrame:
-        """Local frame of the world: its origin on Earth."""
+        """Local frame of the world, with its origin on Earth."""
         return self.world.local
 
     @property
@@ -160,14 +160,14 @@ class SteeredFlight:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Exposures so far, the lost ones included."""
+        """Number of exposures so far, including the lost ones."""
         return {"exposures": self.cameras.next}
 
     # -- truth
 
     @property
     def seconds(self) -> float:
-        """Time of the flight, s, from its first exposure; it begins LEAD before."""
+        """Time since the first exposure, s; the flight begins LEAD before it."""
         return self._elapsed_ns * 1e-9 - LEAD
 
     @property
@@ -177,27 +177,27 @@ class SteeredFlight:
 
     @property
     def true_pose(self) -> Pose:
-        """True `world_from_body`, at most one sample of the IMU ago."""
+        """True `world_from_body`, at most one IMU sample old."""
         return self._vehicle.world_from_body
 
     @property
     def body(self) -> PointMass:
-        """The true vehicle, to be read only."""
+        """The true vehicle; do not change it."""
         return self._vehicle
 
     @property
     def height_above_ground(self) -> float:
-        """Metres from the surface below to the plane of the feet."""
+        """Height of the plane of the feet above the surface below, metres."""
         return self._contacts.height
 
     @property
     def gap(self) -> float:
-        """Metres from the highest thing within its radius, or below its middle, up to the plane of its feet."""
+        """Height of the plane of the feet above the highest object within the radius or the ground below, metres."""
         return self._contacts.gap
 
     @property
     def wind_world(self) -> F64:
-        """(3,) m/s: velocity of the air as the autopilot has learned it."""
+        """(3,) m/s, velocity of the air as estimated by the autopilot."""
         return self.air.learned.copy()
 
     @property
@@ -207,7 +207,7 @@ class SteeredFlight:
 
     @property
     def imu(self) -> tuple[F64, F64] | None:
-        """(3,) rad/s and (3,) m/s^2 in the body, as measured; None: for 30 ms there was no sample."""
+        """Measured angular rate (3,) rad/s and specific force (3,) m/s^2 in the body; None: none in the last 30 ms."""
         sample = self.sensors.newest_imu
         if sample is None or self.time_ns - sample.t_ns > 30_000_000:
             return None
@@ -215,12 +215,12 @@ class SteeredFlight:
 
     @property
     def landed(self) -> bool:
-        """True if it stands on something."""
+        """Whether the vehicle stands on something."""
         return self._vehicle.stands
 
     @property
     def navigation(self) -> NavigationError:
-        """Errors of the navigation solution now; that of the position is smoothed, as an autopilot's estimate is."""
+        """Present errors of the navigation solution; the position error is smoothed, as in an autopilot's estimate."""
         seconds = self._steps / self._imu_errors.rate_hz - LEAD
         nav = self.sensors.nav
         return NavigationError(
@@ -230,7 +230,7 @@ class SteeredFlight:
 
     @property
     def contacts(self) -> list[TrueContact]:
-        """Contacts with the ground and things so far."""
+        """Contacts with the ground and with objects so far."""
         return self._contacts.found
 
     @property
@@ -239,7 +239,7 @@ class SteeredFlight:
         return self.contacts[-1] if self.contacts else None
 
     def poses(self, t_ns: I64) -> list[Pose]:
-        """True `world_from_body` at times (N,) of the last three seconds."""
+        """Return the true `world_from_body` at times (N,) ns within the last three seconds."""
         turns, places = self.sensors.track.poses(1e-9 * np.asarray(t_ns - START_NS, np.float64))
         return [Pose(R, p) for R, p in zip(turns, places, strict=True)]
 
@@ -279,13 +279,13 @@ class SteeredFlight:
 
     def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
              heading: float = 0.0) -> Body:  # fmt: skip
-        """Let a car drive in from `start` (None: it stands there at once, its length at `heading` rad from east)."""
+        """Let a car drive in from `start` and park (None: it parks at once, at `heading`, rad from east to north)."""
         return self._come(True, east, north, start, speed, heading)
 
     def walk_in(
         self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 1.4
     ) -> Body:
-        """Let a person walk to a spot from `start` (None: from 10 m south of it) and stay."""
+        """Let a person walk to a position and stay, from `start` (None: 10 m south of it); return the person."""
         return self._come(False, east, north, start or (east, north - 10.0), speed, 0.0)
 
     def _come(
@@ -305,32 +305,32 @@ class SteeredFlight:
         self.air.velocity = self._vehicle.wind_world = np.array([east, north, up], float)
 
     def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
-        """Send the last picture again, with new stamps. `camera`: its number; None: all of them."""
+        """Repeat the last picture with new stamps for `seconds`, in one camera (by index) or in all (None)."""
         self._camera_fault("freeze", seconds, camera)
 
     def lose_camera(self, seconds: float, camera: int | None = None) -> None:
-        """Lose all pictures for `seconds`. `camera`: its number; None: all of them."""
+        """Lose all pictures for `seconds`, of one camera (by index) or of all (None)."""
         self._camera_fault("lose", seconds, camera)
 
     def cover_camera(self, seconds: float, share: float = 0.98, camera: int | None = None) -> None:
-        """Keep a share of the light out for `seconds`. `camera`: its number; None: all of them."""
+        """Keep a share of the light out for `seconds`, in one camera (by index) or in all (None)."""
         self._camera_fault("cover", seconds, camera, share)
 
     def delay_frames(self, seconds: float, by: float) -> None:
-        """Let the exposures of the next `seconds` arrive `by` seconds late, rightly stamped."""
+        """Delay the arrival of the exposures of the next `seconds` by `by` seconds; their stamps stay right."""
         self._camera_fault("late", seconds, None, by)
 
     def _camera_fault(self, what: str, seconds: float, camera: int | None, amount: float = 0.0) -> None:
         self.cameras.commanded.append(CameraFault(what, self.seconds, self.seconds + seconds, camera, amount))
 
     def lose_gps(self, seconds: float, what: Literal["position", "rows"] = "position") -> None:
-        """Lose positions or whole rows for `seconds`; the autopilot's own error goes on as before."""
+        """Lose positions or whole rows for `seconds`; the autopilot's position error continues unchanged."""
         self._change_nav(
             outages=(*self.sensors.nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what))
         )
 
     def jump_gps(self, offset: Sequence[float], seconds: float | None = None) -> None:
-        """Shift all positions by (3,) metres, unclaimed, for a time (None: for good)."""
+        """Shift all positions by (3,) metres, with unchanged reported sigmas, for `seconds` (None: permanently)."""
         east, north, up = (float(v) for v in offset)
         jump = Jump(at=self.seconds, seconds=seconds, offset=(east, north, up))
         self._change_nav(jumps=(*self.sensors.nav.errors.jumps, jump))
@@ -343,7 +343,7 @@ class SteeredFlight:
         self.sensors.imu_lost.append((self.seconds, self.seconds + seconds))
 
     def drain(self, share: float) -> None:
-        """Take a share of the charge that is left away."""
+        """Remove a share of the remaining charge."""
         self.battery *= 1.0 - share
 
 
@@ -355,12 +355,12 @@ class FlownEstimate:
         self.now = flight.navigation
 
     def step(self, dt: float) -> None:
-        """Read the errors of the flight, which its own sensors have advanced."""
+        """Read the present errors of the flight, which advances its own sensors."""
         self.now = self._flight.navigation
 
 
 def sized_rig(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:
-    """The rig with pictures of another size, all of its cameras or the first alone."""
+    """Return a rig with pictures of another size (width, height), with all its cameras or only the first."""
     cams = []
     for cam in rig.cameras if stereo else rig.cameras[:1]:
         lens = cam.camera.scaled(size[0] / cam.camera.width)

@@ -1,4 +1,4 @@
-"""The true surface under a vehicle: the ground, things on it, bodies that came on command; and contacts with it."""
+"""The true surface under a vehicle (the ground, objects on it, commanded bodies), and contacts with it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from alight_sim.movers import Moving, boxes_at
 from alight_sim.point_mass import PointMass
 from alight_sim.world import World
 
-STRIKE_STEPS = 5  # samples of the IMU between two checks for things beside
-LAST = 1.0  # metres above the ground: lower, a contact is a touchdown
-_WINDOW = 4.0  # metres about the place for which heights are held
-_NEAR = 8.0  # metres within which bodies are looked for
+STRIKE_STEPS = 5  # IMU samples between two checks for objects beside the vehicle
+LAST = 1.0  # metres above the ground; a contact below is a touchdown
+_WINDOW = 4.0  # metres around the position for which heights are held
+_NEAR = 8.0  # metres within which bodies are considered
 
 
 def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
-    """Height of the highest of boxes (M, 12) under a place, or within `within` metres of it; -inf: there is none."""
+    """Return the height of the highest of boxes (M, 12) within `within` metres of a position; -inf: there is none."""
     dx, dy = east - boxes[:, 0], north - boxes[:, 1]
     along = np.maximum(np.abs(boxes[:, 3] * dx + boxes[:, 4] * dy) - boxes[:, 5], 0.0)
     across = np.maximum(np.abs(boxes[:, 3] * dy - boxes[:, 4] * dx) - boxes[:, 6], 0.0)
@@ -30,11 +30,11 @@ def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
 
 
 class GroundBelow:
-    """Heights of successive places near each other. The surface is bilinear between cell centres.
+    """Ground height at successive positions close to each other. The surface is bilinear between cell centres.
 
     Args:
-        bodies: that have come on command until now.
-        radius: metres about a place within which `highest` looks.
+        bodies: bodies that have appeared on command.
+        radius: metres around a position that `highest` covers.
     """
 
     def __init__(self, world: World, bodies: Sequence[Moving] = (), radius: float = 0.0) -> None:
@@ -44,11 +44,11 @@ class GroundBelow:
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
         self._heights = np.empty((0, 0))  # the rows as an array
-        self.seconds = 0.0  # time of the flight, for the places of cars and persons
+        self.seconds = 0.0  # time of the flight, for the positions of cars and persons
         self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), with their number of bodies and time
 
     def height(self, east: float, north: float) -> float:
-        """Height of the surface, metres above the origin."""
+        """Return the height of the surface, including moving objects, metres above the origin."""
         self._hold(east, north)
         x = (east - self._place[0]) / self._cell
         y = (north - self._place[1]) / self._cell
@@ -59,7 +59,7 @@ class GroundBelow:
         return max(ground, self._top(east, north))
 
     def highest(self, east: float, north: float) -> float:
-        """Height of the highest thing within the radius about a place, metres above the origin."""
+        """Return the height of the highest ground or object within the radius of a position, above the origin (m)."""
         self._hold(east, north)
         cell, radius, (west, south) = self._cell, self.radius, self._place
         col, row = int((east - radius - west) / cell), int((north - radius - south) / cell)
@@ -72,7 +72,7 @@ class GroundBelow:
         return max(ground, below, self._top(east, north, radius))
 
     def _top(self, east: float, north: float, within: float = 0.0) -> float:
-        """Height of the highest thing that moves, within `within` metres of a place; -inf: there is none."""
+        """Return the height of the highest moving object within `within` metres of a position; -inf: there is none."""
         movers, now = (*self._movers, *self._bodies), (len(self._bodies), self.seconds)
         if not movers:
             return -math.inf
@@ -100,21 +100,21 @@ class GroundBelow:
 
 @dataclass(frozen=True, eq=False)
 class TrueContact:
-    """Contact of the vehicle with the ground or a thing: time, pose, velocity."""
+    """Contact of the vehicle with the ground or an object: time, pose, velocity."""
 
     t_ns: int
-    pose: Pose  # world_from_body just then; its origin is `standing` above the ground
+    pose: Pose  # world_from_body at the contact; its origin is `standing` above the ground
     velocity_world: F64  # (3,) m/s just before
     standing: float  # metres from the plane of the feet to the body's origin
-    struck: float | None = None  # metres above its feet: top of the thing that it struck in flight; None: a touchdown
+    struck: float | None = None  # metres above its feet: top of the object struck in flight; None: a touchdown
 
 
 class ContactWatch:
-    """Contacts of a vehicle that is stepped.
+    """Detector of the contacts of a vehicle that moves in steps.
 
     Args:
-        below: the surface, with the radius within which it strikes things higher than its feet; 0: it strikes none.
-        standing: metres from the plane of the feet to the body's origin.
+        below: the surface, with the radius within which it strikes objects higher than its feet; 0: it strikes none.
+        standing: height of the body's origin above the plane of the feet, metres.
     """
 
     def __init__(self, below: GroundBelow, standing: float, vehicle: PointMass) -> None:
@@ -124,19 +124,19 @@ class ContactWatch:
 
     @property
     def height(self) -> float:
-        """Metres from the surface below to the plane of the feet."""
+        """Height of the plane of the feet above the surface below, metres."""
         east, north, up = self._vehicle.position
         return float(up - (self.below.height(float(east), float(north)) + self._standing))
 
     @property
     def gap(self) -> float:
-        """Metres from the highest thing within the radius, or below the middle, up to the plane of the feet."""
+        """Height of the plane of the feet above the highest object within the radius or the ground below, metres."""
         east, north, up = (float(c) for c in self._vehicle.position)
         return up - self._standing - self.below.highest(east, north)
 
     def observe(self, t_ns: int, velocity_before: F64) -> None:
-        """Record a contact in the step that ends at `t_ns`; (3,) m/s just before."""
-        stood, self._stood = self._stood, self._vehicle.stands  # of the last step: a body that drives in counts, too
+        """Record a contact in the step that ends at `t_ns`; `velocity_before` is (3,) m/s just before it."""
+        stood, self._stood = self._stood, self._vehicle.stands  # last step; a body may drive in under it
         if self._stood and not stood:
             self._add(t_ns, velocity_before)
         self._steps += 1

@@ -1,4 +1,4 @@
-"""Events of a steered flight: the true motion, and measurements of it in the order of arrival."""
+"""Events of a steered flight: the true motion, and measurements of it in order of arrival."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from alight_sim.vehicle import UPWARDS
 
 
 class TrueTrack:
-    """Pieces of constant turn rate and acceleration, one a step. Times: seconds of the flight."""
+    """True motion in pieces of constant angular rate and acceleration, one per step. Times: seconds of the flight."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
-        self._pieces: list[tuple[TrueMotion, F64, float]] = []  # motion at the start; (3,) place at the end; seconds
+        self._pieces: list[tuple[TrueMotion, F64, float]] = []  # motion at the start; (3,) position at the end; s
 
     def add(self, start: float, seconds: float, before: TrueMotion, place: F64, turned: F64) -> TrueMotion:
-        """Append a step of `seconds` from `before` to a place (3,) and a rotation (3, 3); return its initial motion."""
+        """Append a step of `seconds` from `before` to a position (3,) and rotation (3, 3); return its motion."""
         rate = np.asarray(so3_log(before.world_from_body.T @ turned)) / seconds
         motion = TrueMotion(before.position_world, before.velocity_world, before.world_from_body, rate)
         self._times.append(start)
@@ -35,7 +35,7 @@ class TrueTrack:
         return motion
 
     def at(self, seconds: float) -> TrueMotion:
-        """The motion at one time; before the first step and after the last one it is extrapolated."""
+        """Return the motion at one time; before the first step and after the last one it is extrapolated."""
         k = max(bisect_right(self._times, seconds) - 1, 0)
         motion, place, whole = self._pieces[k]
         s = seconds - self._times[k]
@@ -48,30 +48,30 @@ class TrueTrack:
         )
 
     def poses(self, seconds: F64) -> tuple[F64, F64]:
-        """(N, 3, 3) rotations `world_from_body` and (N, 3) places at times (N,)."""
+        """Return the (N, 3, 3) rotations `world_from_body` and (N, 3) positions at times (N,)."""
         motions = [self.at(float(s)) for s in seconds]
         return np.stack([m.world_from_body for m in motions]), np.stack([m.position_world for m in motions])
 
 
 class SteeredSensors:
-    """IMU, GPS/INS and cameras of a vehicle that is stepped. Times: seconds of the flight.
+    """IMU, GPS/INS and cameras of a vehicle that moves in steps. Times: seconds of the flight.
 
     Args:
-        imu, biases: give one sample a step.
+        imu, biases: produce one sample per step.
         nav: GPS/INS, at its own rate.
-        cameras: expose at theirs.
+        cameras: expose at their own rate.
     """
 
     def __init__(self, imu: ImuStream, biases: BiasWalk, nav: NavStream, cameras: SteeredCameras) -> None:
         self._imu, self._biases, self.nav, self._cameras = imu, biases, nav, cameras
-        self.track = TrueTrack()  # it holds a step before `measure` is called for it
+        self.track = TrueTrack()  # contains each step before `measure` is called for it
         self.newest_imu: ImuSample | None = None
         self._nav_rows = 0
         self._queue, self._count = list[tuple[int, int, Event]](), 0  # arrival in ns, number, event
         self.imu_lost: list[tuple[float, float]] = []  # from, to: without samples
 
     def measure(self, start: float, h: float, motion: TrueMotion, velocity_world: F64) -> None:
-        """Measure a step of `h` seconds that begins with a motion and ends with a velocity, (3,) m/s."""
+        """Measure a step of `h` seconds, from its initial motion and its final velocity, (3,) m/s."""
         biases, middle = self._biases.next(), start + 0.5 * h
         turn = motion.world_from_body @ so3_exp(0.5 * h * motion.angular_velocity_body)
         force = turn.T @ ((velocity_world - motion.velocity_world) / h + UPWARDS)

@@ -12,12 +12,12 @@ from alight_sim.steered.ground import TrueContact
 
 
 def contact_seconds(contact: TrueContact) -> float:
-    """Time of a contact, seconds of the flight."""
+    """Return the time of a contact, seconds of the flight."""
     return (contact.t_ns - START_NS) * 1e-9
 
 
 def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLander) -> Touchdown:
-    """Judge a contact, with the bodies at their places just then; a strike in flight is unsafe."""
+    """Judge a contact, with the bodies at their positions at that time; a strike in flight is unsafe."""
     found = judge_touchdown(
         flight.world, lander, contact.pose, contact.velocity_world, contact_seconds(contact), flight.bodies
     )
@@ -25,11 +25,11 @@ def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLan
 
 
 def severity(safe: bool, reasons: tuple[str, ...]) -> tuple[bool, bool, int]:
-    """Rank a contact, worse is larger: unsafe, then a strike, then the number of broken limits."""
+    """Return a rank of a contact; larger is worse: unsafe, then a strike, then the number of broken limits."""
     return not safe, STRIKE in reasons, len(reasons)
 
 
 def judge_flight(flight: SteeredFlight, lander: OracleLander) -> Touchdown | None:
-    """Judge the worst contact of a flight; the last one where it is as bad as any; None: there was no contact."""
+    """Judge the worst contact of a flight, the last one among equals; None: there was no contact."""
     found = [judge_contact(flight, contact, lander) for contact in flight.contacts]
     return max(found, key=lambda d: (severity(d.safe, d.reasons), d is found[-1]), default=None)

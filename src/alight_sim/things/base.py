@@ -1,4 +1,4 @@
-"""Base of all things of a scene: the sheet that they are drawn on, and their scattering over a world."""
+"""Base of all things of a scene: the sheet on which they are drawn, and their scattering over a world."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CoverName = Literal["bare", "short_grass", "tall_vegetation", "tree", "water", "
 Places = tuple[tuple[Coordinate, Coordinate], ...]
 Factor = Annotated[float, Field(ge=0.0, le=20.0)]
 UNTINTED = (1.0, 1.0, 1.0)
-LARGEST = 200.0  # metres, size of one thing
+LARGEST = 200.0  # metres, largest size of one thing
 
 
 def _look(value: Any) -> Any:
@@ -60,15 +60,14 @@ Between = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(
 
 
 def terrain_named(name: str) -> Terrain:
-    """The class of this name."""
     return Terrain[name.upper()]
 
 
 @dataclass(eq=False)
 class Sheet:
-    """Places (R, C) with the layers under construction; things change them in place.
+    """Positions (R, C) with the layers under construction, which things change in place.
 
-    `ground` is the solid ground, `height` the topmost surface: cover and standing things raise only the latter.
+    `ground` is the solid ground, `height` the topmost surface: cover and standing things raise only `height`.
     """
 
     x: F64
@@ -79,12 +78,12 @@ class Sheet:
     depth: F64  # metres of water
     look: U8  # codes of Look
     tint: F32  # (R, C, 3) factor on the look's reflectance
-    cell: float  # metres between the places of a tile; 0: single places
+    cell: float  # metres between the positions of a tile; 0: single positions
     notes: dict[int, Any] = field(default_factory=dict)  # by layer: data of its `shape` for its `cover`
 
     @classmethod
     def blank(cls, x: F64, y: F64, label: Terrain, cell: float = 0.0) -> Sheet:
-        """Make flat ground of one class at height 0."""
+        """Return flat ground of one class at height 0."""
         zero = np.zeros(x.shape)
         labels = np.full(x.shape, label, np.uint8)
         looks, tint = np.zeros(x.shape, np.uint8), np.ones((*x.shape, 3), np.float32)
@@ -92,7 +91,7 @@ class Sheet:
 
     @property
     def box(self) -> Box:
-        """Box of the places, a cell larger on every side: things cover cells whose centres they do not reach."""
+        """Box of the positions, enlarged by a cell on every side, because things cover cells beyond their outline."""
         near = self.cell
         return (
             float(self.x.min()) - near, float(self.y.min()) - near,
@@ -100,7 +99,7 @@ class Sheet:
         )  # fmt: skip
 
     def near(self, east: float, north: float, reach: float) -> tuple[Any, F64, F64]:
-        """Index of the places in a square about a place, and their east and north from there, metres."""
+        """Return the index of the positions in a square about a position, and their east and north from it, metres."""
         if self.cell > 0.0:
             cols = np.nonzero(np.abs(self.x[0] - east) < reach)[0]
             rows = np.nonzero(np.abs(self.y[:, 0] - north) < reach)[0]
@@ -112,13 +111,13 @@ class Sheet:
     def paint(
         self, index: Any, mask: Mask, kind: Terrain | None, look: Look = Look.BY_CLASS, tint: Sequence[float] = UNTINTED
     ) -> None:
-        """Give the masked places of an index a class and a look; no class: that of the ground stays."""
+        """Set class, look and tint at the masked positions of an index; with None as `kind` the class is kept."""
         for layer, value in ((self.label, kind), (self.look, look), (self.tint, tint)):
             if value is None:
                 continue
             part = layer[index]
             part[mask] = value
-            if part.base is None:  # picked one by one: a copy
+            if part.base is None:  # fancy indexing made a copy
                 layer[index] = part
 
 
@@ -127,7 +126,7 @@ def _run(found: NDArray[np.intp]) -> slice:
 
 
 def ramp(low: float, high: float, x: F64) -> F64:
-    """Smooth step from 0 at `low` to 1 at `high`."""
+    """Return a smooth step from 0 at `low` to 1 at `high`."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
@@ -146,12 +145,12 @@ class Layer(Section):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Largest lowering and raising of the ground by the layer, metres."""
+        """Largest lowering and largest raising of the ground by the layer, metres."""
         return 0.0, 0.0
 
 
 class Scattered(Layer):
-    """Things at given places, or scattered at random with a number a hectare."""
+    """Things at given positions, or scattered at random with a number per hectare."""
 
     at: Places = Field((), description="[[east, north], ...] metres from the origin")
     per_hectare: float = Field(0.0, ge=0.0, le=20000.0, description="how many a hectare, at random places")
@@ -171,36 +170,36 @@ class Scattered(Layer):
 
     @property
     def founded(self) -> bool:
-        """True: its base is the highest ground under it."""
+        """Whether the base of a thing is the highest ground under it, instead of the mean."""
         return False
 
     @property
     def density(self) -> float:
-        """Number of random things drawn a hectare; some of them may find no place."""
+        """Number of random things drawn per hectare; some of them may find no site."""
         return self.per_hectare
 
     def draw(self, rng: np.random.Generator, things: F64) -> None:
-        """Draw the other columns of things (N, COLUMNS) that have their places."""
+        """Draw all columns of things (N, COLUMNS) except their positions, in place."""
         raise NotImplementedError
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """(N,) true for drawn random things that exist: their number may vary from place to place."""
+        """Return the (N,) mask of drawn random things that exist; their density may vary over the ground."""
         return np.ones(len(things), bool)
 
     def parts(self, rng: np.random.Generator, things: F64) -> F64:
-        """Parts to stamp for things that have found their place: the things themselves."""
+        """Return the parts to stamp for the things that found a site: by default the things themselves."""
         return things
 
 
 def blank_things(places: F64) -> F64:
-    """(N, COLUMNS) things at places (N, 2), all else 0."""
+    """Return (N, COLUMNS) things at positions (N, 2), with all other columns 0."""
     things = np.zeros((len(places), COLUMNS))
     things[:, [EAST, NORTH]] = places
     return things
 
 
 def overlapping(things: F64, box: Box) -> F64:
-    """Select the things that reach into a box."""
+    """Return the things that reach into a box."""
     west, south, east, north = box
     e, n, reach = things[:, EAST], things[:, NORTH], things[:, REACH]
     near = (e + reach >= west) & (e - reach <= east) & (n + reach >= south) & (n - reach <= north)
@@ -208,7 +207,7 @@ def overlapping(things: F64, box: Box) -> F64:
 
 
 def power_law(rng: np.random.Generator, between: Between, exponent: float, count: int) -> F64:
-    """(count,) sizes of a power law: the number above a size is proportional to the size to the power -exponent."""
+    """Return (count,) sizes by a power law: the number above a size is proportional to size to the power -exponent."""
     low, high = between
     u = rng.random(count)
     if low == high:
@@ -220,11 +219,11 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
 
 
 def covered(inside: F64, cell: float) -> F64:
-    """Share of a cell inside an edge, `inside` metres from its centre: heights by this share make straight edges."""
+    """Return the share of a cell that is inside an edge, from its centre's distance inside the edge, metres."""
     return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
 
 
 def along_and_across(dx: F64, dy: F64, turn: float) -> tuple[F64, F64]:
-    """Coordinates along and across a direction, counter-clockwise from east."""
+    """Return coordinates along and across a direction, given in rad counter-clockwise from east."""
     c, s = math.cos(turn), math.sin(turn)
     return np.asarray(c * dx + s * dy), np.asarray(c * dy - s * dx)

@@ -1,4 +1,4 @@
-"""Things made by people: houses, cars, crates and litter."""
+"""Man-made things: houses, cars, crates, litter and parking grounds."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LITTER: tuple[Tint, ...] = ((0.8, 0.6, 0.35), (1.0, 1.0, 1.0), (0.08, 0.2, 0.55)
 
 
 def stamp(sheet: Sheet, things: F64, kind: int) -> None:
-    """Stamp boxes on the sheet."""
+    """Stamp boxes of a shape (`kernels.stamps`) on the sheet."""
     if len(things):
         stamps.stamp_boxes(
             sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, Terrain.STRUCTURE,
@@ -64,18 +64,18 @@ class Boxes(Scattered):
         return True
 
     def turns(self, rng: Generator, count: int) -> F64:
-        """(count,) rad: random turns, or the given one; drawn in any case, so that later draws stay the same."""
+        """Return (count,) turns in rad, random or as set by the user; both draw equally often from the generator."""
         turns = rng.uniform(0.0, 2.0 * math.pi, count)
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 
     def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
-        """Draw a tint for each thing and set its look."""
+        """Draw a tint for each thing, from the user's tints or from `otherwise`, and set its look."""
         palette = np.array(self.tints or otherwise)
         things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
         things[:, LOOK] = look
 
     def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
-        """Stamp all things that reach the sheet."""
+        """Stamp all boxes that reach the sheet."""
         stamp(sheet, lay.things(sheet.box), kind)
 
 
@@ -97,11 +97,10 @@ class Houses(Boxes):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Largest height of walls, roof and chimney."""
         return 0.0, self.walls[1] + 0.5 * self.width[1] * math.tan(math.radians(self.pitch_deg)) + 0.5
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a plan, the height of the walls and the tint of the roof."""
+        """Draw the floor plan, the wall height and the tint of the roof of each house."""
         n = len(things)
         things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.walls, n), self.turns(rng, n)
@@ -110,7 +109,6 @@ class Houses(Boxes):
         self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, ROOFS)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp walls and roofs."""
         self.boxes(sheet, lay, {"gable": stamps.GABLE, "hip": stamps.HIP, "flat": stamps.FLAT}[self.roof])
 
 
@@ -130,11 +128,10 @@ class Cars(Boxes):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest car."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a size, a turn and a paint."""
+        """Draw the size, turn and paint of each car."""
         n = len(things)
         things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
@@ -142,7 +139,6 @@ class Cars(Boxes):
         self.paint(rng, things, Look.PAINT, PAINTS)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp bodies and cabins."""
         self.boxes(sheet, lay, stamps.CAR)
 
 
@@ -164,11 +160,10 @@ class Crates(Boxes):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest crate."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw two sides, a height and a turn."""
+        """Draw both sides, the height and the turn of each crate."""
         n = len(things)
         things[:, HALF_U] = 0.5 * rng.uniform(*self.size, n)
         things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
@@ -177,7 +172,6 @@ class Crates(Boxes):
         self.paint(rng, things, Look.PAINT, LITTER)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp boxes with flat tops."""
         self.boxes(sheet, lay, stamps.FLAT)
 
 
@@ -199,7 +193,6 @@ class Parking(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest car."""
         return 0.0, self.car.height[1]
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
@@ -215,12 +208,11 @@ class Parking(Layer):
                 sheet.tint[index] *= np.where(self._marks(u, v), 3.0, 1.0)[..., None].astype(np.float32)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp the parked cars."""
         things = overlapping(lay.keep("cars", lambda: self._cars(lay)), sheet.box)
         stamp(sheet, things, stamps.CAR)
 
     def _grounds(self, lay: Lay) -> F64:
-        """(N, 3) east, north and level of each ground, metres."""
+        """Return the (N, 3) east, north and level of each ground, metres."""
         places = np.array(self.at)
         return np.column_stack([places, lay.before(places[:, :1], places[:, 1:]).ground])
 
@@ -229,7 +221,7 @@ class Parking(Layer):
         return 2.0 * self.bay[1] + self.lane
 
     def _marks(self, u: F64, v: F64) -> Mask:
-        """True on lines 10 cm wide between the bays, in double rows back to back."""
+        """Return the mask of lines between the bays, 10 cm wide, at (u, v) metres along and across the rows."""
         width, length = self.bay
         count = math.floor(self.size[0] / width)
         across = np.abs(v / self._pitch - np.floor(v / self._pitch) - 0.5) * self._pitch
@@ -238,7 +230,7 @@ class Parking(Layer):
         return np.asarray(inside & (across <= length) & (line | (across < 0.05)))
 
     def _cars(self, lay: Lay) -> F64:
-        """(N, COLUMNS) all parked cars, in their bays."""
+        """Return the (N, COLUMNS) parked cars, in their bays."""
         rng = np.random.default_rng([lay.seed, 7])
         width, length = self.bay
         columns = np.arange(math.floor(self.size[0] / width)) - 0.5 * math.floor(self.size[0] / width) + 0.5
@@ -262,7 +254,7 @@ class Parking(Layer):
 
     @staticmethod
     def _off_pads(lay: Lay, cars: F64) -> F64:
-        """Select the cars that are clear of ground that a later layer keeps free."""
+        """Return the cars that are clear of ground that a later layer keeps free."""
         for other in lay.stack.lays[lay.index + 1 :]:
             if isinstance(other.layer, Scattered) and other.layer.apart:
                 for east, north in other.layer.at:

@@ -43,11 +43,11 @@ class Outline(Layer):
     within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
-        """(R, C) noise of unit deviation that makes the outline."""
+        """Return the (R, C) noise of unit deviation that makes the outline."""
         return noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
 
     def excess(self, sheet: Sheet, lay: Lay) -> F64:
-        """(R, C) excess of the noise over the threshold that leaves `share`, in deviations; negative outside."""
+        """Return the (R, C) excess of the noise over the threshold for `share`, in deviations; negative outside."""
         excess = self.field(sheet, lay) - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
         open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
         if self.within is not None:
@@ -86,7 +86,6 @@ class TallGrass(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest blades."""
         return 0.0, 1.4 * self.height
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
@@ -102,7 +101,7 @@ class TallGrass(Outline):
         sheet.label[mask & (blades >= self.tall_from)] = Terrain.TALL_VEGETATION
 
     def _lie(self, sheet: Sheet, lay: Lay) -> F64:
-        """(R, C) noise of unit deviation: tufts, swathes laid by the wind, streaks along them."""
+        """Return (R, C) noise of unit deviation: tufts, swathes laid by the wind, and streaks along them."""
         bend = noise(sheet.x, sheet.y, lay.seed + 32, 30.0 * self.tuft, 10.0 * self.tuft)
         u, v = along_and_across(sheet.x, sheet.y, lay.seed % 628 * 0.01)
         swathe = noise(u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 33, 12.0 * self.tuft, 4.0 * self.tuft, 0.5)
@@ -136,7 +135,7 @@ CROPS = (
 
 
 class Fields(Layer):
-    """A patchwork of parcels with crops in rows, strips of grass between them; or one field in a box."""
+    """A patchwork of parcels with crops in rows and strips of grass between them; or one field in a box."""
 
     thing: Literal["fields"]
     parcel: tuple[Side, Side] = Field((60.0, 35.0), description="metres [along, across]; the rows run along")
@@ -148,7 +147,6 @@ class Fields(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Depth of furrows, height of ridges and plants."""
         return max(c.ridge for c in self.crops), max(c.ridge + 1.4 * c.height for c in self.crops)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
@@ -174,7 +172,7 @@ class Fields(Layer):
             gap = noise(sheet.x, sheet.y, lay.seed + 7, 0.5, 0.15, 0.3)
             mask = (which == k) & self._in_row(crop, across / crop.spacing + 0.06 * gap) & (gap > -2.2)
             mask &= sheet.height <= sheet.ground
-            mask &= noise(sheet.x, sheet.y, lay.seed + 8, 5.0, 0.4, 0.5) > -1.7  # where nothing came up
+            mask &= noise(sheet.x, sheet.y, lay.seed + 8, 5.0, 0.4, 0.5) > -1.7  # bare spots without plants
             grown = 0.8 + 0.12 * gap + 0.08 * noise(sheet.x, sheet.y, lay.seed + 9, 15.0, 4.0)
             sheet.height[mask] = (sheet.ground + crop.height * np.clip(grown, 0.2, 1.3))[mask]
             sheet.paint(..., mask, terrain_named(crop.kind), crop.look, crop.tint)
@@ -184,7 +182,7 @@ class Fields(Layer):
         return np.asarray(np.abs(phase - np.floor(phase + 0.5)) <= 0.5 * crop.width)
 
     def _parcels(self, sheet: Sheet, lay: Lay) -> tuple[NDArray[np.int64], F64]:
-        """(R, C) number of the crop at each place (-1: none), and (R, C) metres across the rows."""
+        """Return the (R, C) index of the crop at each position (-1: no crop), and the (R, C) metres across the rows."""
         u, v = along_and_across(sheet.x, sheet.y, math.radians(self.turn_deg))
         # rows are not quite straight
         v = v + 0.6 * noise(sheet.x, sheet.y, lay.seed + 3, 90.0, 40.0) + 0.05 * noise(u, v, lay.seed + 4, 9.0, 2.0)

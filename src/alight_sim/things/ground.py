@@ -55,12 +55,11 @@ class Roughness(FractalRelief, Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Four standard deviations either way."""
         return 4.0 * self.height, 4.0 * self.height
 
 
 class Terraces(Layer):
-    """Steps along the contours: treads nearly level, risers as steep as a share of the slope."""
+    """Steps along the contours, with nearly level treads and steep risers."""
 
     thing: Literal["terraces"]
     step: float = Field(1.0, gt=0.05, le=30.0, description="metres of height between two treads")
@@ -81,7 +80,6 @@ class Terraces(Layer):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of one step."""
         return self.step, self.step
 
 
@@ -98,16 +96,15 @@ class Craters(Scattered):
 
     @property
     def largest(self) -> float:
-        """Two radii of the largest crater: the blanket around the rim is included."""
+        """Two radii of the largest crater, which include the blanket around the rim, metres."""
         return 2.0 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Depth of the bowl, height of the rim."""
         return self.radius[1] * self.depth[1], 0.25 * self.radius[1] * self.depth[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a radius of the power law and a depth by age."""
+        """Draw the radius of each crater by the power law, and its depth by age."""
         radius = power_law(rng, self.radius, self.exponent, len(things))
         things[:, HALF_U], things[:, REACH] = radius, 2.0 * radius
         things[:, TOP] = radius * rng.uniform(*self.depth, len(things))
@@ -137,16 +134,15 @@ class Ponds(Scattered):
 
     @property
     def largest(self) -> float:
-        """2.2 radii of the largest pond: the bank is included."""
+        """2.2 radii of the largest pond, which include the bank, metres."""
         return 2.2 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Depth of the surface below the ground."""
         return self.below, 0.0
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a radius and a depth."""
+        """Draw the radius and depth of each pond."""
         things[:, HALF_U] = rng.uniform(*self.radius, len(things))
         things[:, TOP] = rng.uniform(*self.depth, len(things))
         things[:, REACH] = 2.2 * things[:, HALF_U]
@@ -189,7 +185,7 @@ class Water(Layer):
 
 
 class Pads(Scattered):
-    """Level ground: landing pads, yards, clearings. Blended into the ground around."""
+    """Level ground (landing pads, yards, clearings), blended into the ground around."""
 
     thing: Literal["pads"]
     radius: float | None = Field(None, gt=0.0, le=500.0, description="metres: a disc; without it a rectangle of `size`")
@@ -208,16 +204,15 @@ class Pads(Scattered):
 
     @property
     def largest(self) -> float:
-        """Radius or half the diagonal, and the bank."""
+        """Radius or half the diagonal, plus the bank, metres."""
         return self.bank + (self.radius or 0.5 * math.hypot(*self.size))
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering and raising of the pad."""
         return max(-self.up, 0.0), max(self.up, 0.0)
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Set size and turn: all pads are equal."""
+        """Set size and turn; all pads are equal."""
         things[:, HALF_U], things[:, HALF_V] = (self.radius or 0.5 * self.size[0]), 0.5 * self.size[1]
         things[:, TURN], things[:, TOP] = math.radians(self.turn_deg), ROUND if self.radius else 0.0
         things[:, REACH] = self.largest

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
 LONGEST = 200_000.0  # metres of a path
-PIECE = 2.0  # metres between the places where a road takes the ground's height
-SMOOTH = 5  # pieces either way over which a road evens the ground out
-WHITE = 3.2  # brightness of paint over that of asphalt
-WIRE = 0.9  # reflectance of ground under a wire, over that of the ground beside it
+PIECE = 2.0  # metres between the points at which a road follows the ground's height
+SMOOTH = 5  # pieces on either side over which a road smooths the ground
+WHITE = 3.2  # brightness of paint over asphalt
+WIRE = 0.9  # reflectance of ground under a wire, over the ground beside it
 
 
 def _line(value: Places) -> Places:
@@ -48,7 +48,7 @@ Line = Annotated[Places, AfterValidator(_line)]
 
 
 def pieces(path: Places, length: float) -> F64:
-    """(N, 4) east, north, metres along, 0: the path cut into pieces of about `length`."""
+    """Return the path cut into pieces of about `length` metres, (N, 4): east, north, metres along, 0."""
     corners = np.array(path)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     cuts = np.linspace(0.0, along[-1], max(2, round(along[-1] / length) + 1))
@@ -59,7 +59,7 @@ def pieces(path: Places, length: float) -> F64:
 
 
 def winding(line: F64, wander: float, seed: int) -> F64:
-    """The line of `pieces` with its inner places moved aside by `wander` metres (standard deviation), smoothly."""
+    """Return the line of `pieces`, its points shifted aside smoothly by `wander` metres (standard deviation)."""
     along = line[:, 2:3]
     aside = wander * noise(along, np.zeros_like(along), seed, 12.0 * wander, 4.0 * wander)
     ahead = np.gradient(line[:, :2], line[:, 2], axis=0)
@@ -75,15 +75,15 @@ class Lined(Layer):
     path: Line = Field(description="[[east, north], ...] metres from the origin")
 
     def reach(self) -> float:
-        """Distance from the path within which the ground changes, metres."""
+        """Return the distance from the path within which the ground changes, metres."""
         raise NotImplementedError
 
     def line(self, lay: Lay) -> F64:
-        """(N, 4) east, north, metres along, height of the vertices."""
+        """Return the vertices, (N, 4): east, north, metres along, height."""
         return pieces(self.path, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
-        """(R, C, 3) aside, along, height of the line there; None: the line does not come near."""
+        """Return the line at each position, (R, C, 3): distance aside, distance along, height; None: it is far away."""
         west, south, east, north = sheet.box
         line, reach = lay.keep("line", lambda: self.line(lay)), self.reach()
         low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])
@@ -99,7 +99,7 @@ class Lined(Layer):
 
 
 class Roads(Lined):
-    """A road, a track or a foot-path: levelled across, even along, with marks or ruts."""
+    """A road, a track or a foot-path: levelled across, smooth along, with marks or ruts."""
 
     thing: Literal["road"]
     width: float = Field(5.0, gt=0.0, le=60.0, description="metres")
@@ -116,15 +116,14 @@ class Roads(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Ruts and kerb, with a margin for levelling."""
         return self.ruts + max(-self.kerb, 0.0) + 0.5, max(self.kerb, 0.0) + 0.5
 
     def reach(self) -> float:
-        """Half the width, ragged edges included, and the bank."""
+        """Return half the width with ragged edges, plus the bank, metres."""
         return 0.5 * self.width * (1.0 + 4.0 * self.ragged) + self.bank + 0.1
 
     def line(self, lay: Lay) -> F64:
-        """(N, 4) vertices with the ground's heights, evened out along the path."""
+        """Return the (N, 4) vertices with the ground's heights, smoothed along the path."""
         line = pieces(self.path, PIECE)
         heights = lay.before(line[:, :1], line[:, 1:2]).ground[:, 0]
         padded = np.pad(heights, SMOOTH, mode="edge")
@@ -132,7 +131,7 @@ class Roads(Lined):
         return line
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Level the ground, colour it, add marks and ruts."""
+        """Level the ground, colour it, and add marks and ruts."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
@@ -187,25 +186,23 @@ class Walls(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the wall."""
         return 0.0, self.height
 
     def reach(self) -> float:
-        """Half the thickness, with a margin."""
+        """Return half the thickness with a margin, metres."""
         return max(0.5 * self.thickness, 0.2) + 0.1
 
     def line(self, lay: Lay) -> F64:
-        """(N, 4) vertices of the path, or of a line that winds about it."""
+        """Return the (N, 4) vertices of the path, or of a line that winds about it."""
         if self.wander == 0.0:
             return super().line(lay)
         return winding(pieces(self.path, self.wander), self.wander, lay.seed)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise the cells that the wall covers."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
-        # a thin one keeps its height instead of a straight edge; half a cell either side lets no ray through
+        # a thin wall keeps its height instead of a straight edge; half a cell either side lets no ray through
         within = max(0.5 * self.thickness, 0.5001 * sheet.cell) - np.abs(ways[..., 0])
         thin = self.thickness < 3.0 * sheet.cell
         share = (within >= 0.0).astype(np.float64) if thin else covered(within, sheet.cell)
@@ -228,7 +225,7 @@ class Walls(Lined):
 
     @staticmethod
     def _string(sheet: Sheet, line: Mask) -> None:
-        """Paint wire over the ground: of class structure, and visible as a faint line alone."""
+        """Paint wire over the ground: of class structure, and visible only as a faint line."""
         usual = tables()[1][sheet.label].astype(np.uint8)
         sheet.look[line] = np.where(sheet.look == Look.BY_CLASS, usual, sheet.look)[line]
         sheet.label[line] = Terrain.STRUCTURE
@@ -245,15 +242,13 @@ class Hedges(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the hedge and its clumps."""
         return 0.0, 1.5 * self.height
 
     def reach(self) -> float:
-        """Half the width, raggedness included."""
+        """Return half the width with its raggedness, metres."""
         return 0.9 * self.width + 0.1
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise a row of clumps."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return

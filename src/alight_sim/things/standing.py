@@ -48,7 +48,7 @@ class Dome(Scattered):
     def domes(
         self, sheet: Sheet, lay: Lay, kind: int, look: tuple[float, float, float, float], shape: int, rooted: bool
     ) -> None:
-        """Stamp all things that reach the sheet."""
+        """Stamp all things that reach the sheet as domes (`kernels.stamps.stamp_domes`)."""
         things = lay.things(sheet.box)
         if len(things):
             stamps.stamp_domes(
@@ -58,7 +58,7 @@ class Dome(Scattered):
 
 
 def drawn_evenly(rng: Generator, between: Between, count: int) -> F64:
-    """(count,) numbers of a uniform distribution."""
+    """Return (count,) numbers of a uniform distribution."""
     return np.asarray(rng.uniform(*between, count))
 
 
@@ -75,11 +75,11 @@ class Rocks(Dome):
 
     @property
     def largest(self) -> float:
-        """Radius of the largest rock, ragged rim included."""
+        """Radius of the largest rock with its ragged rim, metres."""
         return 1.3 * self.radius[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a radius of the power law, a turn, a width and a height."""
+        """Draw the radius of each rock by the power law, its turn, width and height."""
         n = len(things)
         radius = power_law(rng, self.radius, self.exponent, n)
         things[:, TURN] = rng.uniform(0.0, math.pi, n)
@@ -90,12 +90,11 @@ class Rocks(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp rough ellipsoids that follow the ground."""
         self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.ELLIPSOID, rooted=False)
 
 
 class Trees(Dome):
-    """Trees: crowns of clumps of leaves with holes between them; no view below."""
+    """Trees: crowns of clumps of leaves with holes between them; the ground below the crowns is not visible."""
 
     thing: Literal["trees"]
     radius: Between = Field((1.6, 3.2), description="metres, of the crown")
@@ -106,16 +105,15 @@ class Trees(Dome):
 
     @property
     def largest(self) -> float:
-        """Radius of the largest crown, clumps and ragged rim included."""
+        """Radius of the largest crown with its clumps and ragged rim, metres."""
         return 1.5 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest crown and its leaves."""
         return 0.0, (self.height[1] if self.height else 2.6 * self.radius[1]) + 1.5
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a radius and a height."""
+        """Draw the radius and height of each tree."""
         n = len(things)
         radius, tall = drawn_evenly(rng, self.radius, n), rng.uniform(1.7, 2.6, n)
         if self.height is not None:
@@ -126,7 +124,7 @@ class Trees(Dome):
         self.paint(rng, things)
 
     def parts(self, rng: Generator, things: F64) -> F64:
-        """The clumps of each crown: balls in the upper part of an ellipsoid; a conifer is one cone."""
+        """Return the clumps of each crown: balls in the upper part of an ellipsoid; a conifer is one cone."""
         if self.form == "conifer" or not len(things):
             return things
         count = np.clip((4.0 + 3.0 * things[:, HALF_U]).astype(np.int64), 6, 24) * (3 if self.form == "bare" else 1)
@@ -138,7 +136,7 @@ class Trees(Dome):
         lift[first], far[first] = 1.0, 0.62  # one clump is the top
         aside = far * np.sqrt(1.0 - lift**2)
         ball = out[:, HALF_U] * rng.uniform(0.28, 0.46, n) * (0.45 if self.form == "bare" else 1.0)
-        half = 0.36 * out[:, TOP]  # of the ellipsoid's height; its middle is so far below the top
+        half = 0.36 * out[:, TOP]  # half the ellipsoid's height; its middle is this far below the top
         out[:, EAST] += aside * out[:, HALF_U] * np.cos(turn)
         out[:, NORTH] += aside * out[:, HALF_V] * np.sin(turn)
         upper = np.minimum(half, 1.2 * ball)  # a clump is not much higher than wide
@@ -150,7 +148,6 @@ class Trees(Dome):
         return out
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp clumps of leaves with ragged edges; conifers are cones."""
         if self.form == "conifer":
             self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.CONE, rooted=True)
         else:
@@ -170,16 +167,15 @@ class Shrubs(Dome):
 
     @property
     def largest(self) -> float:
-        """Radius of the largest shrub, ragged rim included."""
+        """Radius of the largest shrub with its ragged rim, metres."""
         return 1.5 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest shrub and its clumps."""
         return 0.0, 1.5 * self.radius[1] * self.tall[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a radius of the power law and a height."""
+        """Draw the radius of each shrub by the power law, and its height."""
         n = len(things)
         radius = power_law(rng, self.radius, self.exponent, n)
         things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.7, 1.0, n)
@@ -189,13 +185,12 @@ class Shrubs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp ragged domes that follow the ground."""
         look = (0.2, 1.0, 0.35, 0.14)
         self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.ELLIPSOID, rooted=False)
 
 
 class Mounds(Dome):
-    """Molehills, tussocks, heaps of gravel, bales: low domes of the ground's own class or of one named."""
+    """Molehills, tussocks, heaps of gravel, bales: low domes of a named class or of the ground's class."""
 
     thing: Literal["mounds"]
     radius: Between = Field((0.2, 0.6), description="metres")
@@ -205,16 +200,15 @@ class Mounds(Dome):
 
     @property
     def largest(self) -> float:
-        """Radius of the largest mound, ragged rim included."""
+        """Radius of the largest mound with its ragged rim, metres."""
         return 1.3 * self.radius[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest mound, with a margin."""
         return 0.0, 1.3 * self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a radius and a height."""
+        """Draw the radius and height of each mound."""
         n = len(things)
         radius = drawn_evenly(rng, self.radius, n)
         things[:, HALF_U], things[:, HALF_V] = radius, radius
@@ -223,7 +217,6 @@ class Mounds(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp domes or cones that follow the ground, or upright drums."""
         kind = -1 if self.kind is None else int(terrain_named(self.kind))
         shape = {"round": stamps.ELLIPSOID, "cone": stamps.CONE, "drum": stamps.DRUM}[self.form]
         ragged = 0.0 if self.form == "drum" else 0.07
@@ -240,16 +233,15 @@ class Logs(Dome):
 
     @property
     def largest(self) -> float:
-        """Half the length of the longest log, with a margin."""
+        """Half the length of the longest log with a margin, metres."""
         return 0.6 * self.length[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the thickest log, with a margin."""
         return 0.0, 1.1 * self.thickness[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a length, a thickness, a turn."""
+        """Draw the length, thickness and turn of each log."""
         n = len(things)
         thick = drawn_evenly(rng, self.thickness, n)
         things[:, HALF_U], things[:, HALF_V] = 0.5 * drawn_evenly(rng, self.length, n), 0.5 * thick
@@ -258,5 +250,4 @@ class Logs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp long low domes."""
         self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.ELLIPSOID, rooted=False)

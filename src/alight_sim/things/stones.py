@@ -1,4 +1,4 @@
-"""Stones that follow a size-frequency law, thousands of them, of the ground's own material or of another."""
+"""Thousands of stones that follow a size-frequency law, of the ground's own material or of another."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
 Generator = np.random.Generator
-STRETCH = 1.25  # longest axis over the diameter of the disc of the same area
+STRETCH = 1.25  # longest axis over the diameter of the disc of equal area
 RIM = 1.3  # farthest part over half the longest axis
-USUAL = 0.05  # share of the ground, for the sizes of named stones where none is given
+USUAL = 0.05  # share of the ground that sets the sizes of named stones if none is given
 
 
 def decay(share: float) -> float:
-    """Decay of the share of the ground under stones with their diameter, 1/m (Golombek and Rapp 1997)."""
+    """Return q(k), the decay of the share of ground under stones with diameter, 1/m (Golombek and Rapp 1997)."""
     return 1.79 + 0.152 / share
 
 
 def share_above(diameter: float, share: float) -> float:
-    """Share of the ground under stones of at least a diameter, metres: F_k(D) = k exp(-q(k) D)."""
+    """Return the share of ground under stones of a diameter (m) and more: F_k(D) = k exp(-q(k) D)."""
     return share * math.exp(-decay(share) * diameter)
 
 
 @lru_cache(64)
 def _counts(share: float, size: Between) -> tuple[F64, F64]:
-    """Diameters, metres, and number of stones a square metre at least so large: the law's share over a stone's area."""
+    """Return diameters (m), and for each the number of stones per square metre that are at least as large."""
     diameter = np.geomspace(*size, 400) if size[0] < size[1] else np.array(size)
     q = decay(share)
     density = share * q * np.exp(-q * diameter) / (0.25 * math.pi * diameter**2)
@@ -51,8 +51,8 @@ class Stones(Scattered):
     """Stones whose sizes follow the law of rock fields (Golombek and Rapp 1997), partly buried.
 
     The share of the ground under stones of diameter D and more is k exp(-(1.79 + 0.152 / k) D). The share under stones
-    of all sizes, k, differs from place to place. Without a look of their own, stones look like the ground below them:
-    shape, light and shade alone show them.
+    of all sizes, k, varies over the ground. Without a look of their own, stones look like the ground below them: only
+    shape, light and shade show them.
     """
 
     thing: Literal["stones"]
@@ -85,12 +85,11 @@ class Stones(Scattered):
 
     @property
     def largest(self) -> float:
-        """Radius of the largest stone, ragged rim included."""
+        """Radius of the largest stone with its ragged rim, metres."""
         return 0.5 * RIM * STRETCH * self.size[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest stone, with a margin."""
         return 0.0, 1.2 * self.size[1] * self.height[1]
 
     @property
@@ -99,7 +98,7 @@ class Stones(Scattered):
 
     @property
     def density(self) -> float:
-        """Number of random stones drawn a hectare: that of the densest places."""
+        """Number of random stones drawn per hectare, as in the densest areas."""
         if self.share is None:
             return 0.0
         if self.size[0] == self.size[1]:  # of one size: the law's share, all in that size
@@ -107,7 +106,7 @@ class Stones(Scattered):
         return 1e4 * float(_counts(self._most, self.size)[1][0])
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a diameter of the law for the densest places, two axes, a height, a shade."""
+        """Draw the diameter of each stone by the law for the densest areas, two axes, a height and a shade."""
         n = len(things)
         sizes, counts = _counts(self._most, self.size)
         diameter = np.interp(-rng.random(n) * counts[0], -counts, sizes)
@@ -120,13 +119,13 @@ class Stones(Scattered):
         things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # random numbers for existence and outline
 
     def share_at(self, east: F64, north: F64, seed: int) -> F64:
-        """(N,) k at places (N,): evenly spread between the logarithms of fewest and most."""
+        """Return the share of ground under stones, k, at positions (N,), from fewest to most on a logarithmic scale."""
         few, most = self.share or (USUAL, USUAL)
         field = noise(east, north, seed + 5, self.patch, 0.2 * self.patch)
         return np.asarray(few * (most / few) ** ndtr(field))
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """(N,) true for stones that exist: thinned, large ones more, so that each place has the law of its own k."""
+        """Return the (N,) mask of stones that exist; large stones are thinned more, by the law of the local k."""
         if self.share is None or not len(things):
             return np.ones(len(things), bool)
         k, most = self.share_at(things[:, EAST], things[:, NORTH], seed), self._most
@@ -135,7 +134,6 @@ class Stones(Scattered):
         return np.asarray(things[:, GREEN] < chance)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp stones on the solid ground."""
         things = lay.things(sheet.box)
         if len(things):
             form = np.array([float(self.form == "angular"), self.rock_from, self.hidden, float(self.look), *self.tint])

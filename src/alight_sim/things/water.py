@@ -20,14 +20,14 @@ from alight_sim.things.lines import Lined, pieces, winding
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
-PIECE = 2.0  # metres between the places where a canal takes the ground's height
-LOWEST, EVEN = 11, 31  # pieces over which the water lies as low as the lowest ground, and over which it is evened out
+PIECE = 2.0  # metres between the points at which a canal follows the ground's height
+LOWEST, EVEN = 11, 31  # pieces: windows of the lowest ground along the water, and of the smoothing of its height
 EDGE = 0.04  # metres of the bank's foot above the water
-FREEBOARD = 0.8  # share of `below` that low ground beside the water is raised to
+FREEBOARD = 0.8  # share of `below` to which low ground beside the water is raised
 
 
 def above(field: F64, share: float) -> F64:
-    """Excess of a field of unit deviation over the level that leaves `share` of it, in deviations."""
+    """Return a field of unit deviation minus the level that a `share` of it exceeds, in deviations."""
     return np.asarray(field - NormalDist().inv_cdf(min(max(1.0 - share, 1e-6), 1.0 - 1e-6)))
 
 
@@ -51,15 +51,14 @@ class Canals(Lined):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Lowering to the water, raising of the banks, with margins."""
         return self.below + 2.0, 1.0
 
     def reach(self) -> float:
-        """Half the width with its wandering edge, and the banks."""
+        """Return half the width with its winding edge, plus the banks, metres."""
         return 0.6 * self.width + 3.0 * self.bank + 0.5
 
     def line(self, lay: Lay) -> F64:
-        """(N, 4) vertices with the water's height: below the lowest ground near by, evened out along."""
+        """Return the (N, 4) vertices with the water's height: below the lowest ground near by, smoothed along."""
         line = pieces(self.path, PIECE)
         if self.wander > 0.0:
             line = winding(line, self.wander, lay.seed)
@@ -69,7 +68,7 @@ class Canals(Lined):
         return line
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Dig the bed, raise low ground beside it, fill it with water, lay plants on it."""
+        """Dig the bed, raise low ground beside it, fill it with water, and lay plants on it."""
         ways = self.ways(sheet, lay)
         if ways is None:
             return
@@ -106,7 +105,7 @@ class Canals(Lined):
 class Puddles(Outline):
     """Standing water in hollows of a metre or more, with a margin of mud or of wet ground.
 
-    Mud gives way under a lander, so it is of class water too. List puddles before layers that make the ground rough:
+    Mud gives way under a lander, so it has the class water too. List puddles before layers that make the ground rough:
     they are as level as the ground below them.
     """
 
@@ -121,15 +120,14 @@ class Puddles(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Depth of the surface below the ground around."""
         return self.sunk, 0.0
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
-        """(R, C) smooth noise of unit deviation: water fills small hollows."""
+        """Return (R, C) smooth noise of unit deviation: water fills small hollows."""
         return noise(sheet.x, sheet.y, lay.seed, self.size, 0.2 * self.size, 1.2)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Sink the ground, fill it, paint the margins."""
+        """Sink the ground, fill it, and paint the margins."""
         excess = self.excess(sheet, lay)
         inside = excess > 0.0
         margin = above(self.field(sheet, lay), self.share)

@@ -1,4 +1,4 @@
-"""Tuning: constants that were fitted or chosen on data, one frozen model a stage.
+"""Tuning: constants that were fitted or chosen on data, one frozen model per stage.
 
 They are hidden from users, stored in `run.json`, and can be set as `tuning.<stage>.<name>`.
 """

@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class ExecutiveTuning(FrozenModel):
-    """Search, looks and landing of the executive."""
+    """Constants of the executive: search, looks and landing."""
 
     lane: Positive = Field(0.7, description="Distance of two lanes of the search, over the height")
     look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")

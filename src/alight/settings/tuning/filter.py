@@ -10,7 +10,7 @@ _STATED = "null: as the recording states, times imu_margin, else"
 
 
 class FilterTuning(FrozenModel):
-    """The structure-from-motion filter and the smoother of recorded flights."""
+    """Constants of the structure-from-motion filter and of the smoother of recorded flights."""
 
     points: int = Field(40, ge=4, description="Landmarks held in the state")
     clones: int = Field(8, ge=3, description="Clones held in the state: poses of exposures that are far enough apart")
@@ -93,7 +93,7 @@ class FilterTuning(FrozenModel):
 
 
 class BundleTuning(FrozenModel):
-    """Bundle adjustment of photos taken far apart."""
+    """Constants of the bundle adjustment of photos with wide baselines."""
 
     features: int = Field(4000, ge=200, description="SIFT features in each photo")
     image_px: int = Field(1600, ge=400, description="Longest side of the images on which features are found, px")

@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, Gap, NonNegative, Part, 
 
 
 class SharpenTuning(FrozenModel):
-    """Heights on the finer pixels of an image, by its light and shade ('alight hazards --image')."""
+    """Constants for sharpening heights by the shading of an image with finer pixels ('alight hazards --image')."""
 
     least_explained: Fraction = Field(
         0.5, description="Least share of the image's variance that shading explains; below, the image is not used"
@@ -18,7 +18,7 @@ class SharpenTuning(FrozenModel):
 
 
 class HazardsTuning(FrozenModel):
-    """Judgement of the ground."""
+    """Constants of the hazard judgement."""
 
     unknown_share: Fraction = Field(0.02, description="Largest share of the footprint that was never seen")
     doubtful_share: Fraction = Field(

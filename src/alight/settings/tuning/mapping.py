@@ -1,4 +1,4 @@
-"""Tuning of the mapping lane and of its map."""
+"""Tuning of the mapping lane and of the elevation map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class MappingTuning(FrozenModel):
-    """Keyframes, search for the ground, size of the cells, and limits of the heights that are given out."""
+    """Constants for keyframes, the search for the ground, the cell size, and limits of heights that are given out."""
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
     find_every: int = Field(8, ge=1, description="Keyframes from one search for the ground to the next")
@@ -37,7 +37,7 @@ class MappingTuning(FrozenModel):
 
 
 class ElevationTuning(FrozenModel):
-    """The elevation map."""
+    """Constants of the elevation map."""
 
     tile: int = Field(128, ge=64, description="Side of a tile, cells; each tile chooses its own views")
     less_sure: Positive = Field(

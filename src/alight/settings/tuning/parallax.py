@@ -10,7 +10,7 @@ Triple = tuple[Positive, Positive, Positive]
 
 
 class PointsTuning(FrozenModel):
-    """Points triangulated before the ground is known."""
+    """Constants for points that are triangulated before the ground is known."""
 
     features: int = Field(1500, ge=100, description="SIFT features in each view")
     contrast: Positive = Field(0.04, description="Least contrast of a feature, as OpenCV's SIFT counts it")
@@ -26,7 +26,7 @@ class PointsTuning(FrozenModel):
 
 
 class SweepTuning(FrozenModel):
-    """Plane sweep along the rays of a view, with semi-global aggregation."""
+    """Constants of the plane sweep along the rays of a view, with semi-global aggregation."""
 
     references: int = Field(
         2, ge=1, description="Views along whose rays a tile, or what was not seen yet, is swept (batch)"
@@ -45,7 +45,7 @@ class SweepTuning(FrozenModel):
 
 
 class RefinementTuning(FrozenModel):
-    """Gauss-Newton refinement of the heights."""
+    """Constants of the Gauss-Newton refinement of the heights."""
 
     iterations: int = Field(4, ge=1, description="Gauss-Newton steps on a tile (batch)")
     residual_scale: Positive = Field(
@@ -59,7 +59,7 @@ class RefinementTuning(FrozenModel):
 
 
 class UncertaintyTuning(FrozenModel):
-    """Flags, and what they look at; the coefficients of sigma and of a wrong match are fitted (`alight.learned`)."""
+    """Constants of the height flags; the models of sigma and wrong matches are fitted (`alight.learned`)."""
 
     min_contrast: Positive = Field(0.7, description="Least contrast of the views, grey levels; below: TEXTURE")
     max_residual: Fraction = Field(
@@ -77,7 +77,7 @@ class UncertaintyTuning(FrozenModel):
 
 
 class ConsistencyTuning(FrozenModel):
-    """Moving ground, found by cameras that expose at the same instant."""
+    """Constants for detecting moving ground by cameras that expose at the same instant."""
 
     near_blocks: int = Field(5, ge=1, description="Window of the sums, blocks")
     cut: Positive = Field(0.55, description="Deviation from which a view sees something else, normalised grey")
@@ -105,7 +105,7 @@ class ConsistencyTuning(FrozenModel):
 
 
 class RecursiveTuning(FrozenModel):
-    """Heights carried from keyframe to keyframe."""
+    """Constants for heights that are updated from keyframe to keyframe."""
 
     first_baseline: Positive = Field(0.12, description="Baseline over height from which a new cell is swept")
     first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
@@ -140,7 +140,7 @@ class RecursiveTuning(FrozenModel):
 
 
 class PoseRefinementTuning(FrozenModel):
-    """Poses of the keyframes refined together with the map."""
+    """Constants for refining keyframe poses together with the map."""
 
     cells: int = Field(1500, ge=100, description="Cells that take part")
     taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
@@ -167,7 +167,7 @@ class PoseRefinementTuning(FrozenModel):
 
 
 class ParallaxTuning(FrozenModel):
-    """Planar parallax on the world grid."""
+    """Constants of planar parallax on the world grid."""
 
     views: int = Field(16, ge=2, le=32, description="Most views that a cell uses (batch)")
     ring: int = Field(7, ge=3, le=16, description="Keyframes of the window (recursive)")

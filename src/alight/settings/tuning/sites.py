@@ -1,4 +1,4 @@
-"""Tuning of the choice of sites and of the route."""
+"""Tuning of the selection of sites and of the route."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class SitesTuning(FrozenModel):
-    """Choice of sites."""
+    """Constants for the selection of sites."""
 
     roomy: Positive = Field(5.0, description="Clearance beyond which more adds nothing to the score, m")
     room_weight: NonNegative = Field(1.0, description="Weight of the clearance against the quality Q")
@@ -21,7 +21,7 @@ class SitesTuning(FrozenModel):
 
 
 class RouteTuning(FrozenModel):
-    """Way-points to the best site."""
+    """Constants of the route to the best site."""
 
     look_share: Fraction = Field(
         0.5, description="Height of a look over that of the last; of the last inspection over the approach height"

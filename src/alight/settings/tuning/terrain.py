@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class TerrainTuning(FrozenModel):
-    """Land cover."""
+    """Constants of the land cover."""
 
     appearance: Fraction = Field(
         0.5, description="Weight of the model of appearance: neighbouring pixels are not independent"

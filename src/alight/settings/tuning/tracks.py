@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class TracksTuning(FrozenModel):
-    """Feature tracks, in time and between the cameras of a rig."""
+    """Constants of the feature tracks, in time and between the cameras of a rig."""
 
     count: int = Field(250, ge=8, description="Features kept, spread over a grid of as many cells")
     window_px: int = Field(21, ge=5, description="Side of the matching window (SSD), px")
