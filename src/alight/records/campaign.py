@@ -19,7 +19,7 @@ PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the wanted
 MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
 LARGEST_SEED = 2**63 - 1
 STRIKE = "strike"  # of an obstacle beside the vehicle, in flight
-GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons in the ground; others lie in the flying
+GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground", "wire")  # of the place; others: of the flying
 
 
 class _Line(BaseModel):
