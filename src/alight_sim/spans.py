@@ -1,6 +1,6 @@
 """Spans: wires and branches in the air. They are in the pictures and in the truth, but in no raster of heights.
 
-A span hangs between two ends as a parabola: a catenary within 1 % of its sag, for sags of up to a tenth of the length. Metres.
+A span hangs between two ends as a parabola: the catenary within 1 % of its sag, for a sag of a tenth of the length.
 """
 
 from __future__ import annotations

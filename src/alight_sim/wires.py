@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, Mask
 from alight.geometry import Camera
 from alight_sim.kernels.illuminate import AIR, HAZE, LIT, SHADED
 from alight_sim.kernels.raycast import cast_rays
@@ -27,6 +27,7 @@ SUN_WIDTH = math.radians(0.53)  # rad: the sun's disc
 DISC = 0.866  # width of the box of the same variance, over the disc's diameter
 NEAREST = 0.05  # metres: what is closer to the lens is not drawn
 BEHIND = 0.05  # metres by which a wire may lie behind what hides it: the top of its own post
+FLATTEST = 0.4  # cosine of the steepest piece that is gone through by columns, with the others of its line
 THERE = 0.3  # metres along the axis between a shadow's piece and ground that it falls on
 
 Numbers = NDArray[np.intp]
@@ -36,6 +37,7 @@ Numbers = NDArray[np.intp]
 class Hanging:
     """The pieces of all spans over a patch, and where their shadows fall under one sun. World axes, metres."""
 
+    number: Numbers  # (M,) of the span
     ends: F64  # (M, 2, 3)
     colour: F64  # (M, 3) reflectance
     diameter: F64  # (M,)
@@ -49,12 +51,13 @@ class Hanging:
         t = np.zeros(0) if not len(ends) else _fall(ends.reshape(-1, 3), patch, sun.direction)
         t[t * math.cos(sun.elevation) > reach] = np.nan
         feet = ends - t.reshape(-1, 2, 1) * sun.direction
-        return cls(ends, spans.colour[number], spans.diameter[number], feet, np.asarray(t.reshape(-1, 2).mean(axis=1)))
+        away = np.asarray(t.reshape(-1, 2).mean(axis=1))
+        return cls(number, ends, spans.colour[number], spans.diameter[number], feet, away)
 
     @property
     def nbytes(self) -> int:
         """Memory, bytes."""
-        return sum(a.nbytes for a in (self.ends, self.colour, self.diameter, self.feet, self.away))
+        return sum(a.nbytes for a in (self.number, self.ends, self.colour, self.diameter, self.feet, self.away))
 
 
 def _fall(places: F64, patch: GroundPatch, sun: F64) -> F64:
@@ -128,7 +131,7 @@ def _draw_wires(hanging: Hanging, view: View, lights: F64, out: F32) -> None:
     along = _unit(hanging.ends[:, 1] - hanging.ends[:, 0])
     towards = view.places[len(view.places) // 2] - middle
     rim = 0.5 * hanging.diameter[:, None] * _unit(np.cross(along, towards))
-    strips = _strips(view, hanging.ends, rim)
+    strips = _strips(view, hanging.number, hanging.ends, rim)
     behind = view.depth[strips.row, strips.col]
     seen = (behind < 0.0) | (strips.depth < behind + BEHIND)
     k, share = strips.number[seen], strips.share[seen]
@@ -163,7 +166,8 @@ def _draw_shadows(hanging: Hanging, view: View, patch: GroundPatch, lights: F64,
     step = _unit(np.cross(sun, ends[:, 1] - ends[:, 0]))
     step -= step[:, 2:] / sun[2] * sun
     blur = DISC * SUN_WIDTH * hanging.away[there]
-    strips = _strips(view, feet, 0.5 * hanging.diameter[there, None] * step, blur / hanging.diameter[there])
+    rim = 0.5 * hanging.diameter[there, None] * step
+    strips = _strips(view, hanging.number[there], feet, rim, blur / hanging.diameter[there])
     near = np.abs(strips.depth - view.depth[strips.row, strips.col]) < THERE
     pixel = strips.row[near] * out.shape[1] + strips.col[near]
     dark = np.bincount(pixel, strips.share[near], out.shape[0] * out.shape[1])
@@ -188,11 +192,11 @@ def _sun_share(places: F64, patch: GroundPatch, lights: F64) -> F64:
     return np.asarray(direct * shine / (direct * shine + sky * (opened * (0.5 + 0.5 * normal[:, 2]))[:, None]))
 
 
-def _strips(view: View, ends: F64, rim: F64, blur: F64 | None = None) -> _Strips:
+def _strips(view: View, line: Numbers, ends: F64, rim: F64, blur: F64 | None = None) -> _Strips:
     """Rasterise strips about pieces `ends` (M, 2, 3), whose edge lies `rim` (M, 3) from their middle line.
 
-    `blur` (M,): of shadows, width of the blur over that of the strip. Without it a pixel's share is its exact overlap
-    with the strip.
+    `line` (M,): number of the line that the piece is of. `blur` (M,): of shadows, width of the blur over that of the
+    strip. Without it a pixel's share is its exact overlap with the strip.
     """
     camera = view.camera
     pixels, depth = view.project(ends)
@@ -204,26 +208,28 @@ def _strips(view: View, ends: F64, rim: F64, blur: F64 | None = None) -> _Strips
     pixels, depth = pixels[kept], depth[kept]
     middle = ends[kept].mean(axis=1)
     beside = view.project(middle + rim[kept])[0] - view.project(middle)[0]
-    line = pixels[:, 1] - pixels[:, 0]
-    length = np.maximum(np.hypot(*line.T), 1e-9)
-    half = np.abs(line[:, 0] * beside[:, 1] - line[:, 1] * beside[:, 0]) / length
-    cosines = np.abs(line) / length[:, None]
+    way = pixels[:, 1] - pixels[:, 0]
+    length = np.maximum(np.hypot(*way.T), 1e-9)
+    half = np.abs(way[:, 0] * beside[:, 1] - way[:, 1] * beside[:, 0]) / length
+    cosines = np.abs(way) / length[:, None]
+    across, down = (np.bincount(line[kept], np.abs(way[:, k])) for k in (0, 1))
+    steep = (down > across)[line[kept]]  # all pieces of a line, or wide ones would overlap at their joints
+    steep = np.where(np.take_along_axis(cosines, steep[:, None].astype(np.intp), 1)[:, 0] < FLATTEST, ~steep, steep)
     # widths of two boxes whose convolution smears the strip's edge: the square pixel, seen askew; or pixel and blur
     soft = cosines if blur is None else np.column_stack([np.ones(len(kept)), 2.0 * half * blur[kept]])
-    number, at, share, r, c = _pixels_of(pixels, half, cosines, soft, (camera.height, camera.width))
+    number, at, share, r, c = _pixels_of(pixels, half, cosines, steep, soft, (camera.height, camera.width))
     inverse = (1.0 - at) / depth[number, 0] + at / depth[number, 1]
     return _Strips(kept[number], r, c, 1.0 / inverse, share)
 
 
 def _pixels_of(
-    pixels: F64, half: F64, cosines: F64, soft: F64, shape: tuple[int, int]
+    pixels: F64, half: F64, cosines: F64, steep: Mask, soft: F64, shape: tuple[int, int]
 ) -> tuple[Numbers, F64, F64, Numbers, Numbers]:
     """Strip, place along it (0 to 1), covered share, row and column of all pixels of strips.
 
     Columns of a strip that lies flat, rows of one that is steep, are gone through: the first and the last one count by
     the part that the strip reaches into, so that two pieces that follow each other add up.
     """
-    steep = cosines[:, 1] > cosines[:, 0]
     major = np.where(steep[:, None], pixels[..., 1], pixels[..., 0])
     minor = np.where(steep[:, None], pixels[..., 0], pixels[..., 1])
     size = np.where(steep, shape[0], shape[1])
@@ -236,8 +242,8 @@ def _pixels_of(
     rise = major[:, 1] - major[:, 0]
     at = (x - major[number, 0]) / np.where(rise == 0.0, 1e-9, rise)[number]
     y = minor[number, 0] + at * (minor[number, 1] - minor[number, 0])
-    cosine = cosines.max(axis=1)
-    reach = ((half + 0.5 * soft.sum(axis=1)) / np.maximum(cosine, 0.7))[number]
+    cosine = np.maximum(np.where(steep, cosines[:, 1], cosines[:, 0]), 0.5 * FLATTEST)
+    reach = ((half + 0.5 * soft.sum(axis=1)) / cosine)[number]
     across = np.where(steep, shape[1], shape[0])[number]
     low = np.maximum(np.ceil(y - reach), 0).astype(np.intp)
     run, k = _runs(np.minimum(np.floor(y + reach), across - 1).astype(np.intp) - low + 1)
