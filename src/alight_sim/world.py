@@ -56,7 +56,8 @@ class World(Protocol):
     def truth(self, bounds: Box) -> SceneTruth:
         """Heights and classes of the ground, at the centres of all cells of `cell` metres that lie within bounds.
 
-        The ground goes on everywhere: all heights are finite. What moves is left out.
+        The ground goes on everywhere: all heights are finite. What moves is left out. Wires that come over the bounds
+        are its `spans`.
         """
 
     def height_at(self, east: float, north: float) -> float:
