@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, Mask
 from alight.geometry import Camera
-from alight_sim.kernels.illuminate import AIR, HAZE, LIT, SHADED
+from alight_sim.kernels.block import MARGIN, PARAM, SUN, B, X, Y
+from alight_sim.kernels.illuminate import AIR, HAZE, LIT, sunshine
 from alight_sim.kernels.raycast import cast_rays
 from alight_sim.light import Sun
 from alight_sim.patch import GroundPatch
@@ -28,7 +29,7 @@ DISC = 0.866  # width of the box of the same variance, over the disc's diameter
 NEAREST = 0.05  # metres: what is closer to the lens is not drawn
 BEHIND = 0.05  # metres by which a wire may lie behind what hides it: the top of its own post
 FLATTEST = 0.4  # cosine of the steepest piece that is gone through by columns, with the others of its line
-THERE = 0.3  # metres along the axis between a shadow's piece and ground that it falls on
+THERE, FAR = 0.3, 0.02  # metres, and share of the depth, between a shadow's piece and ground that it falls on
 
 Numbers = NDArray[np.intp]
 
@@ -120,13 +121,42 @@ class _Strips:
     share: F64  # of the pixel that it covers
 
 
-def draw(hanging: Hanging, view: View, patch: GroundPatch, lights: F64, out: F32) -> None:
-    """Darken linear light (H, W, 3) by the shadows of spans, then draw the spans. `lights`: see `Light.numbers`."""
-    _draw_shadows(hanging, view, patch, lights, out)
-    _draw_wires(hanging, view, lights, out)
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """Sun, sky, haze and clouds of one moment."""
+
+    numbers: F64  # (LIGHTS,) see `Light.numbers`
+    time: float  # s
+    seed: int  # of the clouds, as `kernels.shade` takes it
+
+    @property
+    def sun(self) -> tuple[F64, F64, F64]:
+        """(3,) direction, (3,) colour of the sun, (3,) colour of the sky."""
+        return self.numbers[:3], self.numbers[3:6], self.numbers[6:9]
+
+    def haze(self, away: F64) -> F64:
+        """(N,) share of the light that is left after `away` metres."""
+        return np.asarray(np.exp(-self.numbers[HAZE] * away))
+
+    def sunshine(self, places: F64, margin: F64) -> F64:
+        """(N,) share of the sun at places (N, 3) past terrain, with shadow margins (N,), metres, and past clouds."""
+        buf, out = np.zeros(PARAM, np.float32), np.empty(len(places))
+        for first in range(0, len(places), B):
+            block, base = places[first : first + B], np.floor(places[first])
+            buf[X : X + len(block)], buf[Y : Y + len(block)] = (block - base)[:, :2].T
+            buf[MARGIN : MARGIN + len(block)] = margin[first : first + B]
+            sunshine(buf, base, self.numbers, self.time, self.seed + 950)
+            out[first : first + B] = buf[SUN : SUN + len(block)]
+        return out
 
 
-def _draw_wires(hanging: Hanging, view: View, lights: F64, out: F32) -> None:
+def draw(hanging: Hanging, view: View, patch: GroundPatch, lit: Lit, out: F32) -> None:
+    """Darken linear light (H, W, 3) by the shadows of spans, then draw the spans."""
+    _draw_shadows(hanging, view, patch, lit, out)
+    _draw_wires(hanging, view, lit, out)
+
+
+def _draw_wires(hanging: Hanging, view: View, lit: Lit, out: F32) -> None:
     middle = hanging.ends.mean(axis=1)
     along = _unit(hanging.ends[:, 1] - hanging.ends[:, 0])
     towards = view.places[len(view.places) // 2] - middle
@@ -135,7 +165,8 @@ def _draw_wires(hanging: Hanging, view: View, lights: F64, out: F32) -> None:
     behind = view.depth[strips.row, strips.col]
     seen = (behind < 0.0) | (strips.depth < behind + BEHIND)
     k, share = strips.number[seen], strips.share[seen]
-    light = _radiance(along, towards, hanging.colour, lights)
+    drawn, k = np.unique(k, return_inverse=True)  # pieces in the picture
+    light = _radiance(along[drawn], towards[drawn], hanging.colour[drawn], middle[drawn], lit)
     pixel = strips.row[seen] * out.shape[1] + strips.col[seen]
     flat = out.reshape(-1, 3)
     covered = np.bincount(pixel, share, len(flat))
@@ -146,20 +177,21 @@ def _draw_wires(hanging: Hanging, view: View, lights: F64, out: F32) -> None:
         flat[found, c] = (1.0 - part) * flat[found, c] + part * mean
 
 
-def _radiance(along: F64, towards: F64, colour: F64, lights: F64) -> F64:
+def _radiance(along: F64, towards: F64, colour: F64, places: F64, lit: Lit) -> F64:
     """(M, 3) light that cylinders along (M, 3) send towards the camera (M, 3): Lambert's law over the visible half."""
-    sun, direct, sky = lights[:3], lights[3:6], lights[6:9]
+    sun, direct, sky = lit.sun
     s, v = (d - (d * along).sum(axis=1, keepdims=True) * along for d in (np.broadcast_to(sun, along.shape), towards))
     turn = np.arccos(np.clip((_unit(s) * _unit(v)).sum(axis=1), -1.0, 1.0))
-    lit = 0.25 * np.linalg.norm(s, axis=1) * ((math.pi - turn) * np.cos(turn) + np.sin(turn))
+    shine = 0.25 * np.linalg.norm(s, axis=1) * ((math.pi - turn) * np.cos(turn) + np.sin(turn))
+    shine *= lit.sunshine(places, np.full(len(places), LIT))
     up = 0.25 * math.pi * _unit(v)[:, 2]
-    own = colour * (direct * lit[:, None] + sky * (0.5 + 0.5 * up[:, None]))
-    seen = np.exp(-lights[HAZE] * np.linalg.norm(towards, axis=1))[:, None]
-    return np.asarray(own * seen + lights[AIR : AIR + 3] * (1.0 - seen))
+    own = colour * (direct * shine[:, None] + sky * (0.5 + 0.5 * up[:, None]))
+    seen = lit.haze(np.linalg.norm(towards, axis=1))[:, None]
+    return np.asarray(own * seen + lit.numbers[AIR : AIR + 3] * (1.0 - seen))
 
 
-def _draw_shadows(hanging: Hanging, view: View, patch: GroundPatch, lights: F64, out: F32) -> None:
-    sun = lights[:3]
+def _draw_shadows(hanging: Hanging, view: View, patch: GroundPatch, lit: Lit, out: F32) -> None:
+    sun, _, _ = lit.sun
     there = np.isfinite(hanging.feet).all(axis=(1, 2))
     feet, ends = hanging.feet[there], hanging.ends[there]
     # a step aside, square to wire and ray, seen along the ray on level ground
@@ -168,27 +200,27 @@ def _draw_shadows(hanging: Hanging, view: View, patch: GroundPatch, lights: F64,
     blur = DISC * SUN_WIDTH * hanging.away[there]
     rim = 0.5 * hanging.diameter[there, None] * step
     strips = _strips(view, hanging.number[there], feet, rim, blur / hanging.diameter[there])
-    near = np.abs(strips.depth - view.depth[strips.row, strips.col]) < THERE
+    near = np.abs(strips.depth - view.depth[strips.row, strips.col]) < THERE + FAR * strips.depth
     pixel = strips.row[near] * out.shape[1] + strips.col[near]
     dark = np.bincount(pixel, strips.share[near], out.shape[0] * out.shape[1])
     found = np.flatnonzero(dark > 0.0)
     row, col = np.divmod(found, out.shape[1])
-    taken = np.minimum(dark[found], 1.0)[:, None] * _sun_share(view.ground(row, col), patch, lights)
+    taken = np.minimum(dark[found], 1.0)[:, None] * _sun_share(view.ground(row, col), patch, lit)
     away = view.depth[row, col] * np.linalg.norm(view.rays[row, col], axis=1)
-    out[row, col] *= (1.0 - taken * np.exp(-lights[HAZE] * away)[:, None]).astype(np.float32)
+    out[row, col] *= (1.0 - taken * lit.haze(away)[:, None]).astype(np.float32)
 
 
-def _sun_share(places: F64, patch: GroundPatch, lights: F64) -> F64:
+def _sun_share(places: F64, patch: GroundPatch, lit: Lit) -> F64:
     """(K, 3) share of the sun in the light of ground at places (K, 3): none in shadow and in water."""
-    sun, direct, sky = lights[:3], lights[3:6], lights[6:9]
+    sun, direct, sky = lit.sun
     east, north, size = patch.skin_place
     rows, cols = patch.skin.shape[:2]
     i = np.clip(np.rint((north - places[:, 1]) / size), 0, rows - 1).astype(np.intp)
     j = np.clip(np.rint((places[:, 0] - east) / size), 0, cols - 1).astype(np.intp)
     slope_e, slope_n, margin, opened, depth = patch.skin[i, j, :5].astype(np.float64).T
-    t = np.clip((margin - SHADED) / (LIT - SHADED), 0.0, 1.0)
     normal = _unit(np.stack([-slope_e, -slope_n, np.ones_like(slope_e)], axis=1))
-    shine = np.where(depth > 0.0, 0.0, t * t * (3.0 - 2.0 * t) * np.maximum(normal @ sun, 0.0))[:, None]
+    shine = lit.sunshine(places, margin) * np.maximum(normal @ sun, 0.0)
+    shine = np.where(depth > 0.0, 0.0, shine)[:, None]
     return np.asarray(direct * shine / (direct * shine + sky * (opened * (0.5 + 0.5 * normal[:, 2]))[:, None]))
 
 

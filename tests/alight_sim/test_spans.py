@@ -152,6 +152,20 @@ def test_the_shadow_lies_away_from_the_sun_and_is_weak(azimuth, elevation):
     assert share.max() < 0.25
 
 
+def test_a_shadow_is_as_weak_as_the_sun_under_a_cloud():
+    span, pose = wire((0, -40, 9), (0, 40, 9)), Pose(DOWN, np.array([-9.0, 0.0, 5.0]))
+    clear, overcast = (
+        covered(
+            span, pose, light=Light(azimuth_deg=90.0, elevation_deg=45.0, clouds={"share": s, "dark": 0.9}, **CLEAR)
+        )
+        for s in (0.0, 1.0)
+    )
+    sun = Light(elevation_deg=45.0).sun_at(0.0)
+    direct, sky = math.sin(sun.elevation) * np.array(sun.colour), np.array(sun.sky)
+    ratio = (0.1 * direct / (0.1 * direct + sky)).mean() / (direct / (direct + sky)).mean()
+    assert overcast.sum() == pytest.approx(ratio * clear.sum(), rel=0.05)
+
+
 def test_no_shadow_falls_in_a_shadow_or_without_sun():
     wall = np.where((EAST > 3.0) & (EAST < 4.0), 12.0, 0.0)  # throws its shadow to the west, over the wire's
     light = Light(azimuth_deg=90.0, elevation_deg=45.0)
