@@ -21,7 +21,7 @@ from alight_sim.materials import tables
 from alight_sim.movers import Moving, boxes_at
 from alight_sim.patch import GroundPatch
 from alight_sim.things.base import Box
-from alight_sim.wires import Lit, View, draw
+from alight_sim.wires import CameraMoment, Lit, draw
 from alight_sim.world import Poses
 
 if TYPE_CHECKING:  # which draws its pictures with these cameras
@@ -149,7 +149,7 @@ class Eye:
             share, light,
         )  # fmt: skip
         if hanging is not None:
-            view = View(self.camera, self.rays[sample], turns, places, depth)
+            view = CameraMoment(self.camera, self.rays[sample], turns, places, depth)
             draw(hanging, view, patch, Lit(world.light.numbers(middle), middle, world.seed & 0xFFFF), light)
             out += np.float32(weight) * light
 

@@ -19,7 +19,7 @@ from alight.geometry import Pose
 from alight.records import Terrain
 from alight_sim.movers import Moving
 from alight_sim.resting import resting_on_feet, resting_on_skids
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box
 from alight_sim.world import World
 
@@ -70,7 +70,7 @@ class TrueSurface:
     cell: float
     height: F64  # (R, C) metres, rows to the north
     label: U8  # (R, C) Terrain codes
-    spans: Spans = field(default_factory=Spans)  # over it
+    spans: TrueSpans = field(default_factory=TrueSpans)  # over it
 
     @classmethod
     def of(cls, world: World, box: Box, seconds: float | None = None, bodies: Sequence[Moving] = ()) -> TrueSurface:

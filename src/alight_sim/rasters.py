@@ -23,7 +23,7 @@ from alight.raster import unreadable
 from alight.records import InputError, Terrain
 from alight_sim.looks import Look
 from alight_sim.section import Section
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box, Sheet
 from alight_sim.tiles import SIDE, Tile
 
@@ -251,9 +251,9 @@ class Arrays:
     depth: F32 | None = None  # (R, C) metres of water
     look: U8 | None = None  # (R, C)
     tint: F32 | None = None  # (R, C, 3)
-    wires: Spans = field(default_factory=Spans)
+    wires: TrueSpans = field(default_factory=TrueSpans)
 
-    def spans(self, box: Box) -> Spans:
+    def spans(self, box: Box) -> TrueSpans:
         """Spans in the air that come into a box."""
         return self.wires.within(box)
 

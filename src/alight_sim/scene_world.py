@@ -27,7 +27,7 @@ from alight_sim.patch import GroundPatch
 from alight_sim.rasters import Arrays
 from alight_sim.scene import Origin, Scene, built_in, read_scene
 from alight_sim.sensors import Sensors
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box
 from alight_sim.tiles import SIDE, Cache, Stack, Tile, TileSource
 from alight_sim.truth import SceneTruth
@@ -354,9 +354,9 @@ def world_of(
     tint: F32 | None = None,
     light: Light | None = None,
     seed: int = 0,
-    spans: Spans | None = None,
+    spans: TrueSpans | None = None,
 ) -> SceneWorld:
     """Make a world from arrays (R, C) on a grid; classes default to bare ground. Its edge goes on outside."""
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
-    source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint, spans or Spans())
+    source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint, spans or TrueSpans())
     return SceneWorld("arrays", "", seed, Origin().local, source, source.extent, light or Light())

@@ -23,8 +23,8 @@ HEADER = (
 
 
 @dataclass(frozen=True, eq=False)
-class Spans:
-    """Spans of the world."""
+class TrueSpans:
+    """Spans of the world, or of a part of it."""
 
     table: F64 = field(
         default_factory=lambda: np.zeros((0, COLUMNS))
@@ -33,7 +33,7 @@ class Spans:
     @classmethod
     def of(
         cls, start: F64, end: F64, *, sag: float | F64, diameter: float | F64, colour: Iterable[float] | F64
-    ) -> Spans:
+    ) -> TrueSpans:
         """Make spans from `start` to `end` (N, 3); `sag` below the middle of the chord; `colour`: reflectance, RGB."""
         table = np.empty((len(start), COLUMNS))
         table[:, :3], table[:, 3:6], table[:, 6], table[:, 7] = start, end, sag, diameter
@@ -41,7 +41,7 @@ class Spans:
         return cls(table)
 
     @classmethod
-    def joined(cls, parts: Iterable[Spans]) -> Spans:
+    def joined(cls, parts: Iterable[TrueSpans]) -> TrueSpans:
         """All spans of all parts."""
         return cls(np.concatenate([np.zeros((0, COLUMNS)), *(p.table for p in parts)]))
 
@@ -73,11 +73,11 @@ class Spans:
         """(N, 3) reflectance: red, green, blue."""
         return self.table[:, 8:]
 
-    def within(self, box: tuple[float, float, float, float]) -> Spans:
+    def within(self, box: tuple[float, float, float, float]) -> TrueSpans:
         """Select the spans whose bounding box meets a box (west, south, east, north)."""
         low, high = np.minimum(self.start, self.end), np.maximum(self.start, self.end)
         near = (high[:, 0] >= box[0]) & (low[:, 0] <= box[2]) & (high[:, 1] >= box[1]) & (low[:, 1] <= box[3])
-        return Spans(self.table[near])
+        return TrueSpans(self.table[near])
 
     def at(self, number: NDArray[np.intp], share: F64) -> F64:
         """(M, 3) places on spans `number` (M,), at a share (M,) of the way from start to end."""
@@ -107,7 +107,7 @@ class Spans:
         out = np.zeros(grid.shape, bool)
         east, north = grid.xy()
         for k in range(len(self)):
-            one = Spans(self.table[k : k + 1])
+            one = TrueSpans(self.table[k : k + 1])
             reach = radius + 0.5 * float(one.diameter[0])
             (west, south), (right, top) = (f(one.start[0, :2], one.end[0, :2]) for f in (np.minimum, np.maximum))
             cols = np.flatnonzero((east >= west - reach) & (east <= right + reach))

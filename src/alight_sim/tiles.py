@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64, U8, Mask
 from alight_sim.kernels.stamps import EAST, LEVEL, NORTH, REACH
 from alight_sim.relief import FractalRelief, noise
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box, Layer, Scattered, Sheet, blank_things, overlapping, terrain_named
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class TileSource(Protocol):
     def range(self, box: Box) -> tuple[float, float]:
         """Lower and upper bound of all heights in the box, metres."""
 
-    def spans(self, box: Box) -> Spans:
+    def spans(self, box: Box) -> TrueSpans:
         """Spans in the air that come into the box."""
 
 
@@ -311,9 +311,9 @@ class Stack:
         height, depth = sheet.height.astype(np.float32), sheet.depth.astype(np.float32)
         return Tile(height, sheet.label, depth, sheet.look, tint)
 
-    def spans(self, box: Box) -> Spans:
+    def spans(self, box: Box) -> TrueSpans:
         """Spans in the air that come into a box."""
-        return Spans.joined(lay.layer.hang(box, lay) for lay in self.lays).within(box)
+        return TrueSpans.joined(lay.layer.hang(box, lay) for lay in self.lays).within(box)
 
     def range(self, box: Box) -> tuple[float, float]:
         """Lower and upper bound of heights in a box, metres: base at coarse places, and the rise of the layers."""

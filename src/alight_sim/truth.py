@@ -15,7 +15,7 @@ from alight.geometry import Grid
 from alight.records import Terrain
 from alight_sim.kernels.touchdown import running_sums, touchdown
 from alight_sim.section import Section
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 
 BAND = 1024  # rows judged at a time: a large world's running sums need no more memory than this
 
@@ -54,7 +54,7 @@ class SceneTruth:
     grid: Grid
     height: F32  # (R, C) metres above the origin
     label: U8  # (R, C) Terrain codes
-    spans: Spans = field(default_factory=Spans)
+    spans: TrueSpans = field(default_factory=TrueSpans)
     _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
 
     def safe(self, footprint: TrueFootprint | None = None) -> Mask:

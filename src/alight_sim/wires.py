@@ -21,7 +21,7 @@ from alight_sim.kernels.illuminate import AIR, HAZE, LIT, sunshine
 from alight_sim.kernels.raycast import cast_rays
 from alight_sim.light import Sun
 from alight_sim.patch import GroundPatch
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 
 PIECE = 0.25  # metres, longest piece: straight to a tenth of a pixel through the lens's distortion from 4 m
 SUN_WIDTH = math.radians(0.53)  # rad: the sun's disc
@@ -46,7 +46,7 @@ class Hanging:
     away: F64  # (M,) from the wire to its shadow
 
     @classmethod
-    def of(cls, spans: Spans, patch: GroundPatch, sun: Sun, reach: float) -> Hanging:
+    def of(cls, spans: TrueSpans, patch: GroundPatch, sun: Sun, reach: float) -> Hanging:
         """Cut spans into pieces and cast their shadows, no farther than `reach`, horizontally."""
         number, ends = spans.pieces(PIECE)
         t = np.zeros(0) if not len(ends) else _fall(ends.reshape(-1, 3), patch, sun.direction)
@@ -76,7 +76,7 @@ def _fall(places: F64, patch: GroundPatch, sun: F64) -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CameraMoment:
     """One moment of a camera over a patch."""
 
     camera: Camera
@@ -150,13 +150,13 @@ class Lit:
         return out
 
 
-def draw(hanging: Hanging, view: View, patch: GroundPatch, lit: Lit, out: F32) -> None:
+def draw(hanging: Hanging, view: CameraMoment, patch: GroundPatch, lit: Lit, out: F32) -> None:
     """Darken linear light (H, W, 3) by the shadows of spans, then draw the spans."""
     _draw_shadows(hanging, view, patch, lit, out)
     _draw_wires(hanging, view, lit, out)
 
 
-def _draw_wires(hanging: Hanging, view: View, lit: Lit, out: F32) -> None:
+def _draw_wires(hanging: Hanging, view: CameraMoment, lit: Lit, out: F32) -> None:
     middle = hanging.ends.mean(axis=1)
     along = _unit(hanging.ends[:, 1] - hanging.ends[:, 0])
     towards = view.places[len(view.places) // 2] - middle
@@ -190,7 +190,7 @@ def _radiance(along: F64, towards: F64, colour: F64, places: F64, lit: Lit) -> F
     return np.asarray(own * seen + lit.numbers[AIR : AIR + 3] * (1.0 - seen))
 
 
-def _draw_shadows(hanging: Hanging, view: View, patch: GroundPatch, lit: Lit, out: F32) -> None:
+def _draw_shadows(hanging: Hanging, view: CameraMoment, patch: GroundPatch, lit: Lit, out: F32) -> None:
     sun, _, _ = lit.sun
     there = np.isfinite(hanging.feet).all(axis=(1, 2))
     feet, ends = hanging.feet[there], hanging.ends[there]
@@ -224,7 +224,7 @@ def _sun_share(places: F64, patch: GroundPatch, lit: Lit) -> F64:
     return np.asarray(direct * shine / (direct * shine + sky * (opened * (0.5 + 0.5 * normal[:, 2]))[:, None]))
 
 
-def _strips(view: View, line: Numbers, ends: F64, rim: F64, blur: F64 | None = None) -> _Strips:
+def _strips(view: CameraMoment, line: Numbers, ends: F64, rim: F64, blur: F64 | None = None) -> _Strips:
     """Rasterise strips about pieces `ends` (M, 2, 3), whose edge lies `rim` (M, 3) from their middle line.
 
     `line` (M,): number of the line that the piece is of. `blur` (M,): of shadows, width of the blur over that of the

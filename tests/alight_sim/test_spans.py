@@ -14,7 +14,7 @@ from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
 from alight_sim.point_mass import Wanted
 from alight_sim.scene import parse_scene
 from alight_sim.scene_world import build
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.touchdown import judge_flight
 from alight_sim.truth import TrueFootprint
@@ -29,7 +29,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])  # image up is north
 
 
 def wire(start, end, diameter=0.02, sag=0.0, colour=(0.0, 0.0, 0.0)):
-    return Spans.of(np.array([start], float), np.array([end], float), sag=sag, diameter=diameter, colour=colour)
+    return TrueSpans.of(np.array([start], float), np.array([end], float), sag=sag, diameter=diameter, colour=colour)
 
 
 def covered(spans, pose, height=0.0, light=SKY_ALONE, lens=LENS, shutter=None):

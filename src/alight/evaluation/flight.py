@@ -26,7 +26,7 @@ from alight.sources.source import Trajectory
 from alight.sources.tum import read_tum
 from alight.spread import nmad
 from alight_sim import TrueFootprint
-from alight_sim.spans import COLUMNS, Spans
+from alight_sim.spans import COLUMNS, TrueSpans
 from alight_sim.truth import safe_mask
 
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
@@ -44,7 +44,7 @@ class FlightTruth:
     label: NDArray[np.uint8]  # (R, C) Terrain codes
     grid: Grid
     settled: str = ""  # unit and vertical datum of the heights as they are stored
-    spans: Spans = field(default_factory=Spans)
+    spans: TrueSpans = field(default_factory=TrueSpans)
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
         """Return the cells on which a touchdown is truly safe, by brute force."""
@@ -78,16 +78,16 @@ def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTr
     return FlightTruth(dem.astype(np.float32), bands[0], grid, settled, _read_spans(folder / "truth" / "spans.csv"))
 
 
-def _read_spans(path: Path) -> Spans:
+def _read_spans(path: Path) -> TrueSpans:
     if not path.exists():
-        return Spans()
+        return TrueSpans()
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2)
     except (OSError, ValueError) as e:
         raise InputError(f"{path}: is not readable as rows of {COLUMNS} numbers ({e}); make it anew") from e
     if table.shape[1:] != (COLUMNS,) or not np.isfinite(table).all():
         raise InputError(f"{path}: must have rows of {COLUMNS} finite numbers; make it anew")
-    return Spans(table)
+    return TrueSpans(table)
 
 
 @dataclass(frozen=True, eq=False)

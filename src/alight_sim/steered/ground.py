@@ -12,7 +12,7 @@ from alight.arrays import F64
 from alight.geometry import Pose
 from alight_sim.movers import Moving, boxes_at
 from alight_sim.point_mass import PointMass
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.world import World
 
 STRIKE_STEPS = 5  # samples of the IMU between two checks for things beside
@@ -45,7 +45,7 @@ class GroundBelow:
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
         self._heights = np.empty((0, 0))  # the rows as an array
-        self._spans = Spans()  # over it
+        self._spans = TrueSpans()  # over it
         self.seconds = 0.0  # time of the flight, for the places of cars and persons
         self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), with their number of bodies and time
 

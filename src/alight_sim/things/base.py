@@ -16,7 +16,7 @@ from alight.records import Terrain
 from alight_sim.kernels.stamps import COLUMNS, EAST, NORTH, REACH
 from alight_sim.looks import Look
 from alight_sim.section import Coordinate, Section
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
@@ -145,9 +145,9 @@ class Layer(Section):
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Stamp standing things."""
 
-    def hang(self, box: Box, lay: Lay) -> Spans:
+    def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """Spans in the air: at least those that come into a box."""
-        return Spans()
+        return TrueSpans()
 
     @property
     def rise(self) -> tuple[float, float]:

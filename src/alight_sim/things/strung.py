@@ -14,7 +14,7 @@ from alight.records import Terrain
 from alight_sim.kernels import stamps
 from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
 from alight_sim.looks import Look
-from alight_sim.spans import Spans
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Between, Box, Layer, LookName, Scattered, Sheet, Tint, blank_things
 from alight_sim.things.built import stamp
 from alight_sim.things.lines import Lined
@@ -61,14 +61,16 @@ class Strung(Layer):
     post_look: LookName = Field(Look.PAINT, description="look of the posts")
     post_tint: Tint = Field((0.30, 0.26, 0.21), description="factor on that look's reflectance")
 
-    def string(self, tops: F64, aside: F64) -> Spans:
+    def string(self, tops: F64, aside: F64) -> TrueSpans:
         """Wires and cross-arms between tops (N, 2, 3), whose cross-arms point along `aside` (N, 2, 2) unit vectors."""
         out, length = [], np.linalg.norm(tops[:, 1] - tops[:, 0], axis=1)
         for k in range(self.wires):
             ends = tops.copy()
             ends[..., :2] += (k - 0.5 * (self.wires - 1)) * self.spacing * aside
             ends[..., 2] -= k * self.drop
-            wire = Spans.of(ends[:, 0], ends[:, 1], sag=self.sag * length, diameter=self.diameter, colour=self.colour)
+            wire = TrueSpans.of(
+                ends[:, 0], ends[:, 1], sag=self.sag * length, diameter=self.diameter, colour=self.colour
+            )
             out.append(wire)
         if self.wires > 1 and self.spacing > 0.0 and self.post > 0.0:
             arms = np.repeat(tops.reshape(-1, 1, 3), 2, axis=1)
@@ -76,8 +78,8 @@ class Strung(Layer):
             arms[:, 0, :2] -= half
             arms[:, 1, :2] += half
             arms = np.unique(arms.reshape(-1, 6), axis=0)  # two pairs share a post
-            out.append(Spans.of(arms[:, :3], arms[:, 3:], sag=0.0, diameter=ARM * self.post, colour=self.post_tint))
-        return Spans.joined(out)
+            out.append(TrueSpans.of(arms[:, :3], arms[:, 3:], sag=0.0, diameter=ARM * self.post, colour=self.post_tint))
+        return TrueSpans.joined(out)
 
     def plant(self, sheet: Sheet, lay: Lay, feet: F64, height: F64 | float) -> None:
         """Stamp the posts."""
@@ -111,11 +113,11 @@ class PowerLine(Lined, Strung):
         """Stamp the posts."""
         self.plant(sheet, lay, self.feet(lay), self.post_height)
 
-    def hang(self, box: Box, lay: Lay) -> Spans:
+    def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """String the wires."""
-        return Spans(lay.keep("spans", lambda: self._all(lay).table))
+        return TrueSpans(lay.keep("spans", lambda: self._all(lay).table))
 
-    def _all(self, lay: Lay) -> Spans:
+    def _all(self, lay: Lay) -> TrueSpans:
         tops = self.feet(lay) + self.post_height * UP
         ahead = np.gradient(tops[:, :2], axis=0)
         aside = ahead[:, ::-1] * (1.0, -1.0) / np.maximum(np.hypot(*ahead.T), 1e-9)[:, None]
@@ -163,7 +165,7 @@ class WashingLine(Scattered, Strung):
         things = lay.things(sheet.box)
         self.plant(sheet, lay, self._feet(things, lay).reshape(-1, 3), np.repeat(things[:, TOP], 2))
 
-    def hang(self, box: Box, lay: Lay) -> Spans:
+    def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """String the wires."""
         things = lay.things(box)
         tops = self._feet(things, lay)
@@ -209,7 +211,7 @@ class GuyedMast(Scattered):
         feet = footed(things[:, [EAST, NORTH]], lay)
         stamp(sheet, posts(feet, things[:, TOP], self.thickness, self.look, self.tint, lay.stack.cell), stamps.FLAT)
 
-    def hang(self, box: Box, lay: Lay) -> Spans:
+    def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """Stretch the guys."""
         out = []
         for thing in lay.things(box):
@@ -219,8 +221,8 @@ class GuyedMast(Scattered):
             for share in np.arange(1, self.levels + 1) / self.levels:
                 top = np.tile(foot + share * thing[TOP] * UP, (self.guys, 1))
                 sag = self.sag * np.linalg.norm(top - anchors, axis=1)
-                out.append(Spans.of(top, anchors, sag=sag, diameter=self.diameter, colour=self.colour))
-        return Spans.joined(out)
+                out.append(TrueSpans.of(top, anchors, sag=sag, diameter=self.diameter, colour=self.colour))
+        return TrueSpans.joined(out)
 
 
 class Branches(Scattered):
@@ -258,13 +260,13 @@ class Branches(Scattered):
         trunks = posts(feet, things[:, TOP], self.thickness, Look.SOIL, (0.8, 0.8, 0.8), lay.stack.cell)
         stamp(sheet, trunks, stamps.FLAT, Terrain.TREE)
 
-    def hang(self, box: Box, lay: Lay) -> Spans:
+    def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """Grow the branches."""
         things = lay.things(box)
         feet = footed(things[:, [EAST, NORTH]], lay)
-        return Spans.joined(self._grow(thing, foot) for thing, foot in zip(things, feet, strict=True))
+        return TrueSpans.joined(self._grow(thing, foot) for thing, foot in zip(things, feet, strict=True))
 
-    def _grow(self, thing: F64, foot: F64) -> Spans:
+    def _grow(self, thing: F64, foot: F64) -> TrueSpans:
         """Branches of one tree: two spans each, the outer one thinner, and three twigs."""
         rng, n, (thin, thick) = np.random.default_rng(int(thing[EXTRA])), self.count, self.diameter
         turn = 2.4 * np.arange(n) + rng.normal(0.0, 0.3, n)  # about the golden angle, as branches stand
@@ -278,4 +280,4 @@ class Branches(Scattered):
             aside = rng.choice((-0.7, 0.7), n) + rng.normal(0.0, 0.2, n)
             twig = np.column_stack([np.cos(turn + aside), np.sin(turn + aside), rng.uniform(-0.2, 0.5, n)])
             ends.append((bud, bud + (0.4 * length * rng.uniform(0.5, 1.0, n))[:, None] * twig, thin))
-        return Spans.joined(Spans.of(a, b, sag=0.0, diameter=d, colour=self.colour) for a, b, d in ends)
+        return TrueSpans.joined(TrueSpans.of(a, b, sag=0.0, diameter=d, colour=self.colour) for a, b, d in ends)
