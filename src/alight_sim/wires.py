@@ -85,17 +85,20 @@ class CameraMoment:
     places: F64  # (N, 3): world_from_cam, N = 1 or one for each row
     depth: F64  # (H, W) along the optical axis, metres; below 0: sky
 
-    def project(self, points: F64) -> tuple[F64, F64]:
-        """(..., 2) pixels and (...) depths of points (..., 3): each as the row sees it where it appears."""
-        flat, rows = points.reshape(-1, 3), len(self.turns)
-        row = np.full(len(flat), rows // 2)
-        for _ in range(1 if rows == 1 else 3):
-            seen = np.einsum("kji,kj->ki", self.turns[row], flat - self.places[row])
-            pixels = self.camera.project(seen)
-            if rows > 1:
-                row = np.clip(np.rint(np.nan_to_num(pixels[:, 1])), 0, rows - 1).astype(np.intp)
+    def rows_of(self, points: F64) -> Numbers:
+        """(K,) number of the pose of the row in which points (K, 3) appear."""
+        count = len(self.turns)
+        row = np.full(len(points), count // 2)
+        for _ in range(0 if count == 1 else 2):
+            pixels, _ = self.project(points, row)
+            row = np.clip(np.rint(np.nan_to_num(pixels[:, 1])), 0, count - 1).astype(np.intp)
+        return row
+
+    def project(self, points: F64, row: Numbers) -> tuple[F64, F64]:
+        """(K, 2) pixels and (K,) depths of points (K, 3), seen with the poses of rows (K,)."""
+        seen = np.einsum("kji,kj->ki", self.turns[row], points - self.places[row])
         seen[(np.abs(seen[:, :2]) > self._widest * seen[:, 2:]).any(axis=1), 2] = -1.0
-        return pixels.reshape(*points.shape[:-1], 2), seen[:, 2].reshape(points.shape[:-1])
+        return self.camera.project(seen), seen[:, 2]
 
     @cached_property
     def _widest(self) -> F64:
@@ -231,7 +234,9 @@ def _strips(view: CameraMoment, line: Numbers, ends: F64, rim: F64, blur: F64 | 
     strip. Without it a pixel's share is its exact overlap with the strip.
     """
     camera = view.camera
-    pixels, depth = view.project(ends)
+    flat = ends.reshape(-1, 3)
+    pixels, depth = view.project(flat, view.rows_of(flat))
+    pixels, depth = pixels.reshape(-1, 2, 2), depth.reshape(-1, 2)
     with np.errstate(invalid="ignore"):
         low, high = pixels.min(axis=1), pixels.max(axis=1)
         seen = (depth > NEAREST).all(axis=1) & (high > -1.0).all(axis=1)
@@ -239,7 +244,8 @@ def _strips(view: CameraMoment, line: Numbers, ends: F64, rim: F64, blur: F64 | 
     kept = np.flatnonzero(seen)
     pixels, depth = pixels[kept], depth[kept]
     middle = ends[kept].mean(axis=1)
-    beside = view.project(middle + rim[kept])[0] - view.project(middle)[0]
+    row = view.rows_of(middle)
+    beside = view.project(middle + rim[kept], row)[0] - view.project(middle, row)[0]
     way = pixels[:, 1] - pixels[:, 0]
     length = np.maximum(np.hypot(*way.T), 1e-9)
     half = np.abs(way[:, 0] * beside[:, 1] - way[:, 1] * beside[:, 0]) / length
