@@ -270,7 +270,7 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
         "belly": gap < 0.0 if clear is not None else np.zeros(len(tilt), bool),
         "rotor": rise > lander.rotor_rise,
         "ground": ~firm.all(axis=1),
-        "wire": (surface.spans.aside(centres) <= lander.reach).any(axis=1),
+        "wire": surface.spans.near(centres, lander.reach),
     }
     return _Found(tilt, gap, roughness, rise, wrong)
 

@@ -16,6 +16,7 @@ from alight.arrays import F64, Mask
 from alight.geometry import Grid
 
 COLUMNS = 11
+CHUNK = 128  # spans whose distances are computed at once
 HEADER = (
     "from east [m],from north [m],from up [m],to east [m],to north [m],to up [m],"
     "sag [m],diameter [m],red,green,blue"
@@ -101,6 +102,13 @@ class TrueSpans:
         length = np.maximum((along**2).sum(axis=1), 1e-12)
         share = np.clip((away * along).sum(axis=-1) / length, 0.0, 1.0)
         return np.asarray(np.linalg.norm(away - share[..., None] * along, axis=-1) - 0.5 * self.diameter)
+
+    def near(self, places: F64, radius: float) -> Mask:
+        """(N,) true for places (N, 2) within `radius`, horizontally, of a span at any height."""
+        out = np.zeros(len(places), bool)
+        for first in range(0, len(self), CHUNK):
+            out |= (TrueSpans(self.table[first : first + CHUNK]).aside(places) <= radius).any(axis=1)
+        return out
 
     def over(self, grid: Grid, radius: float) -> Mask:
         """(R, C) true for cells whose centre is within `radius`, horizontally, of a span at any height."""
