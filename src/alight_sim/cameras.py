@@ -21,6 +21,7 @@ from alight_sim.materials import tables
 from alight_sim.movers import Moving, boxes_at
 from alight_sim.patch import GroundPatch
 from alight_sim.things.base import Box
+from alight_sim.wires import CameraMoment, Lit, draw
 from alight_sim.world import Poses
 
 if TYPE_CHECKING:  # which draws its pictures with these cameras
@@ -142,11 +143,17 @@ class Eye:
         height = np.zeros((0, 0), np.float32) if patch.level else patch.height
         level = float(np.concatenate([patch.height[[0, -1]].ravel(), patch.height[:, [0, -1]].ravel()]).mean())
         looks, _, wet = tables()
+        hanging = world.hanging(patch, middle)
+        light, share = (out, weight) if hanging is None else (np.zeros_like(out), 1.0)
         shade(
             height, patch.label, patch.cells, patch.skin, patch.skin_place, looks, wet, places, self.rays[sample],
             turns, depth, faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF,
-            weight, out,
+            share, light,
         )  # fmt: skip
+        if hanging is not None:
+            view = CameraMoment(self.camera, self.rays[sample], turns, places, depth)
+            draw(hanging, view, patch, Lit(world.light.numbers(middle), middle, world.seed & 0xFFFF), light)
+            out += np.float32(weight) * light
 
 
 def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:

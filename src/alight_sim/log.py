@@ -21,6 +21,7 @@ from alight.geometry import Pose, quaternion_from_matrix
 from alight.records import Frame, ImuSample, NavSample, OutputError, Pixels, Rig, RigCamera, Terrain
 from alight_sim.flight import SimulatedFlight
 from alight_sim.rasters import EARTH_RADIUS
+from alight_sim.spans import HEADER
 
 BAND = 512  # rows of a raster written at once: a multiple of its tiles
 JPEG_QUALITY = 90  # of small cameras
@@ -235,6 +236,9 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
 
     _raster(flight, root / "dem.tif", height, "float32", math.nan)
     _raster(flight, root / "class.tif", lambda rows: truth.label[rows], "uint8", 0)
+    if len(truth.spans):
+        rows = (",".join(f"{v:.4f}" for v in row) for row in truth.spans.table)
+        _table(root / "spans.csv", HEADER, rows)
     columns = EXPOSURE_COLUMNS + "".join(f",{c.name}" for c in flight.rig.cameras)
     _table(root / "exposures.csv", columns, _exposure_rows(flight))
     if flight.repeatable:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from alight.geometry import Pose
 from alight.records import Terrain
 from alight_sim.movers import Moving
 from alight_sim.resting import resting_on_feet, resting_on_skids
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box
 from alight_sim.world import World
 
@@ -69,6 +70,7 @@ class TrueSurface:
     cell: float
     height: F64  # (R, C) metres, rows to the north
     label: U8  # (R, C) Terrain codes
+    spans: TrueSpans = field(default_factory=TrueSpans)  # over it
 
     @classmethod
     def of(cls, world: World, box: Box, seconds: float | None = None, bodies: Sequence[Moving] = ()) -> TrueSurface:
@@ -76,7 +78,7 @@ class TrueSurface:
         truth = world.truth(box)
         height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
         grid = truth.grid
-        out = cls(grid.east, grid.north - (grid.rows - 1) * grid.cell, grid.cell, height, label)
+        out = cls(grid.east, grid.north - (grid.rows - 1) * grid.cell, grid.cell, height, label, truth.spans)
         for mover in (*world.movers, *bodies) if seconds is not None else ():
             for body in mover.boxes_at(np.array([seconds]))[0]:
                 out._stand(body)
@@ -129,7 +131,7 @@ class Touchdown:
     """Judgement of one touchdown."""
 
     safe: bool
-    reasons: tuple[str, ...]  # broken limits: slope, roughness, step, belly, rotor, ground, sink, drift
+    reasons: tuple[str, ...]  # broken limits: slope, roughness, step, belly, rotor, ground, wire, sink, drift
     tilt: float  # rad, of the plane on which it stands; the largest if it rocks
     belly_gap: float  # metres from the belly (without clearance: the plane of the feet) to the ground below
     roughness: float  # metres, largest deviation from the footprint's least-squares plane
@@ -270,6 +272,7 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
         "belly": gap < 0.0 if clear is not None else np.zeros(len(tilt), bool),
         "rotor": rise > lander.rotor_rise,
         "ground": ~firm.all(axis=1),
+        "wire": surface.spans.near(centres, lander.reach),
     }
     return _Found(tilt, gap, roughness, rise, wrong)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +23,7 @@ from alight.raster import unreadable
 from alight.records import InputError, Terrain
 from alight_sim.looks import Look
 from alight_sim.section import Section
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box, Sheet
 from alight_sim.tiles import SIDE, Tile
 
@@ -251,6 +252,11 @@ class Arrays:
     depth: F32 | None = None  # (R, C) metres of water
     look: U8 | None = None  # (R, C)
     tint: F32 | None = None  # (R, C, 3)
+    wires: TrueSpans = field(default_factory=TrueSpans)
+
+    def spans(self, box: Box) -> TrueSpans:
+        """Spans in the air that come into a box."""
+        return self.wires.within(box)
 
     @property
     def cell(self) -> float:

@@ -27,9 +27,11 @@ from alight_sim.patch import GroundPatch
 from alight_sim.rasters import Arrays
 from alight_sim.scene import Origin, Scene, built_in, read_scene
 from alight_sim.sensors import Sensors
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box
 from alight_sim.tiles import SIDE, Cache, Stack, Tile, TileSource
 from alight_sim.truth import SceneTruth
+from alight_sim.wires import Hanging
 from alight_sim.world import START, Poses
 
 SHADOW_LIMIT = 0.5  # metres: a ray that clears the ground by more is fully lit
@@ -122,6 +124,19 @@ class SceneWorld:
         make = partial(self._make_patch, box, sun, level)
         return _patch(self._patches.get((box, sun, level), make, lambda p: p.nbytes))
 
+    def hanging(self, patch: GroundPatch, time: float) -> Hanging | None:
+        """The spans over a patch, with those whose shadow may fall on it; None: there are none."""
+        x, y = patch.grid.xy()
+        box = x[0] - SHADOW_REACH, y[-1] - SHADOW_REACH, x[-1] + SHADOW_REACH, y[0] + SHADOW_REACH
+        sun = self.light.sun_at(time)
+        found = self._patches.get(
+            ("hanging", box, sun),
+            lambda: Hanging.of(self.source.spans(box), patch, sun, SHADOW_REACH),
+            lambda h: h.nbytes,
+        )
+        assert isinstance(found, Hanging)
+        return found if len(found.ends) else None
+
     def usual_height(self, bounds: Box) -> float:
         """Return the median of a few heights in the tiles of a box, metres: about the ground height below a camera."""
         box = self._tile_box(bounds)
@@ -148,7 +163,7 @@ class SceneWorld:
         last = math.floor((east - e0) / self.cell - 0.5 + 1e-6), math.floor((north - n0) / self.cell - 0.5 + 1e-6)
         layers = self._window(first[0], first[1], last[0], last[1], ("height", "label"))
         grid = self._grid(first[0], last[1], *layers["height"].shape)
-        return SceneTruth(grid, layers["height"], layers["label"])
+        return SceneTruth(grid, layers["height"], layers["label"], self.source.spans(bounds or self.extent))
 
     def radiance(self, camera: Camera, world_from_cam: Poses, seconds: float, bodies: Sequence[Moving] = ()) -> F32:
         """Return the (H, W, 3) linear light of an exposure of the scene's imaging; black if the lens is underground."""
@@ -340,8 +355,9 @@ def world_of(
     tint: F32 | None = None,
     light: Light | None = None,
     seed: int = 0,
+    spans: TrueSpans | None = None,
 ) -> SceneWorld:
     """Build a world from arrays (R, C) on a grid; classes default to bare ground. Outside, the edge cells continue."""
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
-    source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint)
+    source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint, spans or TrueSpans())
     return SceneWorld("arrays", "", seed, Origin().local, source, source.extent, light or Light())

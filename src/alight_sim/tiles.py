@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64, U8, Mask
 from alight_sim.kernels.stamps import EAST, LEVEL, NORTH, REACH
 from alight_sim.relief import FractalRelief, noise
+from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box, Layer, Scattered, Sheet, blank_things, overlapping, terrain_named
 
 if TYPE_CHECKING:
@@ -61,6 +62,9 @@ class TileSource(Protocol):
 
     def range(self, box: Box) -> tuple[float, float]:
         """Return a lower and an upper bound of all heights in the box, metres."""
+
+    def spans(self, box: Box) -> TrueSpans:
+        """Spans in the air that come into the box."""
 
 
 class Under(Protocol):
@@ -306,6 +310,10 @@ class Stack:
         tint = sheet.tint if (sheet.tint != 1.0).any() else None
         height, depth = sheet.height.astype(np.float32), sheet.depth.astype(np.float32)
         return Tile(height, sheet.label, depth, sheet.look, tint)
+
+    def spans(self, box: Box) -> TrueSpans:
+        """Spans in the air that come into a box."""
+        return TrueSpans.joined(lay.layer.hang(box, lay) for lay in self.lays).within(box)
 
     def range(self, box: Box) -> tuple[float, float]:
         """Return bounds of the heights in a box, metres, from coarse samples of the base and the rise of the layers."""

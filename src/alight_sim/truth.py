@@ -15,6 +15,7 @@ from alight.geometry import Grid
 from alight.records import Terrain
 from alight_sim.kernels.touchdown import running_sums, touchdown
 from alight_sim.section import Section
+from alight_sim.spans import TrueSpans
 
 BAND = 1024  # rows judged at a time, which limits the memory for running sums
 
@@ -48,18 +49,20 @@ class TrueLander(Section):
 
 @dataclass(frozen=True, eq=False)
 class SceneTruth:
-    """True heights and classes of the ground."""
+    """True heights and classes of the ground, and the spans over it, which are no part of the heights."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin
     label: U8  # (R, C) Terrain codes
+    spans: TrueSpans = field(default_factory=TrueSpans)
     _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
 
     def safe(self, footprint: TrueFootprint | None = None) -> Mask:
-        """Return the (R, C) mask of touchdowns that keep every limit; false if the disc leaves the world."""
+        """Return the (R, C) mask of touchdowns that keep every limit, with the whole disc in the world and no span above."""
         key = footprint or TrueFootprint()
         if key not in self._masks:
-            self._masks[key] = safe_mask(self.height, self.label, self.grid.cell, key)
+            safe = safe_mask(self.height, self.label, self.grid.cell, key)
+            self._masks[key] = safe & ~self.spans.over(self.grid, key.radius)
         return self._masks[key]
 
 

@@ -56,7 +56,8 @@ class World(Protocol):
     def truth(self, bounds: Box) -> SceneTruth:
         """Return heights and classes of the ground at the centres of all cells of size `cell` within the bounds.
 
-        The ground continues everywhere: all heights are finite. Moving objects are left out.
+        The ground continues everywhere: all heights are finite. Moving objects are left out. `spans` of the result are
+        the wires above the bounds.
         """
 
     def height_at(self, east: float, north: float) -> float:

@@ -345,7 +345,7 @@ def test_parking_fills_its_share_of_the_bays():
 
 def test_every_thing_of_the_list_can_be_used_with_its_defaults():
     needed = {"road": {"path": [[-9, 0], [9, 1]]}, "parking": {"at": [[0, 0]]}}
-    needed["wall"] = needed["hedge"] = needed["canal"] = needed["road"]
+    needed["wall"] = needed["hedge"] = needed["canal"] = needed["power_line"] = needed["road"]
     needed["stones"] = {"share": 0.1}
     relief = [{"height": 2.0, "longest": 20, "shortest": 2}]
     plain = build(scene(cell=0.05, relief=relief), 0).source.tile(0, 0)

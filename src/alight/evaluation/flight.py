@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from alight.sources.source import Trajectory
 from alight.sources.tum import read_tum
 from alight.spread import nmad
 from alight_sim import TrueFootprint
+from alight_sim.spans import COLUMNS, TrueSpans
 from alight_sim.truth import safe_mask
 
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
@@ -37,21 +38,23 @@ NEAR = 0.3  # metres; a cell this close to truly safe ground is an inexact edge,
 
 @dataclass(frozen=True, eq=False)
 class FlightTruth:
-    """True heights and classes of the ground."""
+    """True heights and classes of the ground, and the spans over it."""
 
     dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
     label: NDArray[np.uint8]  # (R, C) Terrain codes
     grid: Grid
     settled: str = ""  # unit and vertical datum of the stored heights
+    spans: TrueSpans = field(default_factory=TrueSpans)
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
         """Compute the cells on which a touchdown is truly safe, by brute force; (R, C) of 0 and 1."""
         foot = TrueFootprint(lander.radius, lander.max_slope, lander.max_roughness)
-        return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
+        safe = safe_mask(self.dem, self.label, self.grid.cell, foot) & ~self.spans.over(self.grid, lander.radius)
+        return safe.astype(np.uint8)
 
 
 def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTruth:
-    """Read the rasters in `truth/`; they must use the coordinates of the flight's world `local`, if it is given.
+    """Read the rasters and spans in `truth/`; they must use the coordinates of the flight's world `local`, if given.
 
     Raises:
         InputError: a raster is missing, unreadable or in other coordinates, or the two grids differ.
@@ -72,7 +75,19 @@ def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTr
     bands, grid = read_bands(paths[1], 1, "u", "copy it again")
     if grid != plane.grid:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
-    return FlightTruth(dem.astype(np.float32), bands[0], grid, settled)
+    return FlightTruth(dem.astype(np.float32), bands[0], grid, settled, _read_spans(folder / "truth" / "spans.csv"))
+
+
+def _read_spans(path: Path) -> TrueSpans:
+    if not path.exists():
+        return TrueSpans()
+    try:
+        table = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as e:
+        raise InputError(f"{path}: is not readable as rows of {COLUMNS} numbers ({e}); make it anew") from e
+    if table.shape[1:] != (COLUMNS,) or not np.isfinite(table).all():
+        raise InputError(f"{path}: must have rows of {COLUMNS} finite numbers; make it anew")
+    return TrueSpans(table)
 
 
 @dataclass(frozen=True, eq=False)

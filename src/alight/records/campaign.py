@@ -19,7 +19,7 @@ PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the right 
 MOST_LANDINGS = 100_000  # in a campaign; more would take years of CPU time
 LARGEST_SEED = 2**63 - 1
 STRIKE = "strike"  # contact in flight with an obstacle beside the vehicle
-GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # reasons due to the ground, not the flying
+GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground", "wire")  # reasons due to the ground, not the flying
 
 
 class _Line(BaseModel):

@@ -12,6 +12,7 @@ from alight.arrays import F64
 from alight.geometry import Pose
 from alight_sim.movers import Moving, boxes_at
 from alight_sim.point_mass import PointMass
+from alight_sim.spans import TrueSpans
 from alight_sim.world import World
 
 STRIKE_STEPS = 5  # IMU samples between two checks for objects beside the vehicle
@@ -44,6 +45,7 @@ class GroundBelow:
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
         self._heights = np.empty((0, 0))  # the rows as an array
+        self._spans = TrueSpans()  # above these heights
         self.seconds = 0.0  # time of the flight, for the positions of cars and persons
         self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), with their number of bodies and time
 
@@ -71,6 +73,11 @@ class GroundBelow:
         below = self.height(east, north)
         return max(ground, below, self._top(east, north, radius))
 
+    def highest_span(self, east: float, north: float, low: float, high: float) -> float:
+        """Height of the highest span within the radius about a place and between two heights; -inf: there is none."""
+        self._hold(east, north)
+        return self._spans.highest(east, north, self.radius, low, high) if len(self._spans) else -math.inf
+
     def _top(self, east: float, north: float, within: float = 0.0) -> float:
         """Return the height of the highest moving object within `within` metres of a position; -inf: there is none."""
         movers, now = (*self._movers, *self._bodies), (len(self._bodies), self.seconds)
@@ -94,6 +101,7 @@ class GroundBelow:
         rows = truth.grid.rows
         self._heights = truth.height[::-1].astype(np.float64)
         self._rows = self._heights.tolist()
+        self._spans = truth.spans
         self._place = truth.grid.east, truth.grid.north - (rows - 1) * truth.grid.cell
         self._box = east - _WINDOW, north - _WINDOW, east + _WINDOW, north + _WINDOW
 
@@ -134,6 +142,13 @@ class ContactWatch:
         east, north, up = (float(c) for c in self._vehicle.position)
         return up - self._standing - self.below.highest(east, north)
 
+    @property
+    def _span_gap(self) -> float:
+        """As `gap`, for spans that touch the vehicle, as high as twice its origin; inf: none does."""
+        east, north, up = (float(c) for c in self._vehicle.position)
+        feet = up - self._standing
+        return feet - self.below.highest_span(east, north, feet, up + self._standing)
+
     def observe(self, t_ns: int, velocity_before: F64) -> None:
         """Record a contact in the step that ends at `t_ns`; `velocity_before` is (3,) m/s just before it."""
         stood, self._stood = self._stood, self._vehicle.stands  # last step; a body may drive in under it
@@ -141,7 +156,7 @@ class ContactWatch:
             self._add(t_ns, velocity_before)
         self._steps += 1
         if self.below.radius > 0.0 and self._steps % STRIKE_STEPS == 0:
-            gap = self.gap if self.height > LAST else math.inf  # on the last metre the touchdown is judged instead
+            gap = min(self.gap, self._span_gap) if self.height > LAST else math.inf  # lower, the touchdown is judged
             if gap < 0.0 and not self._strikes:
                 self._add(t_ns, self._vehicle.velocity.copy(), -gap)
             self._strikes = gap < 0.0

@@ -13,6 +13,7 @@ from alight_sim.things.ground import Craters, Pads, Ponds, Roughness, Terraces, 
 from alight_sim.things.lines import Hedges, Roads, Walls
 from alight_sim.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
 from alight_sim.things.stones import Stones
+from alight_sim.things.strung import Branches, GuyedMast, PowerLine, WashingLine
 from alight_sim.things.water import Canals, Puddles
 
 Thing = Annotated[
@@ -39,7 +40,11 @@ Thing = Annotated[
     | Parking
     | Stones
     | Canals
-    | Puddles,
+    | Puddles
+    | PowerLine
+    | WashingLine
+    | GuyedMast
+    | Branches,
     Field(discriminator="thing"),
 ]
 

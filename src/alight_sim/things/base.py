@@ -16,6 +16,7 @@ from alight.records import Terrain
 from alight_sim.kernels.stamps import COLUMNS, EAST, NORTH, REACH
 from alight_sim.looks import Look
 from alight_sim.section import Coordinate, Section
+from alight_sim.spans import TrueSpans
 
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
@@ -132,7 +133,7 @@ def ramp(low: float, high: float, x: F64) -> F64:
 
 
 class Layer(Section):
-    """One kind of thing. All layers shape the solid ground first, then all cover it, then all stand on it."""
+    """One kind of thing. All layers shape the solid ground first, then all cover it, stand on it, hang over it."""
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Change the solid ground."""
@@ -142,6 +143,10 @@ class Layer(Section):
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Stamp standing things."""
+
+    def hang(self, box: Box, lay: Lay) -> TrueSpans:
+        """Spans in the air: at least those that come into a box."""
+        return TrueSpans()
 
     @property
     def rise(self) -> tuple[float, float]:

@@ -42,11 +42,11 @@ ROOFS: tuple[Tint, ...] = ((1.0, 1.0, 1.0), (0.8, 0.75, 0.75), (1.15, 1.1, 1.0),
 LITTER: tuple[Tint, ...] = ((0.8, 0.6, 0.35), (1.0, 1.0, 1.0), (0.08, 0.2, 0.55), (0.4, 0.3, 0.15), (0.15, 0.15, 0.15))
 
 
-def stamp(sheet: Sheet, things: F64, kind: int) -> None:
-    """Stamp boxes of a shape (`kernels.stamps`) on the sheet."""
+def stamp(sheet: Sheet, things: F64, kind: int, label: Terrain = Terrain.STRUCTURE) -> None:
+    """Stamp boxes of a shape (`kernels.stamps`) and a class on the sheet."""
     if len(things):
         stamps.stamp_boxes(
-            sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, Terrain.STRUCTURE,
+            sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, label,
             sheet.height, sheet.label, sheet.depth, sheet.look, sheet.tint,
         )  # fmt: skip
 
