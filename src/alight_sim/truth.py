@@ -58,7 +58,7 @@ class SceneTruth:
     _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
 
     def safe(self, footprint: TrueFootprint | None = None) -> Mask:
-        """Return the (R, C) mask of touchdowns that keep every limit, with the whole disc in the world and no span above."""
+        """Return the (R, C) mask of touchdowns that keep every limit, inside the world and not under a span."""
         key = footprint or TrueFootprint()
         if key not in self._masks:
             safe = safe_mask(self.height, self.label, self.grid.cell, key)
