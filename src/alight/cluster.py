@@ -72,8 +72,7 @@ class ClusterJobs:
     """Does tasks on the workers of a Dask cluster.
 
     Args:
-        client: client of `distributed`. Its `get_executor` is not used: a future of it never ends if its result is
-            lost with a worker before the result has come here.
+        client: client of `distributed`. Its `get_executor` is not used: its futures never end if a worker is lost.
     """
 
     def __init__(self, client: Any) -> None:
@@ -81,7 +80,7 @@ class ClusterJobs:
         self._sent = dict[str, tuple[Any, int]]()  # future and bytes of each argument, last used last
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """Yield the results; see `Jobs.run`. With `any_order`, all tasks are sent at once, for later workers."""
+        """Yield the results; see `Jobs.run`. With `any_order`, all tasks are sent at once, so new workers get some."""
         from distributed import CancelledError, KilledWorker
 
         most = self._ahead if not any_order else lambda: sys.maxsize
@@ -98,7 +97,7 @@ class ClusterJobs:
         return self._client.submit(do_alike, sources_digest(), task.do, *arguments, pure=False, retries=task.tries)
 
     def _send(self, sent: Sent) -> Any:
-        """Return the future of an argument on the cluster; an argument that was lost with its worker is sent again."""
+        """Return the cluster's future of an argument; send the argument first if the cluster does not hold it."""
         there = self._sent.pop(sent.name, None)
         if there is None or there[0].status != "finished":
             value = np.asarray(sent.value) if hasattr(sent.value, "__array__") else sent.value
@@ -114,7 +113,7 @@ def do_alike(digest: str, do: Callable[..., Any], *arguments: Any) -> Any:
 
     Args:
         digest: `sources_digest()` of the sender.
-        do: function of the task, and its arguments.
+        do, arguments: function of the task, and its arguments.
 
     Raises:
         InputError: the worker has another version of Alight, so its results would differ.

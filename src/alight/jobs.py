@@ -50,8 +50,8 @@ class Task:
     do: Callable[..., Any]  # a function of a module; any function if the task stays here
     arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by their values, also within a tuple
     about: str = ""  # further inputs of the result, as text; a result saved with another text is not used
-    here: bool = False  # whether it stays in this process: not worth sending, or with tasks of its own
-    tries: int = 4  # most times that it is begun, if its worker or its arguments are lost
+    here: bool = False  # whether it runs in this process, as it is not worth sending or has tasks of its own
+    tries: int = 4  # greatest number of attempts, if its worker or its arguments are lost
     if_lost: Callable[[], Any] | None = None  # gives the result after the last try; None: an InputError is raised
 
 
@@ -62,8 +62,8 @@ class Jobs(Protocol):
         """Yield the result of each task, in the order of the tasks.
 
         Args:
-            tasks: the tasks; they are drawn while earlier tasks are done.
-            at_once: whether a task runs on each thread of this machine, with its compiled loops on that thread alone.
+            tasks: the tasks; taken from the iterator while earlier tasks run.
+            at_once: whether tasks of this process run in parallel, each on one thread; else in turn, on all threads.
             any_order: whether each result is yielded as soon as its task ends, in any order.
 
         Raises:
@@ -72,14 +72,14 @@ class Jobs(Protocol):
 
 
 class LastKept:
-    """The object of the last `KeptHere`, shared by threads; only one is kept, as it may hold hundreds of megabytes."""
+    """Keeps the object of the last `KeptHere` for all threads; one object may take hundreds of megabytes."""
 
     def __init__(self) -> None:
         self._last: tuple[str, Any] = "", None
         self._making = threading.Lock()
 
     def get(self, kept: KeptHere) -> Any:
-        """Return the object of `kept`; it is made if the last object had another name."""
+        """Return the object of `kept`; make it if the kept object has another name."""
         with self._making:
             if self._last[0] != kept.name:
                 self._last = kept.name, kept.make()
@@ -87,13 +87,13 @@ class LastKept:
 
 
 class InTurn:
-    """Does tasks in this process, one after the other or on its threads."""
+    """Does tasks in this process, one after the other or in parallel on threads."""
 
     def __init__(self) -> None:
         self._kept = LastKept()
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """Yield the results; see `Jobs.run`. Objects of `KeptHere`, kept from task to task, are freed at the end."""
+        """Yield the results; see `Jobs.run`. The kept object of a `KeptHere` is freed at the end."""
         threads = compiled.most_threads() if at_once else 1
         pool = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,))  # starts none before a task
         try:  # few at a time: their arguments are large
@@ -110,7 +110,7 @@ class InTurn:
 
 
 class InProcesses:
-    """Does tasks in `count` processes of this machine, one task each; a process that dies loses only that task."""
+    """Does tasks in `count` processes, one task at a time in each; a process that dies loses only its task."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -147,7 +147,7 @@ class InProcesses:
 
 
 def _allow_files(more: int) -> None:
-    """Raise the number of files that this process may open by `more`, if the system permits it."""
+    """Let this process open `more` more files than now, if the system permits it."""
     with suppress(ImportError, ValueError, OSError):
         import resource  # not on Windows, which needs none of this
 
@@ -172,7 +172,7 @@ def results(
     """Yield the results of tasks that threads, processes or machines do; see `Jobs.run`.
 
     Args:
-        tasks: drawn while earlier tasks are done; a task that stays in this process waits for all tasks before it.
+        tasks: taken from the iterator while earlier tasks run; a task with `here` runs after all tasks before it.
         submit: begins a task and returns its future, which has `result` and `add_done_callback`.
         most: returns the number of tasks that may be under way, which limits the memory.
         any_order: whether each result is yielded as soon as its task ends.
@@ -221,7 +221,7 @@ def results(
 
 
 def do_alone(do: Callable[..., Any], *arguments: Any) -> Any:
-    """Do a task in a worker process, on one thread, so that its result is the same as elsewhere; return the result."""
+    """Do a task on one thread, so that every machine gives the same result, and return the result."""
     compiled.use_threads(1)
     with threadpool_limits(limits=1, user_api="blas"):
         return do(*resolved(arguments, lambda sent: sent.value, _here.get))
@@ -233,7 +233,7 @@ _here = LastKept()  # object kept for the tasks of `do_alone`
 def resolved(
     arguments: tuple[Any, ...], sent: Callable[[Sent], Any], kept: Callable[[KeptHere], Any]
 ) -> tuple[Any, ...]:
-    """Return the arguments, with each `Sent` and `KeptHere`, also within a tuple, replaced by its value."""
+    """Return the arguments; `sent` and `kept` replace each `Sent` and `KeptHere`, also within tuples, by its value."""
 
     def one(argument: Any) -> Any:
         if isinstance(argument, Sent):

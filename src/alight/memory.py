@@ -8,9 +8,9 @@ _MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # parameters of mallopt
 
 
 def keep_little() -> None:
-    """Return large arrays to the system when freed, and use one heap for all threads. Call it before threads start.
+    """Make the C library free large arrays at once and use one heap for all threads. Call it before threads start.
 
-    Otherwise glibc keeps freed arrays of less than 32 MB, a third of the peak, and half a gigabyte in heaps of threads.
+    By default glibc keeps freed arrays of less than 32 MB (a third of the peak) and a heap per thread (0.5 GB in all).
     """
     _call("mallopt", _MMAP_THRESHOLD, LARGE_ARRAY)
     _call("mallopt", _ARENA_MAX, 1)

@@ -9,7 +9,7 @@ SIGMA_OF_MAD = 1.4826  # sigma of a Gaussian over its median absolute deviation
 
 
 def robust_sigma(deviations: ArrayLike) -> float:
-    """Return the sigma of a zero-mean Gaussian with the median absolute value of `deviations`; NaN if that is empty."""
+    """Return the median absolute value of `deviations` as the sigma of a zero-mean Gaussian; NaN without deviations."""
     d = np.asarray(deviations, dtype=np.float64)
     return float(SIGMA_OF_MAD * np.median(np.abs(d))) if d.size else float("nan")
 

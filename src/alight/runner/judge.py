@@ -41,7 +41,7 @@ def _too_wide(cell: float, stages: StageSettings) -> list[str]:
 
 
 def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
-    """Judge a height raster: P(safe) and reasons of each cell, and the landing sites of the lander.
+    """Return P(safe) and reasons of each cell of a height raster, and the landing sites of the lander.
 
     `name` is the name of the input, for the report. See `for_surveyed_heights` for suitable settings.
     """

@@ -120,7 +120,7 @@ def prior_heights(source: Source, settings: Settings, dem: Path | None) -> Prior
 
 
 def settings_for(source: Source, given: Settings) -> Settings:
-    """Return the settings of a run: `given` or, if the recording of a flight is run and no key is given, the flight's.
+    """Return the flight's settings if the source is a recorded flight and `given` has no key set, else `given`.
 
     A key that is set to its default is treated as given.
     """
@@ -145,7 +145,7 @@ class Find:
 def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported) -> RunResult:
     """Find landing sites in a flight log, a recording or photos; write the results to `out`, which is checked first.
 
-    A recording is replayed with the settings of its flight, and gives the same bits, unless others are given.
+    Unless settings are given, a recording is replayed with its flight's settings, and gives bit-identical results.
     The work of photos is saved in the folder piece by piece until the results are written.
 
     Raises:

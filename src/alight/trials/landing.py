@@ -78,7 +78,7 @@ def fly_landing(
 
 
 class _MeasuredPipeline(Pipeline):
-    """The pipeline of a vehicle, which adds the time that mapping and judging take to `costs`."""
+    """A pipeline that adds the durations of mapping and judging to `costs`."""
 
     costs: Timings
 

@@ -46,7 +46,9 @@ class _TrackReader:
 
 
 class VehicleFollower:
-    """Renders the pictures of a vehicle's cameras, and never sends orders. Bytes in, bytes out; no socket.
+    """Renders the pictures of a vehicle's cameras from telemetry; opens no link and sends no orders.
+
+    Exchange the bytes of the link with `autopilot`, and call `tick` often.
 
     Args:
         cameras: cameras of a scene.

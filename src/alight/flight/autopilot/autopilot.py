@@ -95,14 +95,14 @@ class Autopilot:
             self.vehicle.tick(self._now_ns)
 
     def has_listener(self, now_ns: int) -> bool:
-        """Whether `tick` is still called; for a thread that sends orders while another thread listens and ticks.
+        """Whether another thread still calls `tick`; call this on the thread that sends orders.
 
         Args:
             now_ns: present time of the clock passed to `tick`.
 
         Returns:
-            False if ticks have stopped for more than a second, over several calls. The vehicle is then lost. No order
-            may be sent, as the state of the vehicle and its pilot are unknown.
+            False if `tick` was not called for more than a second, during several calls of this method. The vehicle is
+            then treated as lost, and no order may be sent.
         """
         self._now_ns = max(now_ns, self._now_ns)
         return self.vehicle is None or self.vehicle.has_listener(self._now_ns)

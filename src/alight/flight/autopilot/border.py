@@ -56,17 +56,16 @@ def world_from_body_of_angles(roll: float, pitch: float, yaw: float) -> F64 | No
 
 
 def separation_of(ellipsoid: float, msl: float) -> float:
-    """Return ellipsoidal height minus altitude above the sea from both values of a receiver, metres.
+    """Return a receiver's ellipsoidal height minus its altitude above the sea, metres; NaN: only one is measured.
 
-    NaN: the values are no independent measurements. Receivers that know one height report it twice, or leave the
-    other height unset.
+    A receiver that measures only one height reports it twice, or leaves the other height unset.
     """
     separation = ellipsoid - msl
     return separation if 0.0 < abs(separation) <= FARTHEST_FROM_SEA else math.nan
 
 
 def metres_per_degree_east(place: Place) -> float:
-    """Return the length of a degree of longitude at a position, metres; not quite 0 at the poles."""
+    """Return the length of a degree of longitude at a position, metres; above 0 even at the poles."""
     return METRES_PER_DEGREE * max(math.cos(math.radians(place.latitude)), 1e-6)
 
 
@@ -86,7 +85,7 @@ def shifted(place: Place, latitude: float, longitude: float, up: float) -> Place
 class EstimateTie:
     """Our position and the autopilot's at the same instant, which tie our world to the autopilot's coordinates.
 
-    The error that both positions share (GPS) cancels: a target keeps its position relative to the vehicle.
+    A target is sent relative to the vehicle, so an error that both positions share (GPS) has no effect.
     """
 
     local: LocalFrame

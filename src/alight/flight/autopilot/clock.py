@@ -27,10 +27,10 @@ class _Exchange:
 
 
 class VehicleClock:
-    """Converts between the autopilot's clock and ours, by offset and drift from the round trips of TIMESYNC.
+    """Converts instants between the autopilot's clock and ours, by the offset and drift that TIMESYNC shows.
 
-    An answer was sent between request and receipt, so its offset is known to half the round trip. Answers with
-    short round trips have the most weight; a line fitted to them follows the drift.
+    The error of an offset is at most half the round trip of its answer. So answers with short round trips have the
+    most weight in the line that is fitted to the offsets.
     """
 
     def __init__(self) -> None:
@@ -48,20 +48,19 @@ class VehicleClock:
         return self._base is not None
 
     def is_request_due(self, now_ns: int) -> bool:
-        """Whether the next TIMESYNC request is due: at 5 Hz, the first ten at 10 Hz."""
+        """Whether the next TIMESYNC request is due: at 10 Hz for the first ten requests, then at 5 Hz."""
         return not self._requests or now_ns - self._request_ns >= (100_000_000 if self._requests < 10 else 200_000_000)
 
     def request(self, now_ns: int) -> int:
-        """Return the stamp for a TIMESYNC request now; only answers with such a stamp are used."""
+        """Register a TIMESYNC request sent at `now_ns`, and return its stamp; answers with other stamps are ignored."""
         self._requests, self._request_ns = self._requests + 1, now_ns
         self._requested.append(now_ns)
         return now_ns
 
     def add_answer(self, requested_ns: int, theirs_ns: int, now_ns: int) -> bool:
-        """Process an answer to TIMESYNC. After a jump of the autopilot's clock the estimate begins anew.
+        """Process an answer to TIMESYNC. If the autopilot's clock has jumped, the estimate begins anew.
 
-        A jump is accepted when two consecutive answers agree on it. A single late answer is no jump: a simulated
-        autopilot may wait for its machine once and catch up.
+        A jump is accepted when two consecutive answers agree on it, as a single answer may only be late.
 
         Args:
             requested_ns: our stamp of the request, as the answer repeats it.
@@ -136,7 +135,7 @@ class VehicleClock:
 
 
 class TimeoutClock:
-    """Clock of the time-outs: the autopilot's, as a simulation may be slow; ours while the autopilot is silent."""
+    """Clock for time-outs. It follows the clock of the (simulated) autopilot, or ours while the autopilot is silent."""
 
     def __init__(self) -> None:
         self.t_ns = 0
@@ -156,7 +155,7 @@ class TimeoutClock:
         return False
 
     def tick(self, now_ns: int) -> None:
-        """Advance by our own clock while the autopilot is silent."""
+        """Advance the clock at the rate of our clock while the autopilot is silent."""
         if self._counted_ns is None:
             self._counted_ns = now_ns
         self.t_ns += max(now_ns - self._counted_ns, 0)
@@ -164,7 +163,7 @@ class TimeoutClock:
 
 
 class LinkWatch:
-    """Watches the heartbeat (in `tick`, on the listening thread), and the calls of `tick` (in `check`, on another)."""
+    """Detects a lost vehicle: by missing heartbeats in `tick`, and by missing calls of `tick` in `check`."""
 
     def __init__(self) -> None:
         self.alive = True
@@ -187,12 +186,12 @@ class LinkWatch:
         return self._lose("no heartbeat of the vehicle any more") if late else ""
 
     def check(self, now_ns: int) -> str:
-        """Check from another thread that ticks come; return the reason if the vehicle was lost just now, else ""."""
+        """Check that another thread calls `tick`; return the reason if the vehicle was lost just now, else ""."""
         self._checks += 1
         return "" if self.has_ticks(now_ns) else self._lose("nobody listens to the link")
 
     def has_ticks(self, now_ns: int) -> bool:
-        """Whether ticks come. One check without ticks is no evidence, as this program may have been suspended."""
+        """Whether `tick` is still called; True for the first checks without a call, as we may have been suspended."""
         return self._ticked_ns is None or self._checks < 5 or now_ns - self._ticked_ns <= _NO_TICK_NS
 
     def _lose(self, why: str) -> str:

@@ -69,7 +69,7 @@ class CommandQueue:
 
         Args:
             name, number: name of the command for its answer, and its MAV_CMD.
-            parameters: the first of the seven parameters; the rest are 0.
+            parameters: up to seven parameters; missing ones are 0.
             flies: whether the command moves the vehicle; such a command is dropped at a takeover.
             mode: flight mode that the command leads to; None: it changes no mode.
             wait_ns: delay before the command is first sent.
@@ -99,7 +99,7 @@ class CommandQueue:
             self._queues[number] = deque(c for c in queue if not (everything or c.flies))
 
     def on_ack(self, number: int, result: int, t_ns: int) -> Iterator[CommandAnswer]:
-        """Yield the answer that a COMMAND_ACK gives to a command of ours; "in progress" only extends the wait."""
+        """Yield the answer that a COMMAND_ACK gives to a command of ours; none if the command is in progress."""
         queue = self._queues.get(number)
         if not queue or not queue[0].tries:
             return

@@ -15,7 +15,7 @@ _ENDS = (FlightMode.LAND, FlightMode.RETURN)
 
 
 class ControlWatch:
-    """Distinguishes our changes of mode from others. We are in control from our first order to a takeover."""
+    """Detects takeovers by changes of mode and by sticks. We are in control from our first order to a takeover."""
 
     def __init__(self, firmware: Firmware) -> None:
         self._firmware = firmware
@@ -33,7 +33,7 @@ class ControlWatch:
         return "" if self._mode is None else self._mode[1]
 
     def ordered(self, mode: FlightMode, t_ns: int) -> None:
-        """Take control and note an ordered mode; one change to it within six seconds is treated as ours."""
+        """Take control and note an ordered mode; the first change to it within six seconds is treated as ours."""
         if not self.in_control:
             self._neutral = None
         self.in_control, self._flown = True, None
@@ -41,7 +41,7 @@ class ControlWatch:
         self._newest, self._accepted_ns = mode, None
 
     def accepted(self, mode: FlightMode, t_ns: int) -> None:
-        """Note that an ordered mode was accepted at `t_ns`: its effect is expected from then on, unless it was seen."""
+        """Note that an ordered mode was accepted at `t_ns`; if it is still unseen, its six seconds begin again."""
         if mode in self._ordered_ns:
             self._ordered_ns[mode] = t_ns
         if mode is self._newest:
@@ -83,9 +83,9 @@ class ControlWatch:
         return f"the mode went from {before[1]} to {name}, which we did not order"
 
     def _is_not_obeyed(self, mode: FlightMode, t_ns: int, on_ground: bool) -> bool:
-        """Whether another mode is flown than the mode that was accepted a while ago.
+        """Whether our newest order was accepted two seconds ago or earlier, and yet another mode is flown.
 
-        Somebody else's change within seconds of our own order looks like its effect; only this test detects it, later.
+        It also finds a takeover that `_is_ours` accepts: a pilot's change to a mode that we ordered seconds before.
         """
         newest, accepted_ns = self._newest, self._accepted_ns
         if newest is None or accepted_ns is None or t_ns < accepted_ns + _GRACE_NS:
@@ -93,7 +93,7 @@ class ControlWatch:
         return newest not in (FlightMode.TAKE_OFF, mode) and not self._firmware.is_natural(newest, mode, on_ground)
 
     def _is_ours(self, mode: FlightMode, t_ns: int) -> bool:
-        """Whether we have ordered this mode. Once the mode is seen, its order and all earlier orders are used up."""
+        """Whether we have ordered this mode within six seconds; if so, forget that order and all earlier orders."""
         ordered_ns = self._ordered_ns.get(mode, -_REMEMBERED_NS)
         if t_ns - ordered_ns >= _REMEMBERED_NS:
             return False

@@ -138,7 +138,7 @@ class ArduPilotFirmware(Firmware):
 
 
 class Px4Firmware(Firmware):
-    """PX4's multicopter. LAND is AUTO.LAND, as the precision landing climbs and searches without reports."""
+    """PX4's multicopter. LAND is AUTO.LAND, as AUTO.PRECLAND climbs and searches if no target is reported."""
 
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
@@ -181,8 +181,8 @@ class Px4Firmware(Firmware):
         return (math.nan, math.nan, math.nan, math.nan if home is None else home.altitude_msl + height)
 
     def reach(self, speed: float, upright: bool) -> float:
-        """Return the distance, m: PX4 flies at MPC_XY_P (0.95/s) times the distance, or MPC_Z_P (1.0/s)."""
-        return speed / 0.95
+        """Return the distance, m, that a set-point needs for flight at `speed`, m/s, by PX4's position gain."""
+        return speed / 0.95  # 1/s: MPC_XY_P; the vertical gain, MPC_Z_P, is 1.0
 
 
 FIRMWARES: Mapping[int, type[Firmware]] = {

@@ -36,9 +36,9 @@ class _Sequence:
         return repeated
 
     def overtaken(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
-        """Add a message; return whether a newer one of its kind, and whether any newer one, came before it.
+        """Add a message; return whether it comes after a newer message of its kind, and after one of any kind.
 
-        After a second without a newer number, an old number is treated as a restart of the sender.
+        After a second without a higher number, a lower number is treated as a restart of the sender.
         """
         if self._newest is None or now_ns - self._newest_ns > 1_000_000_000:
             self._newest, self._newest_ns = sequence, now_ns
@@ -76,7 +76,7 @@ class Framing:
         return data
 
     def decode(self, data: bytes, now_ns: int) -> list[ReceivedMessage]:
-        """Process received bytes, in pieces of any length; return the complete messages, without repeated ones."""
+        """Process received bytes, in pieces of any length; return the complete messages, without duplicates."""
         self._buffer += data
         out = []
         while (message := self._next()) is not None:

@@ -33,7 +33,7 @@ NAMES = (
 
 
 class Port(Protocol):
-    """An open socket or serial port. `send` never waits (BlockingIOError: it is full). Methods may raise OSError."""
+    """An open socket or serial port. Methods may raise OSError; `send` raises BlockingIOError instead of waiting."""
 
     def fileno(self) -> int: ...
     def receive(self) -> list[bytes]: ...  # one entry per datagram or chunk
@@ -194,7 +194,7 @@ class _StreamPort:
 
 
 class _TcpServer:
-    """Connects to a TCP server. Its name is resolved only once, as the name server may be lost, too."""
+    """Connects to a TCP server. The host name is resolved only once, as its name server may become unreachable."""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
@@ -211,7 +211,7 @@ class _TcpServer:
         return _StreamPort(opened, opened.recv, opened.send, "the other side has closed the connection")
 
     def _connected(self, timeout: float) -> socket.socket:
-        """Connect to the first address that answers, within `timeout` in all; later only that address is used."""
+        """Connect to the first address that answers, in at most `timeout` seconds; later, try only that address."""
         error: OSError | None = None
         for address in self._resolved:
             try:
@@ -225,7 +225,7 @@ class _TcpServer:
 
 
 def _serial_port(device: str, baud: int) -> Port:
-    """Open a serial port; it is written by the system call, as pyserial's write waits until there is room."""
+    """Open a serial port that is written with `os.write`, as pyserial's `write` waits until there is room."""
     try:
         import serial
     except ImportError as e:
@@ -255,7 +255,7 @@ def open_link(name: str, patient: bool = False, retry: float = 1.0) -> Link:
 
     Args:
         name: `udp:0.0.0.0:14550`, `udpout:192.168.1.10:14555`, `tcp:127.0.0.1:5760` or `serial:/dev/ttyACM0:57600`.
-        patient: whether to retry a TCP server that does not answer yet, like a broken link.
+        patient: whether to retry a TCP server that does not answer yet, instead of raising an error.
         retry: seconds between attempts to open a broken link.
 
     Raises:

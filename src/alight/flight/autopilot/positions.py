@@ -68,8 +68,8 @@ def report_of(m: Any) -> PositionReport | None:
 class PositionLog:
     """Accepted position reports in order of time.
 
-    A report is accepted if the vehicle can have flown there. After a jump, reports are accepted once they have agreed
-    with each other for a second: an estimator may restart elsewhere, and must not be rejected forever.
+    A report is accepted if the vehicle can have flown to its position. After a jump, reports are accepted once they
+    have agreed with each other for a second, as the autopilot's estimator may have restarted.
     """
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class PositionLog:
         return (boot_ns - self._reports[-1].boot_ns) * 1e-9 if self._reports else math.inf
 
     def oldest(self, now_ns: int, clock: VehicleClock) -> float:
-        """Return the greatest age that the newest report had during the last five seconds, in seconds; inf: no report.
+        """Return the greatest age, s, of the newest report at any time in the last five seconds; inf: no report.
 
         Args:
             clock: the autopilot's clock, which must be known.

@@ -61,9 +61,9 @@ class TextJoiner:
 
 
 class Displacement(NamedTuple):
-    """Displacement of a vehicle by the autopilot's own estimate."""
+    """Displacement of a vehicle, as estimated by the autopilot."""
 
-    vector: F64 | None  # (3,) metres; None: unknown, as its positions are late or have jumped
+    vector: F64 | None  # (3,) metres; None: unknown, as the autopilot's positions are late or have jumped
     jumped: bool = False  # whether the positions contradict each other
 
 
@@ -129,7 +129,7 @@ class RemoteVehicle:
 
     @property
     def oldest_place(self) -> float:
-        """Greatest age that the newest position had during the last five seconds, in seconds; inf: no position."""
+        """Greatest age, s, of the newest position at any time in the last five seconds; inf: no position."""
         return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
@@ -142,7 +142,7 @@ class RemoteVehicle:
         return None if place is None else EstimateTie(local, position_world, place)
 
     def displacement(self, local: LocalFrame, since_ns: int, now_ns: int) -> Displacement:
-        """Return the displacement between two instants of our clock by the autopilot's estimate, in axes of `local`."""
+        """Return the autopilot's estimate of the displacement between two instants of our clock, in axes of `local`."""
         if self.place_jumped:
             return Displacement(None, jumped=True)
         then, now = self.place_at(since_ns), self.place_at(now_ns)
@@ -167,7 +167,7 @@ class RemoteVehicle:
     # orders
 
     def set_mode(self, mode: FlightMode) -> int:
-        """Order a flight mode instead of any earlier mode; return the ticket. Guided flight begins at the vehicle."""
+        """Order a flight mode and drop earlier orders of modes; return the ticket. GUIDED begins with a hold."""
         number, now = mavlink.MAV_CMD_DO_SET_MODE, self._state.newest
         guided = mode is FlightMode.GUIDED
         begins = guided and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED
@@ -210,7 +210,7 @@ class RemoteVehicle:
         """Fly to a set-point (in guided mode). It is repeated if the autopilot needs that.
 
         Returns:
-            False if it is not sent, as somebody else flies.
+            False if it is not sent, as we are not in control.
 
         Raises:
             ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
@@ -229,7 +229,7 @@ class RemoteVehicle:
             world_from_body: (3, 3) attitude at that instant.
 
         Returns:
-            False if it is not sent: somebody else flies, or the autopilot (PX4) uses no targets.
+            False if it is not sent: we are not in control, or the autopilot (PX4) uses no targets.
         """
         sent = self.firmware.landing_target(t_ns, target_world, world_from_body) if self._control.in_control else None
         if sent is not None:

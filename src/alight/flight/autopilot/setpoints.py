@@ -34,7 +34,7 @@ class Setpoint:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A set-point in the autopilot's own coordinates, which means the same when it is sent again."""
+    """A set-point in the autopilot's own coordinates, which can be sent again without a new tie."""
 
     place: Place | None
     velocity_ned: F64 | None = None
@@ -71,7 +71,7 @@ class Target:
 
         Args:
             here: position of the vehicle.
-            reach: returns the distance to a set-point at which the autopilot still flies at a speed.
+            reach: see `Firmware.reach`.
         """
         if self.place is None:
             return self
@@ -105,10 +105,10 @@ class Target:
 
 
 class Guidance:
-    """Sends set-points towards a target, each near the vehicle, and its speeds as commands if the firmware needs them.
+    """Sends set-points that lead to a target, and the target's speeds as commands if the firmware needs them.
 
     ArduPilot resets its speeds whenever its guided controller restarts (a change of mode, the end of a take-off, a
-    position after a velocity), and does not report this. So the speeds are sent again and again.
+    position after a velocity), and does not report this. So the speeds are sent every two seconds.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Guidance:
         """Send a set-point towards a target, near the vehicle.
 
         Args:
-            here: position of the vehicle; None: unknown, so the last set-point is sent again, or the target.
+            here: position of the vehicle; None: unknown; then the last set-point or, without one, the target is sent.
         """
         if self.target is None:
             self.since_ns, self._ahead = now_ns, None
@@ -163,10 +163,7 @@ class Guidance:
                 self._tickets.add(self._commands.submit("speed", number, (kind, speed, -1.0), t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:
-        """Process an answer; return whether it is to a speed command and need not be reported.
-
-        Only the first refusal is reported.
-        """
+        """Process an answer to any command; return whether it is to a speed command and is not the first refusal."""
         if ticket not in self._tickets:
             return False
         self._tickets.discard(ticket)

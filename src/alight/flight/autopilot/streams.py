@@ -26,7 +26,7 @@ class StreamRate(NamedTuple):
 
     @property
     def slow(self) -> bool:
-        """Whether the rate is below 30 % of the wanted rate; loss and reordering on a link only halve it."""
+        """Whether the rate is below 30 % of the wanted rate; loss and reordering on a link leave about 50 %."""
         return self.measured < 0.3 * self.wanted
 
 

@@ -68,7 +68,7 @@ def _landed(m: Any) -> dict[str, Any]:
 
 
 def _wind(m: Any) -> dict[str, Any]:
-    """Return the field of ArduPilot's WIND: direction from which the wind comes, degrees; speeds, m/s."""
+    """Return the wind of ArduPilot's WIND message, whose direction, degrees, is where the wind comes from."""
     towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else math.nan
     return _wind_ned(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 
@@ -107,7 +107,7 @@ class VehicleState:
         return replace(self.newest, ages={name: (now_ns - t) * 1e-9 for name, t in self._received_ns.items()})
 
     def is_on_ground(self, now_ns: int) -> bool:
-        """Whether the vehicle is on the ground: disarmed, or landed by its report of the last two seconds."""
+        """Whether the vehicle is disarmed, or was reported on the ground within the last two seconds."""
         reported_ns = self._received_ns.get("EXTENDED_SYS_STATE")
         recent = reported_ns is not None and now_ns - reported_ns < 2_000_000_000
         return (recent and self.newest.landed is Landed.GROUND) or not self.newest.armed
@@ -138,7 +138,7 @@ class VehicleState:
         return True
 
     def _on_position(self, m: Any, now_ns: int) -> bool:
-        """Process a position; ignore an impossible one. After a jump the position is unknown until reports agree."""
+        """Process a position; return whether it is accepted. After a jump, none is until the reports agree."""
         report = report_of(m)
         if report is None:
             return False

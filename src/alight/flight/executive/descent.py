@@ -22,7 +22,7 @@ def is_too_low_to_abort(left: float, keys: ExecutiveSettings) -> bool:
 def is_near_ground(left: float, keys: ExecutiveSettings) -> bool:
     """Whether a landing, `left` metres above its site, goes on despite degraded motion and unusable pictures.
 
-    Seen from 2 m, swaying grass fills the picture and is treated as moving.
+    At a height of 2 m, swaying grass fills the picture, and is treated as a moving object.
     """
     return left < keys.degraded_height
 
@@ -50,8 +50,8 @@ class Descent:
     def judged(self, taken: float, found: Opinion, left: float) -> bool:
         """Add a new verdict; return whether the last verdicts together refuse the site.
 
-        They refuse it if several consecutive verdicts see too little of it, or if the median of P(safe) is low. A
-        single low P(safe) may come from swaying grass. Near the ground neither is a reason (`is_near_ground`).
+        They refuse it if several consecutive verdicts see too little of it, or if the median of their P(safe) is low.
+        Near the ground (`is_near_ground`) they never refuse it.
 
         Args:
             taken: time of the newest exposure in the map of the verdict, s.
@@ -83,10 +83,9 @@ class Descent:
         return f"for {waited:.0f} s on the last metres" if waited > self._keys.hold else ""
 
     def _is_checked(self, left: float) -> bool:
-        """Whether the vehicle has descended less than `unchecked` metres since the oldest of the last few verdicts.
+        """Whether the vehicle has descended less than `unchecked` metres during the last `refusals_to_abort` verdicts.
 
-        Those verdicts suffice for an abort. So an object that enters the site while the vehicle is still high is seen
-        in time, however slow the verdicts are.
+        If so, an object that enters the site is seen in time for an abort, however slow the verdicts are.
         """
         first = self._taken[0]
         while len(self._flown) > 1 and self._flown[1][0] <= first:
@@ -99,11 +98,11 @@ class Descent:
         return not (waits and self._keys.look_again) or len(self._p) == self._p.maxlen
 
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
-        """Return the order for the situation `now`, `left` metres above the site.
+        """Return the order for the situation `now`, `left` metres above the site `place`.
 
         The vehicle waits over the site while verdicts do not keep up with the descent, and before the last metres until
-        there are enough verdicts for an abort. If its position in the frame of the site is unknown, the vehicle is too
-        low to abort and sinks straight down.
+        there are enough verdicts for an abort. It sinks straight down if its position is unknown, or is not in the map
+        frame of the site (`same_frame`).
         """
         low, sink = is_too_low_to_abort(left, self._keys), self._keys.landing_speed
         self._flown.append((now.t, left))

@@ -231,7 +231,7 @@ class Executive:
         return (E.ARRIVED, "") if self._reached(now, stage.way) else self._stuck(now, stage.way)
 
     def _stuck(self, now: Situation, to: F64 | None) -> Event:
-        """Return the event if the vehicle comes no nearer to the point `to`, or (None) waits too long for a verdict."""
+        """Return the event if the vehicle comes no nearer to `to`, (3,) metres, or has no clear leg (`to` is None)."""
         if to is None:
             late = now.t - self._stage.since > self._keys.wait
             return (E.WAITED, "something stands beside every way across it") if late else (None, "")
@@ -318,7 +318,7 @@ class Executive:
         self._stage.way = None if at is None else np.array([*at[:2], max(at[2], up)])
 
     def _follow(self, now: Situation) -> None:
-        """Continue in a new frame: forget the locations of the old frame, and search about the present position."""
+        """Continue in a new map frame: forget all locations, and search around the present position."""
         assert now.position is not None
         above = self._frame.above
         self._frame = frame = _Frame(now.frame_id, now.position.copy(), self._frame.ground, above)
@@ -369,7 +369,10 @@ class Executive:
         return partial(self._looks.is_open, now=now, seen=self._seen(now))
 
     def _is_beside(self, now: Situation, visit: _Visit) -> bool:
-        """Whether an obstacle is beside the path to, across or down to the location; plan another leg if possible."""
+        """Whether an obstacle is beside the descent of a landing, the leg of a look or, before a look, every leg.
+
+        Before a look, a planned leg that is not clear is replaced by a clear leg.
+        """
         seen, ground, across = self._seen(now), visit.place.up, self._stage.across
         if now.position is None or seen is None:
             return False

@@ -54,10 +54,12 @@ class AttemptLimits:
         return self._keys.hold if now.holds else self._keys.wait
 
     def is_too_weak(self, now: Situation, state: FlightState, left: float) -> bool:
-        """Whether the motion has been degraded for too long for `state` (during HOLD, the state before it).
+        """Whether the motion has been degraded for too long at a location.
 
-        In a landing near the ground (`left`: metres above the site), degraded motion is accepted if the autopilot
-        can hold its position.
+        Args:
+            state: present state; during HOLD, the state before it.
+            left: height above the site, metres. Near the ground, a landing continues with degraded motion if the
+                autopilot can hold its position.
         """
         if state is FlightState.COMMIT and now.holds and is_near_ground(left, self._keys):
             return False

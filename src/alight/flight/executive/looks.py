@@ -25,22 +25,22 @@ ROOMY = (
 
 @dataclass(frozen=True, eq=False)
 class LookLeg:
-    """A level path across a location, against the wind if there is any: a camera straight above sees no parallax."""
+    """The level path of a look across a location, against the wind if there is any."""
 
     place: F64  # (3,) metres, location at the height of the look
     half: float  # metres, half the length of the leg
     position: F64  # (3,) metres, position of the vehicle
-    downwind: F64 | None  # (2,) unit vector in which the air moves; None: calm, or unknown
-    turned: float = 0.0  # rad, from the direction that best suits the wind and the vehicle
+    downwind: F64 | None  # (2,) unit vector of the motion of the air; None: calm, or unknown
+    turned: float = 0.0  # rad, turn from the direction that best suits the wind and the vehicle
 
     @property
     def start(self) -> F64:
-        """Start of the leg, (3,) metres: downwind of the location; without wind, on the side of the vehicle."""
+        """Start of the leg, (3,) metres: downwind of the location; without wind, the end nearer to the vehicle."""
         return self._beside(self._side if self.downwind is None else self._turn(self.downwind))
 
     @property
     def end(self) -> F64:
-        """End of the leg, (3,) metres: on the side of the location opposite to the vehicle."""
+        """End of the leg, (3,) metres: beyond the location as seen from the vehicle."""
         return self._beside(-self._side)
 
     def is_clear(self, ways: ClearWay, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
@@ -50,7 +50,7 @@ class LookLeg:
     def cleared(self, ways: ClearWay, ground: float, seen: MapVerdict) -> LookLeg | None:
         """Return the leg, turned as little as possible so that no obstacle is beside it; None: no turn is clear.
 
-        A leg at `ROOMY` times the least distance to obstacles is preferred. See `ClearWay.is_free` for the arguments.
+        Turns that keep `ROOMY` times the least distance to obstacles are preferred. Arguments: see `ClearWay.is_free`.
         """
         free: LookLeg | None = None
         for turned in (replace(self, turned=turn) for turn in TURNS):
@@ -65,7 +65,7 @@ class LookLeg:
 
     @property
     def _side(self) -> F64:
-        """Unit vector (2,) from the location to the side of the vehicle, along the wind if there is any."""
+        """Unit vector (2,) from the location towards the vehicle; with wind, the nearer of upwind and downwind."""
         away = self.position[:2] - self.place[:2]
         if self.downwind is not None:
             along = self._turn(self.downwind)
@@ -87,7 +87,7 @@ class LookPlanner:
         self._number = -1  # number of that verdict
 
     def first_height(self, place: Site, now: Situation) -> float:
-        """Return the height of the first look, metres above the location, by its next view or the present height."""
+        """Return the height of the first look, metres above the location, which is its next view's if it has one."""
         assert now.position is not None
         least, up = self._keys.commit_height, float(now.position[2]) - place.up
         wanted = place.look.height if place.look is not None else up * self._route.look_share
@@ -96,7 +96,7 @@ class LookPlanner:
     def next_height(self, height: float) -> float:
         """Return the height, metres above the location, of the look that follows a look from `height`.
 
-        It is a share of `height`, but at least `commit_height`. Looks at a location in doubt go down to `nearest`.
+        It is a share of `height`, but at least `commit_height`; after a look from `commit_height`, at least `nearest`.
         """
         k = self._keys
         least = k.commit_height if height > k.commit_height * ABOUT else k.nearest
@@ -107,7 +107,7 @@ class LookPlanner:
     ) -> LookLeg | None:
         """Return the leg across a location, turned as little as possible so that it is clear; None: no leg is clear.
 
-        Turns are measured from the wind or, in calm, from the bearing of the vehicle; so the leg may change in flight.
+        Unturned, the leg lies along the wind or, in calm, along the bearing of the vehicle; so it may change in flight.
 
         Args:
             place: site or candidate to look at.

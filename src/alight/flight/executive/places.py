@@ -30,7 +30,7 @@ class Opinion:
     """Opinion of one verdict on one location: its standing, P(safe) and reason."""
 
     standing: Standing
-    place: Site  # the listed site or candidate that is treated as the location
+    place: Site  # the listed site or candidate that is treated as the location; else the location itself
     p_safe: float
     why: str = ""  # reason why it is not a site
 
@@ -45,9 +45,8 @@ def opinion(
 ) -> Opinion:
     """Return the opinion of a verdict on a location.
 
-    A site or candidate that is listed near by is treated as the same location. Otherwise the cell of the location
-    decides: good ground is not listed if a better location lies a few metres away. A cell without the margin is a
-    candidate at best.
+    A site or candidate that is listed near by is treated as the same location. Otherwise the map's cell at the location
+    decides, as good ground is not listed if a better location lies a few metres away.
 
     Args:
         place: location to judge.
@@ -55,7 +54,7 @@ def opinion(
         same: distance in metres within which a listed location is treated as the same.
         least: P(safe) below which an unlisted location is refused.
         free: returns whether a listed location may be treated as the same.
-        margin: metres to the nearest refused touchdown that a site keeps; listed sites keep it already.
+        margin: least clearance of a site, metres; a cell with less is at best a candidate.
     """
     listed = [s for s in seen.sites.listed if free(s)]
     near = [s for s in listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
@@ -98,7 +97,7 @@ class KnownPlaces:
         return f"{refused}; something stands beside what is left" if self.best() is not None else refused
 
     def note(self, seen: MapVerdict) -> None:
-        """Remember the listed locations of a new verdict; forget earlier ones on ground that it sees."""
+        """Remember the locations that a new verdict lists; forget earlier locations on ground that the verdict sees."""
         if seen.number <= self._noted_by:
             return
         self._noted_by = seen.number
@@ -124,8 +123,8 @@ class KnownPlaces:
         """Return the best location that was not refused; None: there is none.
 
         Sites come first, then candidates, by P(safe) and land cover. After k candidates were refused from near by, the
-        next candidate is a site with probability 1 / (k + 2) (rule of succession). After many refusals, candidates are
-        not worth the time and the battery.
+        next candidate is a site with probability 1 / (k + 2) (rule of succession). After `executive.visits` refusals,
+        candidates are left out.
 
         Args:
             is_open: returns whether a path across a location is clear.
@@ -141,12 +140,12 @@ class KnownPlaces:
         return sorted(free, key=lambda p: (p.kind == "site", p.p_safe + plain.get(p.terrain, 0.0)), reverse=True)
 
     def worth_a_visit(self, place: Site) -> bool:
-        """Whether a search is interrupted for a location: a site, or a good candidate while few were refused."""
+        """Whether a location is a site or, while few were refused, a good candidate; a search stops for it."""
         few = len(self._refused) < self._keys.tries_at_once
         return place.kind == "site" or (few and place.p_safe >= self._keys.probable)
 
     def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
-        """Return a location to visit instead of one in doubt: worth a visit and clearly better; None: there is none."""
+        """Return a location worth a visit and clearly better than `place`, which is in doubt; None: there is none."""
         others = (
             p for p in self._ranked() if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned
         )

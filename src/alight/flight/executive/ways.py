@@ -18,11 +18,10 @@ NEARER = 0.5  # m, least progress towards a point
 
 
 class ClearWay:
-    """Paths clear of the obstacles on the newest map.
+    """Finds paths that are clear of the obstacles on the newest map.
 
-    A path over obstacles of doubtful height is flown at the search height: a map once showed 3 m for most of a tree of
-    10 m, and a landing flew into it. A long path over partly unmapped ground is flown there too. A location is not
-    crossed at low height beside a tall obstacle, whatever its height in the map.
+    A path over obstacles of doubtful height is flown at the search height or higher: a map once showed 3 m for most of
+    a tree of 10 m, and a landing flew into it. The same holds for a long path over partly unmapped ground.
     """
 
     def __init__(self, settings: StageSettings) -> None:
@@ -32,10 +31,10 @@ class ClearWay:
         self._obstructions: Obstructions | None = None  # on the map of that verdict
 
     def level(self, start: F64, to: F64, seen: MapVerdict, at_a_place: bool = False) -> float:
-        """Return the height, metres up, at which a level path from over `start` (3,) to over `to` (3,) is clear.
+        """Return the height, metres up, at which a level path from above `start` (3,) to above `to` (3,) is clear.
 
         Args:
-            at_a_place: whether the path joins two looks at one location; then only mapped obstacles are used.
+            at_a_place: whether the path joins two looks at one location; then only mapped obstacles are avoided.
         """
         grid, k = seen.elevation.grid, self._keys
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
@@ -44,10 +43,10 @@ class ClearWay:
         return max(below.clear, seen.ground + k.search_height) if unsure and not at_a_place else below.clear
 
     def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
-        """Whether a level path near a location is free: no obstacle beside it is tall or reaches up to the path.
+        """Whether a level path from `start` to `to`, (3,) metres, near a location is free.
 
-        "Tall" means a rise of more than `executive.rise` above `ground`, metres up. "Beside" means within `times` times
-        `route.clearance`, or twice the lander's radius if that is more. `start` and `to` are (3,) metres.
+        All obstacles within `times` times the larger of `route.clearance` and twice the lander's radius must rise at
+        most `executive.rise` above `ground`, metres up, and must stay well below the path.
         """
         grid, width = seen.elevation.grid, times * self._beside
         reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
@@ -62,7 +61,7 @@ class ClearWay:
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
 
     def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
-        """Whether no tall obstacle is beside the path down to a location, at the distances used for its lowest look."""
+        """Whether no tall obstacle is beside the path down to a location, by the limits for its lowest look."""
         above = np.array([place.east, place.north, place.up + self._keys.commit_height])
         return self.is_free(above, above, place.up, seen)
 
@@ -115,7 +114,7 @@ class Course:
         return t - self._nearer_at > self._keys.hold
 
     def _upwards(self, position: F64, to: F64, seen: MapVerdict | None, at_a_place: bool) -> F64:
-        """Return `to` or, if a mapped obstacle is in the path, first a point straight above the start of the climb."""
+        """Return `to`, raised to clear the path; if the vehicle is lower, the point above the start of its climb."""
         level = float(to[2])
         if seen is not None:
             level = max(level, self._clear_way.level(position, to, seen, at_a_place))
@@ -126,9 +125,9 @@ class Course:
         return np.array([*to[:2], level])
 
     def _downwards(self, position: F64, to: F64) -> F64:
-        """Return the end of a descent or, while the vehicle is off the path, the point above it at the held height.
+        """Return `to`, the end of a descent; while the vehicle is off the path, at the height where it left the path.
 
-        The path was checked for obstacles within a few metres, and a gust may displace the vehicle as far.
+        Only obstacles within a few metres of the path were checked, and a gust may displace the vehicle as far.
         """
         if self._from is None or not np.array_equal(to[:2], self._to):
             self._from, self._to, self._level = position[:2].copy(), to[:2].copy(), None
@@ -161,13 +160,11 @@ class SearchLanes:
         self.over = False  # whether the whole square was searched
 
     def end(self, ground: float | None) -> F64:
-        """Return the end of the present lane, (3,) metres, at the search height above `ground` (None: as at `home`)."""
+        """Return the end of the present lane, (3,) metres, at the search height above `ground` (None: unknown)."""
         return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
 
     def fly(self, position: F64 | None, ground: float | None) -> None:
-        """Begin the next lane if the end of the present lane is reached, or end the search.
-
-        The end is also reached from above it, as a tall obstacle may be there.
+        """Begin the next lane, or end the search, if the vehicle is at the end of the present lane or above that end.
 
         Args:
             position: position of the vehicle, (3,) metres; None: unknown.

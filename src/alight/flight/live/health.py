@@ -44,7 +44,7 @@ class Watch:
                 self._arrived.popitem(last=False)
 
     def reached(self, what: str, t_ns: int) -> None:
-        """Record as `what` the time since the exposure stamped `t_ns` arrived; poses also set the frame rate."""
+        """Record as `what` how long ago the exposure stamped `t_ns` arrived; `POSE` also updates the frame rate."""
         now = time.perf_counter()
         with self._lock:
             if (then := self._arrived.get(t_ns)) is not None:

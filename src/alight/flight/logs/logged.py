@@ -161,7 +161,7 @@ def _attitude_at(attitude: LoggedStream, t_ns: I64) -> F64:
 
 
 def _covered(own: I64, t_ns: I64) -> Mask:
-    """Return a mask (M,) of the times that lie between two rows at most `GAP` seconds apart."""
+    """Return a mask (M,) of the `t_ns` that lie between two neighbours of `own`, (N,) ns, at most `GAP` s apart."""
     after = np.searchsorted(own, t_ns).clip(1, len(own) - 1) if len(own) > 1 else np.zeros(len(t_ns), np.intp)
     gap = own[after] - own[np.maximum(after - 1, 0)]
     return np.asarray((t_ns >= own[0]) & (t_ns <= own[-1]) & (gap <= GAP * 1e9))

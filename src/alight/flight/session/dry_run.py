@@ -13,7 +13,7 @@ from alight.records import FlightMode, Place
 
 
 class DryRunVehicle:
-    """Prints the commands of a landing as `RemoteVehicle` would carry them out, and sends nothing.
+    """Replaces `RemoteVehicle` in a dry run: it prints the commands of a landing and sends nothing.
 
     Args:
         on_line: called with each command in words; for a set-point, whenever it has moved by half a metre.

@@ -155,7 +155,7 @@ def wait_for_vehicle(
 
 
 def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:
-    """Return the checks of the link and the autopilot behind it. The caller must hold the feed's lock."""
+    """Return the checks of the link and its autopilot; `refused`: see `judge_link`. The feed must be locked."""
     vehicle = feed.autopilot.vehicle
     found = preflight.judge_link(plan.link, feed.autopilot.messages, vehicle, refused)
     if vehicle is None:
@@ -279,7 +279,7 @@ class FlightSession:
         return "" if known else f"the motion is not known after the take-off; {self.hold()}"
 
     def _is_well(self, checks: Callable[[], list[CheckResult]], over: Callable[[], bool] = lambda: False) -> bool:
-        """Repeat the checks until no result is bad, or until `over`; return whether no result is bad."""
+        """Repeat the checks until no result is bad, `over()` is true or time is up; return whether no result is bad."""
         begin = time.monotonic()
         while True:
             self.found = checks()

@@ -140,7 +140,7 @@ class LandingInputs:
         self.verdict, self.verdict_ns, self.is_new = verdict, t_ns, True
 
     def situation(self, now_ns: int, in_control: bool) -> tuple[Situation, Motion | None]:
-        """Return the situation at `now_ns`, and the motion behind its position; None: the position is unknown."""
+        """Return the situation at `now_ns`, and the motion that gave its position; None: the position is unknown."""
         assert self._begin_ns is not None
         m, reports = self.motion, self._vehicle.telemetry
         located = reports.has_position  # else the autopilot cannot follow a set-point

@@ -23,13 +23,13 @@ LEAST_SPEED = 0.2  # m/s: an autopilot refuses a speed of 0
 
 
 class Contact:
-    """Detects a touchdown by the end of sinking: PX4 reports no GROUND in Offboard, and site heights are uncertain."""
+    """Detects a touchdown by the end of sinking, as PX4 reports no touchdown in Offboard mode."""
 
     def __init__(self) -> None:
         self._still_ns: int | None = None  # since when the vehicle does not sink; None: it sinks
 
     def forget(self) -> None:
-        """Reset: the vehicle is not ordered down now."""
+        """Reset the detection; call it when the vehicle is not ordered down."""
         self._still_ns = None
 
     def is_felt(self, height: float | None, sink: float, reports: Telemetry, now_ns: int) -> bool:
@@ -146,7 +146,7 @@ class OrderSender:
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
-        """Hold under guidance between two way-points, or in the autopilot's own mode while an input is missing."""
+        """Hold in guided mode, or in the autopilot's HOLD mode while an input is missing; return the action."""
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
             self._held = None  # else it would fly to a position from before a jump of the estimate
@@ -181,7 +181,7 @@ class OrderSender:
         return self._guide(leg, order)
 
     def _lost(self, motion: Motion, now_ns: int) -> str:
-        """Hold, as no target can be computed; if positions are only late, keep the last target for a while."""
+        """Hold, or keep the last target for a while if the autopilot's positions are only late; return the action."""
         missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.place_jumped
         if missing and self._vehicle.place_age <= self._stale:
             return "wait: the autopilot's position is late"
@@ -195,7 +195,7 @@ class OrderSender:
         return f"fly to {place_text(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
-        """Fly over the site, or land with its target reported; without support for targets, LAND goes straight down."""
+        """Fly over the site or land on it, and report its target to the autopilot; return the action in words."""
         site = self._leg(place, motion, now_ns)
         goal = self._report(site, now_ns)
         over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
@@ -232,18 +232,18 @@ class OrderSender:
 
     @property
     def _is_high(self) -> bool:
-        """Whether the autopilot's LAND would descend fast here, as its heights are relative to home.
+        """Whether the site is so high above home that the autopilot's LAND would descend fast there.
 
-        From 0.7 m above such a site, LAND would reach 1.1 m/s (ArduPilot, at 1 m/s^2; PX4 is faster).
+        On the last 0.7 m it would reach 1.1 m/s (ArduPilot, at 1 m/s^2; PX4 is faster).
         """
         here = self._vehicle.telemetry.place
         above = self._site_above if self._site_above is not None else None if here is None else here.above_home
         return above is not None and above > self._vehicle.firmware.high_site
 
     def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
-        """Report the landing target; return its position, None if it is unknown now.
+        """Report the landing target, even before LAND; return its position, None if it is unknown now.
 
-        It is reported before the landing too: ArduPilot needs it for two seconds, and stops if it lands without it.
+        ArduPilot needs reports from two seconds before LAND on; without them it stops the descent.
         """
         attitude = self._vehicle.telemetry.world_from_body
         if site is None or attitude is None:

@@ -72,7 +72,7 @@ class SessionLog(LandingLog):
 
 
 class MotorStop:
-    """Requests the motors to stop if they still turn seconds after a landing (PX4, COM_DISARM_LAND below 0).
+    """Requests a stop of the motors that still turn seconds after a landing (PX4 with COM_DISARM_LAND below 0).
 
     Args:
         commands: receiver of the request; an autopilot refuses it in the air.
@@ -106,7 +106,7 @@ class MotorStop:
 class PilotView:
     """A landing at one moment, for a display: state, order, situation, visited location and height."""
 
-    t: float  # s since it began
+    t: float  # s since the landing began
     state: FlightState
     order: str
     situation: Situation
@@ -171,7 +171,7 @@ class LandingPilot:
 
         Args:
             now_ns: present time of our clock, time zero of the diary.
-            flying: whether we took off. If so, loss of control is a takeover, and somebody else stays in control.
+            flying: whether we took off. If so, lost control is a takeover, and control is not taken back.
         """
         self.inputs.begin(now_ns, flying)
 

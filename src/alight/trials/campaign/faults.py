@@ -40,18 +40,18 @@ def _towards(n: Numbers, length: float) -> tuple[float, float]:
 
 
 def _time_left(v: SteeredFlight) -> float:
-    """Return the seconds until the vehicle, sinking at 1 m/s, is 2.5 m above ground: a body must arrive by then.
+    """Return the seconds until the vehicle is 2.5 m above ground if it sinks at 1 m/s; bodies must arrive by then.
 
-    Below 1.5 m a landing is not aborted, and from there no camera that looks down sees a car in time.
+    Below 1.5 m, a landing is no longer aborted, and a camera that looks down sees a car too late.
     """
     east, north, up = (float(c) for c in v.true_pose.translation)
     return up - v.world.height_at(east, north) - 2.5
 
 
 def _come(how: Callable[..., object], v: SteeredFlight, n: Numbers, speed: float) -> None:
-    """Let a body move to the vehicle by the method `how`; it starts nearer than drawn if it would be late.
+    """Move a body to the vehicle by calling `how`. It starts at the distance drawn in `n`, or nearer to be in time.
 
-    Braking takes up to 2 s.
+    It brakes for up to 2 s.
     """
     east, north, _ = (float(c) for c in v.true_pose.translation)
     x, y = _towards(n, min(n["from"], speed * max(_time_left(v) - 2.0, 0.0)))
@@ -115,7 +115,7 @@ class Happenings:
         self.nearest: float | None = None  # metres, least height of the feet above everything within the radius
 
     def __call__(self, trial: Trial) -> None:
-        """Trigger the faults that are due; update `distance` and `nearest` with the flight since the last call."""
+        """Trigger the faults that are due; update the flown distance, and the least gap below the feet."""
         t, state = trial.t, trial.state
         at = self._vehicle.true_pose.translation
         self.distance += float(np.linalg.norm(at - self._at))
@@ -138,5 +138,5 @@ class Happenings:
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
-        """The planned faults, each with the second of the flight at which it happened; None: it did not happen."""
+        """The planned faults, each with the second of the landing at which it happened; None: it did not happen."""
         return tuple(f.model_copy(update={"happened": self._happened.get(k)}) for k, f in enumerate(self._planned))

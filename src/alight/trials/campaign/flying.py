@@ -74,7 +74,7 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
 
 
 def failed(conditions: Conditions, error: BaseException, contacts: Contacts = (None, None)) -> Flown:
-    """Return the record of a landing that raised or whose process died: `failed`, or unsafe after an unsafe contact."""
+    """Return the record of a landing that raised or whose process died: failed or, by its contacts, unsafe."""
     outcome: Outcome = "failed"
     why, (touchdown, strike) = "it raised", contacts
     if strike is not None or (touchdown is not None and not touchdown.safe):
@@ -109,7 +109,7 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
 
 
 def lit_world(world: SceneWorld, drawn: LightRecord | None) -> SceneWorld:
-    """Return the world with the drawn sun and sky (None: unchanged); haze and wind stay, and cameras adapt."""
+    """Return the world with the drawn sun, sky and clouds, and automatic exposure of the cameras; None: unchanged."""
     if drawn is None:
         return world
     clouds = world.light.clouds.model_copy(update={"share": drawn.clouds})
@@ -177,10 +177,10 @@ def fly_all(
 
 
 def _lost(conditions: Conditions) -> Flown:
-    """Return the record of a landing whose process died, if a process without work does not die as well.
+    """Return the record of a landing whose process died, after a check that processes can run at all.
 
     Raises:
-        InputError: a process without work dies as well, so the landing is not the cause.
+        InputError: a process without a landing dies, too.
     """
     try:
         list(InProcesses(1).run([Task("start", int, tries=1)]))

@@ -30,13 +30,13 @@ class PBin:
 
 @dataclass(frozen=True)
 class LookChange:
-    """Locations with a given verdict of the first look and of the last look: their number and mean P(safe)."""
+    """Locations with the verdict `first` at their first look and `last` at their last: number and mean P(safe)."""
 
     first: str
     last: str
     places: int
-    first_p: float  # mean P(safe)
-    last_p: float
+    first_p: float  # mean P(safe) at the first look
+    last_p: float  # mean P(safe) at the last look
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class CampaignNumbers:
 
 
 def unsafe_bound(unsafe: int, landings: int) -> float:
-    """Return the one-sided upper 95 % bound of a share (Clopper and Pearson 1934); about 3/N for 0 of N `landings`."""
+    """Return the upper 95 % confidence bound of the unsafe share (Clopper and Pearson 1934); 0 of N: about 3/N."""
     if unsafe >= landings:
         return 1.0
     return float(betaincinv(unsafe + 1, landings - unsafe, 0.95))

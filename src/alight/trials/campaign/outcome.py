@@ -41,7 +41,7 @@ class JudgedLanding(NamedTuple):
     why: str
     touchdown: TouchdownLine | None = None
     strike: StrikeLine | None = None
-    safe_share: float | None = None
+    safe_share: float | None = None  # of the searched square, by the oracle; None: not needed
 
 
 def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
@@ -74,12 +74,10 @@ def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings) 
 def met(vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf) -> Contacts:
     """Judge all contacts of a flight; return the worst touchdown, and the highest strike.
 
-    Strikes after `begun` take precedence over earlier strikes.
-
     Args:
         vehicle: the vehicle after its flight.
         settings: settings of the flight.
-        begun: start of the landing, s.
+        begun: start of the landing, s; strikes after it take precedence over earlier strikes.
     """
     down = [_line(vehicle, c, settings) for c in vehicle.contacts if c.struck is None]
     struck = [

@@ -24,7 +24,7 @@ def conditions_of(
     """Draw the conditions of a landing: scenes take turns, everything else is random.
 
     Args:
-        scenes: names, files, or factories of worlds, which have a light of their own.
+        scenes: names, files, or factories of worlds; for a factory, no light is drawn.
         seed: seed of the campaign.
         landing: number of the landing, from 0.
         link_faults: share of the landings with a fault of the link or the autopilot; all other draws are independent
@@ -58,7 +58,7 @@ def drawn_light(rng: np.random.Generator) -> LightRecord:
 
 
 def _fault(rng: np.random.Generator) -> FaultRecord:
-    """Draw one fault or event, due at a time or in a state; a body comes only in states in which it is in the way."""
+    """Draw a fault or event, due at a time or after a state is entered; cars and persons come at a look or later."""
     what = str(rng.choice(list(FAULTS)))
     fault, by_state = FAULTS[what], bool(rng.random() < 0.5)
     state = str(rng.choice([s.value for s in (AT_STATES[1:] if fault.is_body else AT_STATES)]))

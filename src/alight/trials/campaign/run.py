@@ -36,8 +36,8 @@ class Ended(NamedTuple):
     """A landing that has ended, and the progress of the campaign."""
 
     record: LandingRecord
-    done: int
-    of: int
+    done: int  # number of landings that have ended
+    of: int  # number of landings of the campaign
     left_s: float  # estimated seconds until the campaign ends
 
 
@@ -177,7 +177,7 @@ def fly_campaign(
 
 
 def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
-    """Write campaign.json and campaign.html from the lines of a campaign; return its statistics."""
+    """Write campaign.json and campaign.html, compared with the campaign in `beside` if given; return the numbers."""
     records = list(folder.read().values())
     numbers = campaign_numbers(records)
     other = None if beside is None else (beside.resolve().name, numbers_in(beside))

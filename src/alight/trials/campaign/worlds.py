@@ -74,7 +74,7 @@ def error_line(error: BaseException) -> str:
 
 
 def campaign_world(scene: str) -> CampaignWorld:
-    """Return the world of a kind of the simulator or a built-in scene, by name, or of a scene file."""
+    """Return the world of a scene: a kind of world of the simulator, a built-in scene, or a scene file."""
     return campaign_worlds().get(scene) or CampaignWorld(scene, scene)
 
 
