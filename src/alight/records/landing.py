@@ -114,7 +114,7 @@ class Site:
 
     @property
     def kind(self) -> Kind:
-        """Kind of the record: a site in doubt is a candidate."""
+        """Whether the record is a site or a candidate; a candidate has a doubt."""
         return "site" if self.doubt is None else "candidate"
 
     def moved(self, shift: F64) -> Site:
