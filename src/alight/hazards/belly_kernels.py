@@ -112,7 +112,7 @@ def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
 
 @kernel
 def keep(skip: Mask, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
-    """Fill `tilt` with the root of `steep`; set `tilt` and `rise` to NaN where skipped or without a `known` contact."""
+    """Fill `tilt` with the root of `steep`; where skipped or where `known` is inf, set `tilt` and `rise` to NaN."""
     for c in range(tilt.size):
         tilt[c] = math.sqrt(steep[c])
         if skip[c] or known[c] == np.inf:
