@@ -113,7 +113,7 @@ def _cells_in(shape: tuple[int, ...], radius: float, cell: float) -> F32:
 
 
 def disc_mean(values: F32, radius: float, cell: float) -> F32:
-    """Compute the mean of the known values in the disc about every cell, else NaN; `radius`, `cell`: metres."""
+    """Compute the mean of the known values in the disc around every cell, or NaN; `radius`, `cell`: metres."""
     known = np.isfinite(values)
     if known.all():
         return np.asarray(_disc_sums(values, radius, cell) / _cells_in(values.shape, radius, cell), np.float32)
@@ -124,19 +124,19 @@ def disc_mean(values: F32, radius: float, cell: float) -> F32:
 
 
 def disc_max(values: F32, radius: float, cell: float) -> F32:
-    """Compute the largest value in the disc about every cell, at least one cell in radius; `radius`, `cell`: metres."""
+    """Compute the largest value in the disc around every cell; a `radius` below `cell` becomes `cell`; both metres."""
     return np.asarray(cv2.dilate(values, _disc(max(radius, cell), cell), borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 def disc_share(mask: Mask, radius: float, cell: float) -> F32:
-    """Compute the share of the disc about every cell where the mask is True; cells off the map are False."""
+    """Compute the share of True cells in the disc around every cell; cells off the map are False; lengths in metres."""
     disc = _disc(radius, cell).astype(np.float32)
     share: F32 = cv2.filter2D(mask.astype(np.float32), cv2.CV_32F, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT)
     return share
 
 
 def disc_any(mask: Mask, radius: float, cell: float) -> Mask:
-    """Return the mask of cells with a True cell of `mask` in the disc about them; `radius`, `cell`: metres."""
+    """Return the mask of cells whose disc holds a True cell of `mask`; `radius`, `cell`: metres."""
     disc = _disc(radius, cell)
     near: Mask = cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     return near
@@ -253,13 +253,10 @@ def grow(mask: Mask, reach: int) -> Mask:
 
 
 def fill_pits(values: F32, width: int) -> F32:
-    """Raise low areas that are narrower than `width` cells (grey-scale closing).
-
-    A square element of even width has no middle cell. Its anchors at opposite corners keep the values in position.
-    """
+    """Raise low areas that are narrower than `width` cells (grey-scale closing)."""
     if width % 2:
         return np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, ellipse(width // 2)), np.float32)
-    square = np.ones((width, width), np.uint8)
+    square = np.ones((width, width), np.uint8)  # without a middle cell; opposite anchors keep values in position
     raised = cv2.dilate(values, square, anchor=(0, 0))
     return np.asarray(cv2.erode(raised, square, anchor=(width - 1, width - 1)), np.float32)
 
@@ -289,7 +286,7 @@ def distance_to(mask: Mask) -> F32:
 
 
 def clearance_of(free: Mask, cell: float) -> F32:
-    """Compute the distance of cell centres to the edge of the nearest cell outside `free`, (R, C) metres; 0 there."""
+    """Compute the distance of each cell's centre to the edge of the nearest cell that is not `free`, (R, C) metres."""
     out: F32 = np.maximum(distance_to(~free) - np.float32(0.5), np.float32(0)) * np.float32(cell)
     return out
 
@@ -310,14 +307,14 @@ def filled_surface(height: F32) -> F32:
 
 
 class Rise(NamedTuple):
-    """Central differences per unit of the spacing, (R, C) arrays."""
+    """Slopes by central differences, per unit of the spacing, (R, C) arrays."""
 
     down: NDArray[Any]  # towards the next row
     right: NDArray[Any]  # towards the next column
 
 
 def gradient(values: NDArray[Float], spacing: float = 1.0) -> Rise:
-    """Compute central differences like `numpy.gradient`, but 0 along a side of one cell, where NumPy raises."""
+    """Compute central differences like `numpy.gradient`, but 0 along an axis with a single cell, where NumPy raises."""
     sides = [np.gradient(values, spacing, axis=k) if values.shape[k] > 1 else np.zeros_like(values) for k in range(2)]
     return Rise(*sides)
 
@@ -369,7 +366,7 @@ class BlockLight(NamedTuple):
 
 
 def _strips(rgb: U8, inner: int) -> Iterator[tuple[slice, U8, F32]]:
-    """Yield strips of 256 rows of blocks, to save memory: rows, pixels, share of each block that is not black."""
+    """Yield rows, pixels and the non-black share of each block, in strips of 256 rows of blocks to save memory."""
     for top in range(0, rgb.shape[0] // inner, 256):
         part = rgb[top * inner : (top + 256) * inner]
         yield slice(top, top + 256), part, block_mean((part[..., 1] > 0).astype(np.float32), inner)

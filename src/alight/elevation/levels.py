@@ -18,9 +18,10 @@ MIN_TRUSTED = 2  # of 4 cells, for a trusted coarse cell
 
 
 def halve_fields(fine: Fields) -> Fields:
-    """Compute fields at twice the cell size: means of 2 x 2 cells (eq. 16b), of trusted cells only if two are trusted.
+    """Compute fields at twice the cell size, as means of 2 x 2 cells (eq. 16b).
 
-    Variances are averaged but not divided: neighbouring cells share matching windows, and so errors.
+    If two or more of the four cells are trusted, only trusted cells are used. Variances are averaged but not divided,
+    as neighbouring cells share matching windows, and so errors.
     """
     rows, cols = fine["flags"].shape
     out = nothing((rows // 2, cols // 2))

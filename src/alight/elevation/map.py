@@ -72,7 +72,7 @@ class TiledElevation:
     # -- content
 
     def add(self, heights: Heights, replace_all: bool = False) -> None:
-        """Fuse one step: each cell keeps the better height (see `better`), with `replace_all` every new seen height."""
+        """Fuse one step: each cell keeps the better height (see `better`), or any new seen height if `replace_all`."""
         layer, new = self._layer_of(heights.grid), {k: getattr(heights, k) for k in FIELDS}
         seen = is_seen(new["flags"])
         take = seen if replace_all else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
@@ -94,7 +94,7 @@ class TiledElevation:
         return above
 
     def _known(self, layer: TileLayer, grid: Grid, inflation: float) -> Fields:
-        """Return the layer's fields on a grid; unseen cells are interpolated from the next coarser layer."""
+        """Return the layer's fields on a grid; unseen cells come from coarser layers, sigma times `inflation`."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
         coarser = self.layers.get(layer.level + 1)
@@ -120,7 +120,7 @@ class TiledElevation:
         return ElevationMap(grid, **self._known(self._layer_of(grid), grid, 1.0))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
-        """Return the heights that a parallax step starts from: like `read`, with sigma inflated on coarser levels."""
+        """Return the initial heights of a parallax step, like `read`, with sigma inflated on coarser levels."""
         inflated = self._known(self._layer_of(grid), grid, self._tuning.less_sure)
         return ElevationMap(grid, **inflated)  # type: ignore[arg-type]
 
@@ -146,14 +146,11 @@ class TiledElevation:
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:
-    """Return the cell numbers of a level around the boxes of several levels, with even numbers of rows and columns.
-
-    Land cover is estimated on cells of twice the size, which then needs no padded copy of the finest picture.
-    """
+    """Return the rectangle around boxes of several levels, in cell numbers of `level`, of even rows and columns."""
     scale = {k: 2.0 ** (k - level) for k in boxes}
     south, west = (min(math.floor(b[i] * scale[k]) for k, b in boxes.items()) for i in (0, 2))
     north, east = (max(math.ceil((b[i] + 1) * scale[k]) - 1 for k, b in boxes.items()) for i in (1, 3))
-    return south & ~1, north | 1, west & ~1, east | 1
+    return south & ~1, north | 1, west & ~1, east | 1  # even, as land cover is estimated on cells of twice the size
 
 
 def _size(box: tuple[int, int, int, int]) -> int:

@@ -112,7 +112,7 @@ class TileLayer:
         return north - grid.rows + 1, north, west, west + grid.cols - 1
 
     def _overlaps(self, grid: Grid) -> Iterator[tuple[Key, Box, Box]]:
-        """Yield each tile under a grid: its key, its slices in the tile, its slices in the grid."""
+        """Yield each tile under a grid: the tile's key, and the box of the overlap in the tile and in the grid."""
         south, north, west, east = self.numbers(grid)
         for r in range(south // self.side, north // self.side + 1):
             for c in range(west // self.side, east // self.side + 1):

@@ -98,7 +98,7 @@ class _Comparison:
     truth: FlightTruth
     safe: NDArray[np.uint8]  # cells of the truth where a touchdown is safe
     out: Evaluation
-    offset: F64  # (3,) metres, of the run from the truth
+    offset: F64  # (3,) metres, position in the run minus position in the truth
     suffix: str = ""  # suffix of the names of all numbers
 
     def put(self, name: str, value: float | str) -> None:
@@ -189,8 +189,7 @@ def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
     """Estimate the constant offset of the map from its heights, (3,) metres east, north and up.
 
     The height error is fitted to the slope of the map and a constant by robust least squares (Nuth and Kaab 2011, eqs.
-    1 to 3, solved directly), starting from the path's `offset`. A map made in flight is not aligned with the smoothed
-    path.
+    1 to 3, solved directly). The fit starts from the path's `offset`, which a map made in flight need not share.
     """
     if run.height is None or run.grid is None or run.flags is None:
         return offset
@@ -256,7 +255,7 @@ def trajectory(d: F64, r: F64, out: Evaluation) -> None:
 
 
 def against_flight(run: Run, folder: Path) -> Evaluation:
-    """Compare a run with a flight that has truth: the map as it is, and registered.
+    """Compare a run with a flight that has truth, for the map as it is and after registration.
 
     Estimated poses carry the drift of the GPS. If the path is off by a metre, so is the map, and its heights are
     compared at wrong positions. In rows that end in `, registered`, the constant offset of the path (mean position

@@ -54,7 +54,7 @@ def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
 
 
 def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
-    """Return the mask of a flat slab, (R, C): the cells with its points, with gaps up to 1 m closed."""
+    """Return the mask of a flat slab, (R, C): the cells of its inlier points, with gaps up to 1 m closed."""
     r, c = (np.rint(i).astype(int) for i in grid.index(points[inlier, 0], points[inlier, 1]))
     inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
     mask = np.zeros(grid.shape, np.uint8)

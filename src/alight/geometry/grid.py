@@ -105,7 +105,7 @@ def box_of(mask: NDArray[np.bool_]) -> Box:
 
 
 def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> NDArray[np.float32]:
-    """Compute the heights of a plane, (R, C) metres, at columns `xs` and rows `ys`, metres east and north.
+    """Compute the heights of a plane, (R, C) metres, at positions east `xs` (C,) and north `ys` (R,), metres.
 
     `plane`: (3,) height in metres at `about` (2,), slope towards east, slope towards north.
     """
@@ -114,7 +114,7 @@ def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> NDArray[np.float32]:
 
 
 def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[F64, F64]:
-    """Return `H` (3, 3) and `b` (3,) of a camera in normalised image coordinates, without `K` and distortion."""
+    """Return `H` (3, 3) and `b` (3,) so that a world point (x, y, z) is `H @ (x, y, 1) + z * b` in the camera frame."""
     cam_from_world = world_from_cam.inverse
     R, t = cam_from_world.rotation, cam_from_world.translation
     return np.column_stack([R[:, 0], R[:, 1], t]), R[:, 2].copy()

@@ -14,10 +14,10 @@ from alight.settings import HazardsSettings, Lander
 
 
 def _reasons(t: Touchdowns, on: Inputs) -> U16:
-    """Return every limit that a touchdown would break, as bits of `Hazard`.
+    """Return the limits that a touchdown would break, (R, C), as bits of `Hazard`.
 
     The largest of hundreds of noisy heights is mostly noise. If heights are noisy (`smoothed`), a small excess over the
-    roughness limit therefore lowers P(safe) instead of refusing.
+    roughness limit therefore lowers P(safe) instead of refusing the touchdown.
     """
     lander, settings = on.lander, on.settings
     single, averaged = settings.surely_sigmas * settings.smoothed, settings.clearly_sigmas * settings.smoothed
@@ -45,7 +45,7 @@ def _refuse(reasons: U16, where: Mask, bit: Hazard) -> None:
 
 
 def _contrast(on: Inputs) -> F32:
-    """Compute the largest contrast of log brightness between patches within twice the lander's radius."""
+    """Compute the largest contrast of log brightness, (R, C), between patches within twice the lander's radius."""
     light = np.where(on.elevation.rgb.any(axis=2), log_brightness(on.elevation.rgb), np.float32(np.nan))
     light = disc_mean(light, on.settings.patch_length, on.cell)
     ends = (disc_max(np.nan_to_num(v, nan=-np.inf), 2 * on.lander.radius, on.cell) for v in (light, -light))
@@ -53,7 +53,7 @@ def _contrast(on: Inputs) -> F32:
 
 
 def _quality(t: Touchdowns, on: Inputs) -> F32:
-    """Compute Q of the paper's eq. 5 (G10): F from slope and roughness, G from land cover, appearance and sigma."""
+    """Compute the quality Q of every touchdown, (R, C), by eq. 5 of the paper (G10)."""
     lander, settings = on.lander, on.settings
     flatness = (t.slope / lander.max_slope) ** 2 + (t.footprint.roughness / lander.max_roughness) ** 2
     uncertainty = (t.sigma / np.float32(lander.max_roughness)) ** 2
@@ -65,7 +65,7 @@ def _quality(t: Touchdowns, on: Inputs) -> F32:
 
 
 def evidence(on: Inputs) -> tuple[Evidence, U16]:
-    """Return the evidence of P(safe) and the broken limits as bits of `Hazard`, (R, C), for fitting the tables."""
+    """Return the evidence behind P(safe), and the broken limits, (R, C) bits of `Hazard`; tables are fitted to both."""
     found = measure(on)
     return evidence_of(found, margins_over_sigma(found, on).tilt, on), _reasons(found, on)
 

@@ -12,7 +12,7 @@ BLOCK = 4  # side of the blocks that the search opens, cells
 
 @kernel
 def raise_to(top: F32, line: F32) -> None:
-    """Replace `top` by the larger of `top` and `line`, cell by cell; slices without offsets vectorise."""
+    """Replace each cell of `top` by the larger of `top` and `line`."""
     for c in range(top.size):
         v, t = line[c], top[c]
         top[c] = v if v > t else t
@@ -22,7 +22,7 @@ def raise_to(top: F32, line: F32) -> None:
 def _rise_in_block(
     body: F32, pad: int, r: int, c: int, br: int, bc: int, spans: I64, a: float, gx: float, gy: float, top: float
 ) -> float:
-    """Return the largest rise of the ground above the plane (a, gx, gy) in one block of the disc, or `top`."""
+    """Return the larger of `top` and the rise above a plane (a, gx, gy) in the block of the disc at offset (br, bc)."""
     reach = spans.size // 2
     for dr in range(br, min(br + BLOCK, reach + 1)):
         half = spans[dr + reach]
@@ -46,10 +46,9 @@ def _rise(
     least: float,
     most: float,
 ) -> float:
-    """Return the largest rise of known ground in the disc above a plane (level, x, y), or `least` if that is larger.
+    """Return the largest rise of known ground in the disc around (r, c) above a plane, or `least` if that is larger.
 
-    The search ends above `most`. A block of cells is opened only if its highest cell could increase the result: it is
-    compared with the lowest corner of the plane over the block.
+    `plane`: level at (r, c), gradient per column, gradient per row. The search ends once the rise exceeds `most`.
     """
     a, gx, gy = plane
     fall = (BLOCK - 1) * (min(gx, 0.0) + min(gy, 0.0))
@@ -65,10 +64,12 @@ def _rise(
 
 @kernel
 def may_rise(own: F64, level: F64, across: F64, along: F64, reach: float, least: F32, out: F64) -> None:
-    """Fill `out` with an upper bound of the ground's rise above a contact plane, minus `least`, cell by cell.
+    """Fill `out` (C,) with an upper bound of the rise of the ground above each contact plane, minus `least`.
 
-    The ground is at most `own[3]` above the footprint's own plane (level, x, y). The two planes differ by at most their
-    difference at the centre plus the difference of their gradients times the reach.
+    Args:
+        own: (4, C) the footprint's plane (level, per column, per row) and the highest ground above it.
+        level, across, along: (C,) contact planes: level, gradient per column, gradient per row.
+        reach: radius of the disc, cells.
     """
     for c in range(out.size):
         gx, gy = own[1, c] - across[c], own[2, c] - along[c]
@@ -89,7 +90,10 @@ def search(
     along: F64,
     rise: F32,
 ) -> None:
-    """Raise `rise` (C,) to the largest rise of the ground above one contact plane in row `r`, where `may` > 0."""
+    """Raise `rise` (C,) to the largest rise of the ground above the contact planes (see `may_rise`) of row `r`.
+
+    Only cells with `may` > 0, and with a rise of at most `most` so far, are searched.
+    """
     pad = spans.size // 2 + BLOCK
     for c in range(rise.size):
         if may[c] > 0.0 and rise[c] <= most:
@@ -99,7 +103,7 @@ def search(
 
 @kernel
 def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
-    """Fill `out` (4, C) with the footprints of row `r`; skipped cells get -inf as highest ground."""
+    """Copy row `r` of the footprints `own` to `out` (4, C); the highest ground of skipped cells becomes -inf."""
     for i in range(4):
         out[i] = own[i, r]
     for c in range(out.shape[1]):
@@ -108,7 +112,7 @@ def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
 
 @kernel
 def keep(skip: Mask, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
-    """Fill `tilt` with the square root of `steep`; set tilt and rise to NaN if skipped or if a contact is unknown."""
+    """Fill `tilt` with the root of `steep`; where skipped or where `known` is inf, set `tilt` and `rise` to NaN."""
     for c in range(tilt.size):
         tilt[c] = math.sqrt(steep[c])
         if skip[c] or known[c] == np.inf:

@@ -17,7 +17,10 @@ def _add_to(total: F32, line: F32) -> None:
 
 @kernel
 def _touch_row(ground: F32, r: int, offsets: I64, first: int, last: int, mean: bool, out: F32) -> None:
-    """Fill `out` with the height that carries a foot in row `r`, maximum or mean; +inf if any cell is unknown."""
+    """Fill `out` (C,) with the height at which a foot rests at each cell of row `r`; +inf over unknown ground.
+
+    `offsets[first:last]` are the cells under the foot. It rests on their mean if `mean`, else on the highest cell.
+    """
     rows, cols = ground.shape
     out[:] = np.float32(0.0) if mean else np.float32(-np.inf)
     for i in range(first, last):
@@ -38,7 +41,7 @@ def _touch_row(ground: F32, r: int, offsets: I64, first: int, last: int, mean: b
 
 @kernel
 def _planes_of(first: F64, second: F64, third: F64, solve: F64, level: F64, across: F64, along: F64) -> None:
-    """Compute the plane (level, per column, per row) through three heights by `solve` (3, 3), cell by cell."""
+    """Compute planes (`level`, `across`, `along`) through three heights per cell, by the matrix `solve` (3, 3)."""
     for c in range(level.size):
         a, b, d = first[c], second[c], third[c]
         level[c] = solve[0, 0] * a + solve[0, 1] * b + solve[0, 2] * d
@@ -48,7 +51,7 @@ def _planes_of(first: F64, second: F64, third: F64, solve: F64, level: F64, acro
 
 @kernel
 def _raise_above(over: F64, touch: F64, level: F64, across: F64, along: F64, x: float, y: float) -> None:
-    """Replace `over` by the larger of `over` and the rise of a foot's ground above the plane, cell by cell."""
+    """Raise `over` (C,) to `touch` minus the plane at (x, y), the rise of a foot's ground above the contact plane."""
     for c in range(over.size):
         e = touch[c] - (level[c] + x * across[c] + y * along[c])
         t = over[c]
@@ -57,7 +60,7 @@ def _raise_above(over: F64, touch: F64, level: F64, across: F64, along: F64, x: 
 
 @kernel
 def _steepen(steep: F64, over: F64, across: F64, along: F64) -> None:
-    """Raise `steep` to the squared tangent of each plane, unless a foot's ground rises above the plane."""
+    """Raise `steep` to each plane's squared slope, if larger; skip planes below the ground of a foot (`over` > 0)."""
     for c in range(steep.size):
         g = across[c] * across[c] + along[c] * along[c]
         t = steep[c]
@@ -66,7 +69,7 @@ def _steepen(steep: F64, over: F64, across: F64, along: F64) -> None:
 
 @kernel
 def _unless(may: F64, over: F64) -> None:
-    """Set `may` to -inf for planes that a foot's ground rises above, to exclude them from the search."""
+    """Set `may` to -inf for planes below the ground of a foot (`over` > 0), so that `search` skips them."""
     for c in range(may.size):
         may[c] = may[c] if over[c] <= HAIR else -np.inf
 
@@ -91,7 +94,7 @@ def feet_contact(
     tilt: F32,
     rise: F32,
 ) -> None:
-    """Compute tilt and rise of a lander on feet, over all headings and triples of feet that can carry it (G4).
+    """Compute the worst tilt and rise of a lander on feet, over all headings and triples of feet that carry it (G4).
 
     Heights are in *cells* (height divided by cell size), so that gradients are tangents.
 
@@ -102,14 +105,14 @@ def feet_contact(
         skip: (R, C) bool, cells that are not judged.
         own: (4, R, C) the footprint's plane (level, per column, per row) and the highest ground above it.
         xy: (headings, feet, 2) offset (column, row) of each foot's centre, cells.
-        solve: (headings, t, 3, 3) from the heights of three feet to their plane (level, per column, per row).
+        solve: (headings, t, 3, 3) matrices from the heights of three feet to their plane (level, per column, per row).
         offsets: (n, 2) (row, column) offsets of the cells under all feet.
         starts: (headings, feet + 1) first index of each foot's cells in `offsets`.
         triples: (t, 3) indices of three feet.
         spans: half widths of the body's disc.
         blocks: (b, 2) (row, column) offsets of the blocks that cover the disc.
-        limits: range within which the rise above the contact plane must be exact, cells.
-        mean: whether a foot rests on the mean of its cells; False: on the highest.
+        limits: lowest and highest rise, cells, between which the rise above the contact plane must be exact.
+        mean: whether a foot rests on the mean of its cells; False: on the highest cell.
         any_three: whether triples are judged even if another foot would sink into the ground.
         tilt, rise: (R, C) filled with the worst tangent of the tilt and the worst rise; NaN where a foot is unknown.
     """
@@ -143,7 +146,7 @@ def feet_contact(
 
 @kernel
 def _rail(ground: F32, r: int, offsets: I64, base: F32, profile: F32) -> None:
-    """Fill `profile` (n, C) with the ground under a rail in row `r` minus `base`; +inf where unknown or off the map."""
+    """Fill `profile` (n, C) with the ground under n points of a rail in row `r`, minus `base`; +inf where unknown."""
     rows, cols = ground.shape
     for i in range(profile.shape[0]):
         q, dc = r + offsets[i, 0], offsets[i, 1]
@@ -161,7 +164,7 @@ def _less(values: F32, base: F32, out: F32) -> None:
 
 @kernel
 def _raise_to_sums(top: F32, left: F32, right: F32, other_left: F32, other_right: F32) -> None:
-    """Raise `top` to the larger of two sums, cell by cell; two sums at once save memory reads."""
+    """Raise `top` to the larger of `left + right` and `other_left + other_right`, cell by cell."""
     for c in range(top.size):
         e, d, t = left[c] + right[c], other_left[c] + other_right[c], top[c]
         e = e if e > d else d
@@ -170,7 +173,7 @@ def _raise_to_sums(top: F32, left: F32, right: F32, other_left: F32, other_right
 
 @kernel
 def _raise_to_lines(top: F32, behind: F32, ahead: F32, further: F32, i: int, j: int) -> None:
-    """Raise `top` to the lines from `behind` (i before the middle) to points j and j + 1 after it, at the middle."""
+    """Raise `top` to the height at 0 of the lines from `behind` (at -i) to `ahead` (at j) and `further` (at j + 1)."""
     near, far = np.float32(j / (i + j)), np.float32(i / (i + j))
     near_too, far_too = np.float32((j + 1) / (i + j + 1)), np.float32(i / (i + j + 1))
     for c in range(top.size):
@@ -182,7 +185,7 @@ def _raise_to_lines(top: F32, behind: F32, ahead: F32, further: F32, i: int, j: 
 
 @kernel
 def _narrow(low: F32, high: F32, behind: F32, ahead: F32, rest: F32, lever: F32) -> None:
-    """Narrow the pitches [low, high] to those at which two mirrored points stay below `rest`, cell by cell."""
+    """Narrow [low, high] to pitches that keep `behind` (at -1 / lever) and `ahead` (at 1 / lever) below `rest`."""
     for c in range(rest.size):
         least, most = (ahead[c] - rest[c]) * lever, (rest[c] - behind[c]) * lever
         a, b = low[c], high[c]
@@ -194,15 +197,15 @@ def _narrow(low: F32, high: F32, behind: F32, ahead: F32, rest: F32, lever: F32)
 def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, low: F32, high: F32) -> None:
     """Rest both rails on their profiles at a common pitch (G5), cell by cell.
 
-    `joint(t)` is the highest sum of two heights, one per rail, at positions that add up to `t`. Twice the height over
-    the middle is the highest `joint(t) - pitch t`. Its minimum over pitch is where the upper hull of `joint` passes t =
-    0. If the hull has a corner at t = 0, the lander rocks: a range of pitches gives this minimum.
+    `joint(t)` is the highest sum of two heights, one per rail, at positions that add up to `t`. At a given pitch, twice
+    the height over the middle is the highest `joint(t) - pitch t`. The lander rests at the pitch with the smallest
+    height. If a range of pitches gives this height, the lander rocks within the range.
 
     Args:
         left, right: (n, C) ground heights at n (odd) evenly spaced positions of the rails, +inf where unknown.
         apart: distance between these positions.
         joint: (2 n - 1, C) work space.
-        rest: (C,) filled with twice the lowest height over the middle; +inf where any ground is unknown.
+        rest: (C,) filled with twice the smallest height over the middle; +inf where any ground is unknown.
         low, high: (C,) filled with the range of pitches at that height.
     """
     n = left.shape[0]
@@ -227,7 +230,7 @@ def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, 
 
 @kernel
 def _raise_to_sloped(top: F32, line: F32, pitch: F32, s: F32) -> None:
-    """Raise `top` to `line - s pitch`, cell by cell: the height of the rail's middle if it rests at position `s`."""
+    """Raise `top` to `line - s * pitch`, the height of the rail's middle if it rests on `line` at position `s`."""
     for c in range(top.size):
         e, t = line[c] - s * pitch[c], top[c]
         top[c] = e if e > t else t
@@ -246,7 +249,10 @@ def _plane_on(
     roll: F32,
     plane: F32,
 ) -> None:
-    """Fill `roll` (C,) and `plane` (3, C) (level, per column, per row) for a lander on its rails at a pitch."""
+    """Fill `roll` (C,) and `plane` (3, C) (level, per column, per row) for rails that rest at `pitch` (C,).
+
+    `left`, `right`: ground under the rails minus `base`; `over`: work space; see `skid_contact` for the rails.
+    """
     over[:] = np.float32(-np.inf)
     roll[:] = np.float32(-np.inf)  # the right rail's height, until both are known
     for i in range(along.size):
@@ -263,7 +269,7 @@ def _plane_on(
 
 @kernel
 def _steepen_both(steep: F32, pitch: F32, roll: F32) -> None:
-    """Raise `steep` to the squared tangent of the steeper pitch with the steeper roll, each of two (2, C)."""
+    """Raise `steep` (C,) to the sum of squares of the largest |pitch| and the largest |roll|; both are (2, C)."""
     for c in range(steep.size):
         a, b = max(abs(pitch[0, c]), abs(pitch[1, c])), max(abs(roll[0, c]), abs(roll[1, c]))
         g, t = a * a + b * b, steep[c]
@@ -287,7 +293,7 @@ def skid_contact(
     tilt: F32,
     rise: F32,
 ) -> None:
-    """Compute tilt and rise of a lander on two skids, over all headings (G5).
+    """Compute the worst tilt and rise of a lander on two skids, over all headings (G5).
 
     Args:
         ground, body, tops, skip, own, spans, blocks, limits, tilt, rise: see `feet_contact`.

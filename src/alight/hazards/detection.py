@@ -22,14 +22,14 @@ RATIOS = np.geomspace(0.02, 4.0, 60)  # width of a sample or pixel over the heig
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Share of obstacles found, by the ratio of their width to the ground width of a match sample or pixel."""
+    """Curves of the share of obstacles found, over the width of the obstacle in match samples or in pixels."""
 
     sizes: F64  # (N,) ratios of widths, ascending
-    heights: F64  # (N,) share found by heights, over `width / sampling`
-    pixels: F64  # (N,) share found in pictures, over `width / pixel`
+    heights: F64  # (N,) share found by heights, where `width / sampling` is `sizes`
+    pixels: F64  # (N,) share found in pictures, where `width / pixel` is `sizes`
 
     def missed(self, width: F64, sampling: F64, pixel: F64) -> F64:
-        """Return the share of obstacles that heights and pictures both miss; all lengths in metres, broadcast."""
+        """Return the share of obstacles of `width` that heights and pictures both miss; lengths broadcast, metres."""
         seen = [
             np.interp(np.log(width / at), np.log(self.sizes), curve)
             for at, curve in ((sampling, self.heights), (pixel, self.pixels))
@@ -37,13 +37,13 @@ class Detection:
         return np.asarray((1 - seen[0]) * (1 - seen[1]))
 
     def unseen_share(self, limit: float, sampling: F32, pixel: F32) -> F32:
-        """Return the unseen share of obstacles higher than `limit`, shaped as `sampling`; arguments in metres."""
+        """Return the share of obstacles higher than `limit` that samples and pixels of these widths miss; in metres."""
         at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
         return _bilinear(self._unseen, at[0], at[1])
 
     @cached_property
     def _unseen(self) -> F64:
-        """Unseen share of obstacles above a limit, over sampling / limit (rows) and pixel / limit (columns)."""
+        """Unseen share of obstacles above a limit, by sampling / limit (rows) and pixel / limit (columns)."""
         width = WIDE * np.geomspace(1, LARGEST, 24)
         missed = self.missed(width[None, None], RATIOS[:, None, None], RATIOS[None, :, None])
         return np.asarray(np.average(missed, axis=-1, weights=width ** (1 - STEEP)))

@@ -47,7 +47,7 @@ COARSER = 2  # side of a coarse cell, cells: the features vary only over a footp
 
 
 class Discs:
-    """Statistics over the footprint and its surroundings, on cells of twice the size; `radius` in metres."""
+    """Means and maxima over the footprint and around it, on cells of twice the map's size; `radius` in metres."""
 
     def __init__(self, grid: Grid, radius: float) -> None:
         self._shape, self._cell, self._radius = grid.shape, grid.cell * COARSER, radius
@@ -63,7 +63,7 @@ class Discs:
         return block_max(whole_blocks(values, COARSER), COARSER)
 
     def worst(self, coarse: F32, beyond: float | None = None) -> F32:
-        """Return the largest value in the footprint without its rim, or with `beyond` metres around it if given."""
+        """Return the largest value in the footprint without its rim, or, if given, up to `beyond` metres outside it."""
         return disc_max(coarse, self._inner if beyond is None else self._radius + beyond, self._cell)
 
     def mean(self, coarse: F32, beyond: float = 0.0) -> F32:
@@ -71,7 +71,7 @@ class Discs:
         return disc_mean(coarse, self._radius + beyond, self._cell)
 
     def around(self, coarse: F32) -> F32:
-        """Return the Gaussian mean of the surroundings, 4 m 1-sigma, as obstacles come in groups."""
+        """Return the Gaussian mean with a 1-sigma of 4 m around every cell, as obstacles come in groups."""
         return gaussian_mean(coarse, 4.0 / self._cell)
 
     def fine(self, coarse: F32) -> F32:
@@ -121,7 +121,7 @@ def widths(metres: F32, cell: float) -> F32:
 
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
-    """Compute the nearness of each view, 0 (far) to 1 (near), from widths of samples and pixels; all in metres."""
+    """Compute nearness, 0 (far) to 1 (near), from widths of samples and pixels and obstacle height `limit`; metres."""
     return np.minimum(_fineness(sampling, limit, NEAR_SAMPLES), _fineness(pixel, limit, NEAR_PIXELS))
 
 
@@ -132,18 +132,18 @@ def _fineness(width: F32, limit: float, between: tuple[float, float]) -> F32:
 
 
 def relief_power(elevation: ElevationMap, limit: float) -> F32:
-    """Compute the mean square relief at the width of an obstacle of height `limit` (metres), over limit^2, (R, C)."""
+    """Compute the mean square of relief as wide as an obstacle of height `limit` metres, (R, C), divided by limit^2."""
     return power_of_bumps(filled_surface(elevation.height), elevation.grid.cell, limit)
 
 
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
-    """Compute `relief_power` of any surface of heights, (R, C) metres without NaN."""
+    """Compute the mean square relief, (R, C), like `relief_power`, from heights without NaN; all in metres."""
     bumps = difference_of_gaussians(height / np.float32(limit), *(s * limit / cell for s in BAND))
     return patch_mean(bumps * bumps, cell, limit)
 
 
 def patch_mean(power: F32, cell: float, limit: float) -> F32:
-    """Compute the Gaussian mean with a 1-sigma of 1.5 obstacle heights, (R, C); `cell` and height `limit` in metres."""
+    """Compute the Gaussian mean, (R, C), with a 1-sigma of 1.5 times the obstacle height `limit`; lengths in metres."""
     return gaussian_mean(power, 1.5 * limit / cell)
 
 
@@ -194,9 +194,9 @@ def _near_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
 
 
 def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
-    """Compute the log odds, (R, C), against firm, dry ground; rock is firm ground, as stones are judged as obstacles.
+    """Compute the log odds, (R, C), that the ground is not firm and dry.
 
-    Cells without a class are treated as firm and dry.
+    Rock is treated as firm, as stones are judged as obstacles. Cells without a class are treated as firm and dry.
     """
     if land_cover is None:
         return np.full(shape, -9.2, np.float32)
@@ -205,7 +205,7 @@ def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
 
 
 def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: Discs) -> dict[str, F32]:
-    """Compute the features that contradict firm, dry ground, on the grid of `discs`."""
+    """Compute the features that contradict firm, dry ground, by identifier, on the grid of `discs`."""
     odds = ground_odds(land_cover, elevation.grid.shape)
     smooth = discs.coarse(gaussian_mean(odds, 0.2 / elevation.grid.cell))
     mean = discs.coarse(odds)
@@ -225,7 +225,7 @@ def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: 
 
 
 def unlike_ground(terms: Mapping[str, F32]) -> F32:
-    """Return the log odds of the softest patch of 0.2 m in a footprint minus the log odds of its surroundings."""
+    """Return how much softer the softest patch of 0.2 m in a footprint is than its surroundings, in log odds."""
     about = np.minimum(terms[GroundTerm.MEAN], terms[GroundTerm.MEAN_BEYOND])
     return np.asarray(terms[GroundTerm.WORST_SMOOTH] - about)
 
@@ -247,7 +247,7 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
 
 
 def green_spots(elevation: ElevationMap, height: float) -> F32:
-    """Compute the excess green of each cell's greenest spot over its surroundings, (R, C); see `BlockGreen`.
+    """Compute the excess green of each cell's greenest spot relative to its surroundings, (R, C); see `BlockGreen`.
 
     Spots are as wide as an obstacle of `height` metres. A green spot on bare ground is a plant, even if matching has
     flattened it.
@@ -261,7 +261,7 @@ def green_spots(elevation: ElevationMap, height: float) -> F32:
 
 
 def _seen_spots(found: BlockLight | BlockGreen, height: float) -> F32:
-    """Compute spots as wide as an obstacle of `height` pixels; 0 where unseen. Overwrites `found`."""
+    """Compute the contrast of spots as wide as an obstacle of `height` pixels; 0 where unseen. Overwrites `found`."""
     measure, seen = found.mean, found.seen > 0.999
     del found  # pictures have tens of megapixels
     if not seen.all():  # unseen pixels are filled with the mean around them

@@ -36,7 +36,7 @@ class SafetyFactors:
     obstacle: F32
     ground: F32
     resolved: F32  # metres, height of the smallest obstacle found with probability `FOUND`
-    settles_at: F32  # metres, width of a pixel on the ground that would settle the doubt; NaN: none
+    settles_at: F32  # metres, width of a pixel on the ground that would settle the doubt; NaN: no width would
 
 
 def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors:
@@ -91,7 +91,7 @@ def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F3
 
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
-    """Blend the expected hazards for far and near views, with the nearness as weight of the logarithms (G7f)."""
+    """Blend the hazards `afar` with the rate `name` of near views; nearness weights their logarithms (G7f)."""
     log = (1 - found.near) * log_at_least(afar, 1e-9) + found.near * read_rate(name).log_rate(found.terms)
     return np.asarray(np.exp(log), np.float32)
 
@@ -99,7 +99,7 @@ def _blended(afar: F32, name: str, found: Evidence) -> F32:
 def with_floors(
     expected: Mapping[str, F32], terms: Mapping[str, F32], nearness: Mapping[str, F32 | float]
 ) -> dict[str, F32]:
-    """Raise the expected hazards of each factor to the floors, each from one kind of evidence (G7g to G7i).
+    """Return the expected hazards of each factor, raised to its floors where these are larger (G7g to G7i).
 
     Args:
         expected: expected hazards by factor, in any common shape.
@@ -159,9 +159,9 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
 def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: float, on: Inputs) -> F32:
     """Return the pixel width that would settle the doubt, metres; NaN where a closer look would not help.
 
-    The smallest factor decides. Obstacle: `shows`, the width that shows obstacles, or half the present width if that is
-    already finer. Relief: a width in proportion to `least`, the least margin in sigmas, as sigma shrinks with the
-    pixel. Ground: half the present width.
+    The smallest factor decides. For obstacles, the width is `shows`, or half the present width `pixel` if that is finer
+    than `shows`. For ground, it is the smaller of `shows` and half the present width. For relief, it is in proportion
+    to `least`, the least margin in sigmas, as sigma shrinks with the pixel; half the present width is its upper limit.
     """
     (relief, obstacle, ground), fine = factors, np.float32(shows)
     half = np.float32(0.5) * pixel
@@ -208,10 +208,7 @@ def _over(margin: F32, sigma: F32) -> F32:
 
 
 def _gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
-    """Return the worst tilt of a lander on feet or skids per 1 m of noise at each contact, 1/m (G8b).
-
-    A foot rests on the mean of its cells, so its noise is averaged over the independent heights among them.
-    """
+    """Return the worst tilt of a lander on feet or skids per 1 m of noise at each contact, 1/m (G8b)."""
     if lander.skids is not None:
         return math.sqrt(2.0) / min(lander.skids)
     from alight.hazards.gear import feet_of

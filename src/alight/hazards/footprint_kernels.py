@@ -47,7 +47,7 @@ def _between(first: F64, last: F64, out: F64) -> None:
 
 @kernel
 def _add_moments(span: F64, y: float, moments: F64) -> None:
-    """Add one row of every footprint to its moments (9, C) about its centre; `span` (6, C): sums of `row_sums`."""
+    """Add the sums `span` (6, C) over one row of every footprint, `y` rows off its centre, to `moments` (9, C)."""
     for c in range(span.shape[1]):
         x = float(c)
         k, kc, kh = span[0, c], span[1, c], span[3, c]
@@ -70,7 +70,7 @@ def _solve(
     """Solve the least-squares plane of G1 from sums about the centre.
 
     Returns:
-        Level, gradient x, gradient y, and n times the height variance that they explain; all NaN without a plane.
+        Level, gradient x, gradient y, and the sum of squares that the gradients explain; all NaN without a plane.
     """
     mx, my, mh = sx / n, sy / n, sh / n
     cxx, cxy, cyy = sxx - n * mx * mx, sxy - n * mx * my, syy - n * my * my
@@ -120,7 +120,7 @@ def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_
 
 @kernel
 def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> None:
-    """Extend the extremes `top` and `low` by line - plane, cell by cell; slices without offsets are 12 times faster."""
+    """Widen the range [low, top] to include `line - base - x * grad`, the height above the plane, cell by cell."""
     for c in range(top.size):
         d = line[c] - base[c] - x * grad[c]
         t, b = top[c], low[c]
@@ -130,7 +130,7 @@ def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> Non
 
 @kernel
 def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: float, y: float) -> None:
-    """Extend the extremes by two lines at once, which halves reading and writing; see `_widen`."""
+    """Widen [low, top] by two lines of heights in one pass, `line` at `x` and `after` at `y`; see `_widen`."""
     for c in range(top.size):
         level, slope, t, b = base[c], grad[c], top[c], low[c]
         d, e = line[c] - level - x * slope, after[c] - level - y * slope
@@ -142,7 +142,7 @@ def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F3
 
 @kernel
 def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x: float) -> None:
-    """Lower `least` to the weighted margin of the heights `line` below the plane, cell by cell."""
+    """Lower `least` to `(base + x * grad - line) * weight`, the weighted distance below the plane, cell by cell."""
     for c in range(least.size):
         e = (base[c] + x * grad[c] - line[c]) * weight[c]
         t = least[c]
@@ -151,9 +151,9 @@ def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x
 
 @parallel_kernel
 def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
-    """Fill `above` and `below` (R, C) with the extremes of h - plane in the footprint (G2); 0 without a plane.
+    """Fill `above` and `below` (R, C) with the largest and smallest h - plane in the footprint (G2); 0 without a plane.
 
-    `padded` (R, C + 2 n) are the heights with n = len(spans) // 2 unknown columns on both sides.
+    `padded` (R, C + 2 n) holds the heights h, with n = len(spans) // 2 unknown columns on both sides.
     """
     rows, cols = level.shape
     reach = spans.size // 2
@@ -179,7 +179,7 @@ def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, ab
 
 @parallel_kernel
 def neighbour_steps(height: F32, step: F32) -> None:
-    """Fill `step` (R, C) with the largest |difference| to the four known neighbours; NaN where h is unknown."""
+    """Fill `step` (R, C) with the largest height difference to the four neighbours, if known; NaN for unknown cells."""
     rows, cols = height.shape
     for r in prange(rows):
         for c in range(cols):
@@ -200,7 +200,10 @@ def neighbour_steps(height: F32, step: F32) -> None:
 def least_margin(
     height: F32, weight: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64, outer: I64, out: F32
 ) -> None:
-    """Fill `out` (R, C) with the least (plane - height) * weight in the ring between two discs; inf without heights."""
+    """Fill `out` (R, C) with the least (plane - height) * weight in the ring between two discs; inf without heights.
+
+    `inner`, `outer`: half width of each row of the discs, cells; both have the rows of the outer disc, -1: no cells.
+    """
     rows, cols = height.shape
     reach = outer.size // 2
     for r in prange(rows):

@@ -38,7 +38,7 @@ def unlike_directions(headings: int, points: F64) -> F64:
 
 
 def block_starts(spans: I64, side: int) -> I64:
-    """Return (row, column) offsets, (b, 2), of the blocks of `side` x `side` cells over the disc, middle ones first."""
+    """Return (row, column) offsets, (b, 2), of blocks of `side` x `side` cells that cover the disc, middle first."""
     reach = spans.size // 2
     rows = range(-reach, reach + 1, side)
     widest = [max(int(spans[i + reach]) for i in range(r, min(r + side, reach + 1))) for r in rows]
@@ -55,7 +55,7 @@ class Feet:
     offsets: I64  # (n, 2) (row, column) offsets of the cells under all feet
     starts: I64  # (headings, feet + 1) first index of each foot's cells in `offsets`
     triples: I64  # (t, 3) indices of three feet that can carry the lander
-    solve: F64  # (headings, t, 3, 3) from the heights of three feet to their plane (level, per column, per row)
+    solve: F64  # (headings, t, 3, 3) matrices from three feet's heights to their plane (level, per column, per row)
     coarse: bool  # whether the cells do not separate three feet at some heading
 
 
@@ -70,7 +70,7 @@ class Skids:
 
 
 def _cells_within(centre: F64, radius_cells: float) -> I64:
-    """Return (row, column), (n, 2), of the cells centred within the radius of (column, row), or the nearest cell."""
+    """Return (row, column), (n, 2), of the cells centred in the disc around `centre` (column, row); at least one."""
     near = np.round(centre)
     reach = math.ceil(radius_cells) + 1
     grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2) + near
@@ -85,13 +85,16 @@ def _holds_centre(corners: F64) -> bool:
 
 
 def _double_areas(points: F64, triples: I64) -> F64:
-    """Return twice the area of every triangle `triples` (t, 3) of points (..., n, 2); (..., t)."""
+    """Return twice the area, (..., t), of triangles of points (..., n, 2); `triples`: (t, 3) indices of corners."""
     u, v = (points[..., triples[:, k], :] - points[..., triples[:, 0], :] for k in (1, 2))
     return np.asarray(np.abs(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]))
 
 
 def _triples(feet: F64, any_three: bool) -> I64:
-    """Return triples of feet that can carry: of at least a tenth of the largest area, with the centre inside."""
+    """Return the indices (t, 3) of three feet each that can carry the lander; small triangles are left out.
+
+    Triangles that do not hold the lander's centre are left out as well, unless `any_three` or no triangle holds it.
+    """
     every = list(combinations(range(len(feet)), 3))
     area = _double_areas(feet, np.array(every))
     thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
@@ -100,7 +103,7 @@ def _triples(feet: F64, any_three: bool) -> I64:
 
 
 def _solves(xy: F64, triples: I64) -> F64:
-    """Return matrices from three heights to the plane through them, (headings, t, 3, 3)."""
+    """Return the matrices (headings, t, 3, 3) that turn the heights of three feet into the plane through them."""
     corners = xy[:, triples]  # (headings, t, 3, 2)
     return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
 
@@ -137,8 +140,8 @@ def feet_of(lander: Lander, cell: float) -> Feet:
 def skids_of(lander: Lander, cell: float) -> Skids:
     """Compute the cells under the lander's skids at every heading, two samples per cell of length.
 
-    Length and gauge are measured between the cells under the rails, so that a plane gives its own tilt to 3 %. On cells
-    that are too coarse (G5a), they are the lander's length and gauge.
+    Length and gauge are measured between the cells under the rails, so that the tilt on a plane is right to 3 %. On
+    cells that are too coarse (G5a), the lander's own length and gauge are used.
     """
     assert lander.skids is not None
     length, gauge = lander.skids[0] / cell, lander.skids[1] / cell
@@ -165,14 +168,14 @@ def gear_contact(
         height: (R, C) metres, NaN = unknown.
         footprint: planes of the footprint.
         skip: (R, C) mask of cells that are not judged.
-        lander: the gear.
+        lander: vehicle with feet or skids.
         cell: cell size, metres.
-        spare: range around the belly clearance, metres, within which the rise is exact.
+        spare: the rise is exact where it differs from the belly clearance by at most this distance, metres.
 
     Returns:
-        The worst tilt (R, C) in rad, and the worst rise of the ground under the body above the contact plane in metres.
-        Farther than `spare` from the belly clearance, only the side of the rise is reliable. NaN where a foot or rail
-        would rest on unknown ground, and where `skip` is True.
+        The worst tilt (R, C) in rad, and the worst rise (R, C) of the ground under the body above the contact plane in
+        metres. A rise farther than `spare` from the belly clearance is only known to be above or below it. NaN where a
+        foot or rail would rest on unknown ground, and where `skip` is True.
     """
     scale, known, spans = np.float32(1 / cell), np.isfinite(height), disc_spans(lander.radius / cell)
     ground, low = (np.where(known, height * scale, np.float32(unknown)) for unknown in (np.inf, -np.inf))

@@ -53,7 +53,7 @@ def _directions(length: float) -> tuple[tuple[_Part, ...], ...]:
 
 
 def _part(along: F64, place: int) -> _Part:
-    """Build one part of a line; `along`: its (column, row) length vector, `place`: -1, 0 or 1 along the line."""
+    """Build a part of a line; `along`: (column, row) vector of its length; `place`: -1 first, 0 middle, 1 last part."""
     columns, rows = (round(float(v)) for v in place * along)
     rest = place * along - (columns, rows)
     reach = math.ceil(0.5 * float(np.abs(along).max()) + 0.5) + 1

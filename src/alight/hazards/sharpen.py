@@ -70,7 +70,7 @@ def _laplacian(z: F32) -> F32:
 
 
 def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int) -> F32:
-    """Solve normal(x) = right, symmetric and positive, with a Jacobi preconditioner; at most `steps` iterations."""
+    """Solve `normal(x) = right` by conjugate gradients; the `diagonal` of `normal` serves as preconditioner."""
     shape, size = right.shape, right.size
     matrix = LinearOperator((size, size), lambda x: normal(x.reshape(shape)).ravel(), dtype=np.float32)
     jacobi = LinearOperator((size, size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
@@ -78,7 +78,7 @@ def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int
 
 
 def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
-    """Compute Sobel gradients along columns and rows, metres per metre, close to those of a blurred camera image."""
+    """Compute Sobel gradients per column and per row, (R, C) metres per metre; `pixel`: width of a pixel, metres."""
     scale = np.float32(1 / (8 * pixel))
     along = cv2.sepFilter2D(height, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING)
     across = cv2.sepFilter2D(height, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale)
@@ -104,7 +104,7 @@ class Sunlight:
         return math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1]))
 
     def brightness(self, along: F32, across: F32) -> tuple[F32, F32, F32]:
-        """Compute the brightness (R, C) at gradients along columns and across rows, and its derivatives by both."""
+        """Compute the brightness (R, C) at gradients per column and row, and its derivatives with respect to them."""
         ax, ay, az = (np.float32(v) for v in self.sun)
         n = _up(along, across)
         facing = (az - ax * along - ay * across) * n
@@ -170,7 +170,7 @@ class _Scene:
 
 
 def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) -> F32:
-    """Return one Gauss-Newton step of the fine heights (S3): fit to cells, shading of lit pixels, curvature."""
+    """Return a Gauss-Newton correction of heights `z` from cells, shading of `lit` pixels and curvature (S3)."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
     noise = np.float32(max(light.spread, scene.tuning.shade_floor * float(np.linalg.norm(light.sun))))
@@ -224,7 +224,7 @@ def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
 
 
 def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
-    """Return the 1-sigma of the fine heights (S4): the cell's sigma, and a share of the detail, larger in shadow."""
+    """Return the 1-sigma of the fine heights (S4), from the cells' sigma and, mainly in shadow, local detail."""
     detail = z - cv2.GaussianBlur(z, (0, 0), 0.5 * factor)
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
     unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near

@@ -63,10 +63,7 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
 
 
 def _planes(height: F32, spans: I64, strip: int = 512) -> list[F32]:
-    """Return known cells, the plane's level and gradients per column and row, and squared deviations, (R, C) each.
-
-    Rows are processed in strips, as the running sums need twelve times the memory of the heights.
-    """
+    """Return the count of known cells, level, gradients per column and row, and squared deviations, (R, C) each."""
     rows, cols = height.shape
     reach, out = spans.size // 2, [np.empty_like(height) for _ in range(5)]
     for top in range(0, rows, strip):
@@ -170,7 +167,7 @@ def measure(on: Inputs) -> Touchdowns:
 
 
 def smoothed_roughness(height: F32, radius: float, cell: float, length: float) -> F32:
-    """Compute the largest deviation from the plane of heights smoothed by `length` (1-sigma), all in metres.
+    """Smooth heights by `length` (1-sigma) and compute the largest deviation from their plane, (R, C); all in metres.
 
     Cells of twice the size are used if `length` and `radius` are wide enough.
     """
@@ -198,7 +195,7 @@ def _edge_and_unknown(height: F32, footprint: Footprint, on: Inputs) -> tuple[Ma
 
 
 def ring_share(mask: Mask, inner: float, outer: float, cell: float) -> F32:
-    """Compute the share of the ring between two radii around every cell where the mask is True; lengths in metres."""
+    """Compute the share of True cells of a mask in the ring between two radii around every cell; lengths in metres."""
     spans = disc_spans(outer / cell)
     ring = disc_mask(spans) - disc_mask(padded_spans(disc_spans(inner / cell), spans.size // 2))
     kernel = ring.astype(np.float32) / max(float(ring.sum()), 1.0)
@@ -207,7 +204,7 @@ def ring_share(mask: Mask, inner: float, outer: float, cell: float) -> F32:
 
 
 def padded_spans(spans: I64, reach: int) -> I64:
-    """Pad the spans of a disc with -1 to the number of rows of a disc with `reach`, so that loops can use both."""
+    """Pad the half widths of a disc's rows with -1, for empty rows, to the 2 `reach` + 1 rows of a larger disc."""
     return np.pad(spans, reach - spans.size // 2, constant_values=-1)
 
 
@@ -252,7 +249,7 @@ def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, 
 
 
 def _supported(elevation: ElevationMap, height: F32) -> F32:
-    """Open the measured heights (R, C) by a square (erosion, then dilation), relative to the level of `height`, metres.
+    """Remove peaks narrower than 0.15 m from the measured heights, (R, C) metres above the zero of `height`.
 
     A single high doubtful height is a wrong match. A square of 0.15 m with equally high heights is an object. NaN where
     some heights are unknown.
@@ -275,11 +272,11 @@ def _about(height: F32, known: Mask, sigma: float) -> F32:
 def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
     """Return the usable heights relative to their median, which keeps float32 digits; NaN elsewhere (G0).
 
-    Usable are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
-    trusted heights beside them to half the height of the tallest obstacle. Such heights are ambiguous matches at the
-    level of the surrounding ground. On the rendered sample flight a bridge of 0.15 m finds a quarter more of the safe
-    ground at the same false-safe rate. A bridge of 0.25 m quadruples that rate, as it admits a tree crown matched at
-    ground level.
+    Trusted heights are usable. So are doubtful heights in gaps narrower than twice `settings.bridge` that agree with
+    the trusted heights around them to within half the height of the tallest obstacle. Such heights are ambiguous
+    matches at the level of the surrounding ground. On the rendered sample flight a bridge of 0.15 m finds a quarter
+    more of the safe ground at the same false-safe rate. A bridge of 0.25 m quadruples that rate, as it admits a tree
+    crown matched at ground level.
     """
     known = elevation.trusted
     if not known.any():

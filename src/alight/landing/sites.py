@@ -58,14 +58,14 @@ def next_view(place: F64, settles_at: float, observer: Observer, settings: Sites
     """Propose the highest view whose pixels are fine enough to settle the doubt about a position.
 
     The width of a pixel on the ground is the height divided by the focal length in pixels. The view is at least
-    `lowest_look` and at most the present height above the ground. One camera needs a base: its view is beside the
-    position, on the side of the vehicle. Two cameras have their own base: their view is straight above.
+    `lowest_look` and at most the present height above the ground. A single camera needs a baseline, so its view is
+    beside the position, towards the vehicle. Two cameras have their own baseline, so their view is straight above.
 
     Args:
         place: (3,) metres, on the ground.
         settles_at: width of a pixel on the ground that settles the doubt, metres; NaN: no width does.
         observer: the vehicle and its cameras.
-        settings: the least height and the base.
+        settings: the least height and the baseline.
 
     Returns:
         The view; None if no pixel settles the doubt.
@@ -96,7 +96,7 @@ class _Choice:
     observer: Observer | None
 
     def score(self, allowed: Mask, clearance: F32) -> F64:
-        """Compute the score of every cell (G11) from quality, room, doubt and distance; -inf where not `allowed`."""
+        """Compute the score of each cell (G11) by quality, clearance, P(safe), distance; -inf where not `allowed`."""
         hazards, settings = self.hazards, self.settings
         allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
@@ -110,7 +110,7 @@ class _Choice:
         return np.where(allowed, score, -np.inf)
 
     def candidate_score(self, clearance: F32) -> F64:
-        """Compute the score of every undecided cell (G11a): steps of mean P(safe), and the site score within a step."""
+        """Compute the score of each candidate (G11a), by mean P(safe) in steps, then by site score; -inf elsewhere."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
         score = self.score(hazards.reasons == np.uint16(Hazard.DOUBT), clearance)
@@ -144,11 +144,7 @@ class _Choice:
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:
-        """Return the height and its sigma, metres, over the footprint's trusted cells, or any cells if none is trusted.
-
-        A small footprint may lie between trusted cells, on doubtful cells that agree with them (G0). If the heights
-        have finer cells than the hazards, those with a height may lie just outside the footprint.
-        """
+        """Return height and sigma, metres, over the footprint's trusted cells, or over all cells if none is trusted."""
         e = self.elevation
         for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
             rows, cols, disc = _footprint(e.grid, east, north, reach)
@@ -182,7 +178,7 @@ def _heading(east: float, north: float, observer: Observer | None) -> float:
 
 
 def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
-    """Return up to `count` best cells, best first, each more than `apart` metres from better and `taken` cells."""
+    """Return up to `count` best cells, best first, more than `apart` metres from each other and from all `taken`."""
     remaining, found = score.copy(), list[Cell]()
 
     def take(cell: Cell) -> None:

@@ -30,7 +30,7 @@ def ground_speed(way: F64, wind: F64 | None, wanted: float, most_air_speed: floa
 
 
 def is_from_behind(way: F64, wind: F64 | None, calm: float) -> bool:
-    """Whether the wind along the leg `way` is a tail wind of more than `calm` m/s: too much for a descent."""
+    """Whether the wind along the leg `way` is a tail wind of more than `calm` m/s, in which no descent is flown."""
     return _parts(way, wind)[0] > calm
 
 

@@ -54,7 +54,7 @@ def arrays_of(content: bytes, largest: int = 256_000_000) -> dict[str, NDArray[A
 
 @dataclass(frozen=True, eq=False)
 class FittedTable:
-    """Fitted parameters over features; the fields are the arrays of the file."""
+    """Fitted parameters of a function of features; the fields are the arrays of the file."""
 
     terms: tuple[str, ...]  # identifiers of the features (`alight.learned.terms`)
 
@@ -101,8 +101,8 @@ class FittedTable:
 class Net(FittedTable):
     """Network over standardised features, with one hidden layer of rectified linear units."""
 
-    usual: F32  # (T,) mean of each term
-    spread: F32  # (T,) standard deviation of each term
+    usual: F32  # (T,) mean of each feature
+    spread: F32  # (T,) standard deviation of each feature
     hidden_weights: F32  # (T, U)
     hidden_bias: F32  # (U,)
     output_weights: F32  # (U, outputs)
@@ -159,8 +159,8 @@ class Net(FittedTable):
 class KnownGround(FittedTable):
     """Class means of the training data and the spread around them (docs/method/land-cover.md, T6)."""
 
-    usual: F32  # (T,) mean of each term
-    spread: F32  # (T,) standard deviation of each term
+    usual: F32  # (T,) mean of each feature
+    spread: F32  # (T,) standard deviation of each feature
     means: F32  # (K, T) class means of standardised features
     whitening: F32  # (T, T): `norm(row @ whitening)` is the Mahalanobis distance
     limit: float  # squared distance that holds 95 % of the cells of held-out scene families
@@ -204,7 +204,7 @@ class Rate(FittedTable):
         return bool((np.diff(self.knots, axis=1) > 0).all() and (np.diff(self.heights, axis=1) >= 0).all())
 
     def log_rate(self, found: Mapping[str, F32]) -> F32:
-        """Compute the natural logarithm of the expected number of hazards, in the shape of the features.
+        """Compute the log of the expected number of hazards from features by identifier, in the shape of one feature.
 
         Raises:
             KeyError: a feature of the rate is missing.
@@ -216,14 +216,14 @@ class Rate(FittedTable):
 
 
 class Floor(NamedTuple):
-    """Least expected hazards of a factor, from one kind of evidence: a sum of products of curves."""
+    """Least expected number of hazards of a factor, from one kind of evidence, as a sum of products of curves."""
 
     factor: str
     nearness: str  # name of the nearness that weights the floor
     products: tuple[dict[str, tuple[F64, F64]], ...]  # knots and values of curves, by feature identifier
 
     def expected(self, found: Mapping[str, F32]) -> F32:
-        """Compute the expected hazards, in the shape of the features."""
+        """Compute the least expected number of hazards from features by identifier, in the shape of one feature."""
         each = (math.prod(np.interp(found[k], *curve) for k, curve in p.items()) for p in self.products)
         return np.asarray(sum(each), np.float32)
 

@@ -12,7 +12,7 @@ RELATIVE = "_vs_frame"  # suffix for a feature minus its median over the frame
 
 
 class ReliefTerm(StrEnum):
-    """Evidence of the heights against an even footprint (docs/method/p-safe.md, G7b).
+    """Features of the heights that contradict an even footprint (docs/method/p-safe.md, G7b).
 
     Every feature increases as a touchdown becomes less likely safe. Lengths are divided by `Lander.tallest_obstacle`.
     """
@@ -30,7 +30,7 @@ class ReliefTerm(StrEnum):
 
 
 class DensityTerm(StrEnum):
-    """Evidence of the picture for nearby obstacles that the heights may have smoothed away (G7c)."""
+    """Features of the picture that show nearby obstacles, which the heights may have smoothed away (G7c)."""
 
     SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle, in the worst patch
     SPOT_MEAN = "spot_mean"
@@ -41,7 +41,7 @@ class DensityTerm(StrEnum):
 
 
 class GroundTerm(StrEnum):
-    """Evidence against firm, dry ground (G7e): log odds over a footprint, with rock treated as firm ground."""
+    """Features that contradict firm, dry ground (G7e), mostly log odds over a footprint; rock is treated as firm."""
 
     WORST = "worst"
     WORST_SMOOTH = "worst_smooth"  # worst of means over 0.2 m
@@ -54,7 +54,7 @@ class GroundTerm(StrEnum):
 
 
 class NearTerm(StrEnum):
-    """Evidence of views from nearby, in addition to the features of relief, density and ground (G7f)."""
+    """Features of views from nearby, in addition to the features of relief, density and ground (G7f)."""
 
     RISE = "rise"  # `ReliefTerm.ROUGHNESS` of all measured heights: doubtful heights show tufts
     RISE_UNKNOWN = "rise_unknown"  # share of the footprint without a well measured height
@@ -63,14 +63,14 @@ class NearTerm(StrEnum):
 
 
 class FloorTerm(StrEnum):
-    """Evidence that only floors (`floors.yaml`) use, in addition to the other features of P(safe)."""
+    """Features that are used by floors (`floors.yaml`) only, and not by the rates."""
 
-    UNLIKE = "unlike"  # log odds of the softest patch minus those of its surroundings
+    UNLIKE = "unlike"  # log odds of the softest patch minus log odds of its surroundings
     RIDGE = "ridge"  # metres, relief of the highest straight ridge
 
 
 class SurfaceTerm(StrEnum):
-    """Evidence for the land cover from shape and matching over decimetres to metres (docs/method/land-cover.md, T1)."""
+    """Features for the land cover from shape and matching over decimetres to metres (docs/method/land-cover.md, T1)."""
 
     ROUGH_02 = "rough_0.2m"  # log root mean square height minus its 0.2 m mean
     ROUGH_05 = "rough_0.5m"
@@ -97,7 +97,7 @@ class SurfaceTerm(StrEnum):
 
 
 class PictureTerm(StrEnum):
-    """Evidence for the land cover from the picture's detail, in addition to its bands (T1b)."""
+    """Features for the land cover from the picture's detail, in addition to `band` (T1b)."""
 
     BELOW = "light_below"
     DARK = "dark_near"
@@ -109,7 +109,7 @@ class PictureTerm(StrEnum):
 
 
 def band(octave: int) -> str:
-    """Return the identifier of the strength of a band of log brightness."""
+    """Return the identifier of the feature that holds the strength of detail in one octave of log brightness."""
     return f"light_{octave}"
 
 

@@ -168,7 +168,7 @@ class JudgingLane:
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
-        """Add the roofs (G13c) and the doubts (T8) of earlier maps to the land cover."""
+        """Add the land cover to the memory, and return it with the roofs (G13c) and doubts (T8) of earlier maps."""
         self.memory = replace(self.memory, cover=self.memory.cover.with_seen(land_cover, t_ns))
         land_cover, grid = self.memory.cover.doubted(land_cover), land_cover.grid
         roofs = self.memory.roofs.with_seen(shown_at(grid, land_cover.raised > 0.5), t_ns)
@@ -214,7 +214,7 @@ def _tidy(elevation: ElevationMap) -> None:
 
 
 def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
-    """Resample the map to cells that fit the lander, with its finest picture."""
+    """Resample the map to cells that suit the lander, and add an orthophoto of the views as its finest picture."""
     elevation = on_cells_up_to(seen.elevation, lander.judging_cell)
     picture, sampling = orthophoto(seen.views, elevation)
     for view in seen.views:
@@ -229,7 +229,7 @@ def find_land_cover(
     appearance: terrain.Model | None,
     tables: terrain.Tables | None = None,
 ) -> TerrainMap:
-    """Estimate the land cover on cells that fit its evidence (means over 0.4 m), and return it on the map's grid."""
+    """Estimate the land cover on cells of up to `settings.cell` metres, and return it on the map's grid."""
     coarse = on_cells_up_to(elevation, settings.cell)
     return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 

@@ -62,7 +62,7 @@ def navigation_lane(
 def mapping_lane(
     rig: Rig, settings: StageSettings, options: PipelineOptions, timings: Timings, at_end: bool
 ) -> MappingLane:
-    """Return the mapping lane that settings and options choose; `at_end`: all motions come at the end."""
+    """Return the mapping lane that settings and options choose; `at_end`: whether all motions come at the end."""
     if not at_end and (settings.parallax.method == "recursive" or not options.history):  # a batch needs the end
         from alight.pipeline.mapping.recursive_map import RecursiveMapper
 

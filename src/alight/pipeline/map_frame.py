@@ -35,7 +35,7 @@ class MapFrame:
 
     @classmethod
     def of(cls, motion: Motion) -> MapFrame:
-        """Build the map frame of a motion; the squared offset is subtracted from the position covariance."""
+        """Build the map frame of a motion, with the position covariance that remains after its offset is applied."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
         return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 

@@ -75,7 +75,7 @@ class FlightPolicy:
         return self.effort_control.effort
 
     def due_verdict(self, navigation: Navigation, keyframes: int, free: bool = True) -> DueVerdict | None:
-        """Return the verdict due after an exposure, or None if none is due. Call it once per mapped exposure.
+        """Return the verdict request that is due after an exposure, or None. Call it once per mapped exposure.
 
         Args:
             navigation: the exposure.
@@ -116,7 +116,7 @@ class ScheduledPolicy(FlightPolicy):
         return self._effort[navigation.frame.t_ns]
 
     def due_verdict(self, navigation: Navigation, keyframes: int, free: bool = True) -> DueVerdict | None:
-        """Return the verdict that was due in flight, with the same position; None if no verdict was due."""
+        """Return the verdict request that was due in flight, with the same position; None if no verdict was due."""
         if navigation.frame.t_ns not in self._about:
             return None
         about = self._about[navigation.frame.t_ns]

@@ -56,7 +56,7 @@ class Remembered:
         return out
 
     def _spread(self, beside: I64) -> Remembered:
-        """Return a copy with the neighbours of each cell added, (K, 2) offsets; the newest time is kept."""
+        """Return a copy with each cell replaced by those at offsets `beside` (K, 2) from it; newest times are kept."""
         cells = (self.cells[:, None] + beside).reshape(-1, 2)
         t_ns = np.repeat(self.t_ns, len(beside))
         latest = np.argsort(-t_ns, kind="stable")
@@ -83,7 +83,7 @@ def share_covered(grid: Grid, where: Mask) -> tuple[F64, I64]:
     """Compute the share of each cell of size `CELL` that a mask (R, C) of a grid covers.
 
     Returns:
-        Shares (E, N), by east and north, and the position (2,) of their first cell in units of `CELL`.
+        Shares (E, N), by east and north, and the first cell (east, north), (2,), in units of `CELL`.
     """
     columns, rows = _numbers(grid)
     where = upsample(where, _across(grid))
@@ -105,7 +105,7 @@ def shown_at(grid: Grid, where: Mask) -> I64:
 
 
 def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
-    """Return the cells (N, 2) to remember as moving: at least `SHARE` is MOVING, with enough such cells side by side.
+    """Return the cells (N, 2) of size `CELL` that are mostly MOVING, in connected patches of 2 m^2 or more.
 
     `anew`: (R, C) mask of cells with new flags, as older flags were remembered before; None: all flags are new.
     """
@@ -120,27 +120,24 @@ def what_moves(grid: Grid, flags: U16, anew: Mask | None = None) -> I64:
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
-    """Return the cells (N, 2) touched by large patches of `came` (R, C): where people or objects came to stand."""
+    """Return the cells (N, 2) that patches of `came` (R, C) touch; patches too small for a person are ignored."""
     share, low = share_covered(grid, without_specks(came, grid.cell, 0.08))  # m^2, shoulders of a person
     return _cells(share > 0, low)
 
 
 def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Mask:
-    """Return the mask (R, C) of cells that moving objects crossed: on paved ground, or anywhere without land cover."""
+    """Return the mask (R, C) of cells that moving objects crossed; if the land cover is known, of paved cells only."""
     out = passed.on(grid)
     return out if land_cover is None else out & (land_cover.label == Terrain.PAVED)
 
 
 def _across(grid: Grid) -> int:
-    """Return the points per cell and axis that hit every remembered cell that it covers; 1 for small cells.
-
-    With its centre only, a cell of 0.8 m would leave gaps between remembered cells.
-    """
+    """Return the points per axis at which a cell is looked up, enough to hit all remembered cells under it."""
     return 1 if grid.cell <= CELL else math.ceil(grid.cell / CELL) + 1
 
 
 def _numbers(grid: Grid) -> tuple[I64, I64]:
-    """Return east of columns (k * C,) and north of rows (k * R,) in units of `CELL`; k = `_across` points per cell."""
+    """Return the remembered cells under k points per cell: east (k * C,) and north (k * R,), in units of `CELL`."""
     k = _across(grid)
     inner = 0.5 * grid.cell - 1e-6 if k > 1 else 0.0  # a cell does not reach into its neighbour
     beside = np.linspace(-inner, inner, k)
@@ -156,19 +153,19 @@ def _keys(cells: I64) -> I64:
 
 @dataclass(frozen=True, eq=False)
 class CoverMemory:
-    """Most familiar look at every cell of the newest map, in its frame (docs/method/p-safe.md, T8); immutable.
+    """Least novel land cover so far of each cell of the newest map, in its frame (docs/method/p-safe.md, T8).
 
     Land cover is fitted to pictures from several metres and higher. A puddle that is obvious from 10 m looks like wet
-    asphalt from 3 m, where its novelty (T6) is larger. So the odds of the look with the least novelty are kept.
+    asphalt from 3 m, where its novelty (T6) is larger. So the values with the least novelty are kept.
     """
 
     grid: Grid | None = None  # None: nothing seen yet
     bears: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) as `TerrainMap.bears`
-    novelty: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) of that look, grows with age
+    novelty: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))  # (R, C) of these values, grows with age
     t_ns: int = 0
 
     def with_seen(self, land_cover: TerrainMap, t_ns: int) -> CoverMemory:
-        """Return the memory after a newer look at `t_ns`, on the grid of that look."""
+        """Return the memory updated with a newer land-cover map of time `t_ns`, on the grid of that map."""
         bears, novelty = land_cover.bears, land_cover.novelty
         if self.grid is not None:
             age = max(t_ns - self.t_ns, 0) * 1e-9
@@ -179,11 +176,11 @@ class CoverMemory:
         return CoverMemory(land_cover.grid, bears, novelty, t_ns)
 
     def doubted(self, land_cover: TerrainMap) -> TerrainMap:
-        """Lower `bears` to the memory's values, on the same grid; a memory can refuse ground but never permit it."""
+        """Return the land cover with `bears` lowered to the memory's values where these are lower; grids must match."""
         return replace(land_cover, bears=np.where(self.bears < land_cover.bears, self.bears, land_cover.bears))
 
     def moved(self, shift: F64, sigma: float) -> CoverMemory:
-        """Return the memory in a frame where positions are larger by `shift`, metres; empty if its `sigma` is large."""
+        """Return the memory in a frame where positions are larger by `shift`, metres; empty if `sigma` > `SURE`."""
         if self.grid is None or not sigma <= SURE:
             return CoverMemory()
         east, north = self.grid.east + float(shift[0]), self.grid.north + float(shift[1])

@@ -126,7 +126,7 @@ class LandingRecord(_Line):
     seconds: float = 0.0  # duration of the flight
     found_after: float | None = None  # s until the first site was found
     distance: float = 0.0  # metres flown
-    nearest: float | None = None  # metres, least height of the feet above all in the footprint, before the commit
+    nearest: float | None = None  # metres, least height of the feet above everything in the footprint before the commit
     verdicts: int = 0
     picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file next to landings.jsonl
     error: str | None = None

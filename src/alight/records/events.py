@@ -95,7 +95,7 @@ class Prediction:
     """Predicted camera poses of an exposure, with covariance.
 
     The image motion of features depends on the change of the pose, which is known far better than the pose itself. Both
-    poses are of one estimate. The covariance describes the later pose relative to the earlier one.
+    poses come from one estimate. The covariance describes the later pose relative to the earlier one.
     """
 
     world_from_cams: tuple[Pose, ...]

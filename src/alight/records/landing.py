@@ -67,7 +67,7 @@ class HazardMap(OnGrid):
     p_obstacle: F32  # (R, C) probability of no obstacle that is too small for heights and pictures
     p_ground: F32  # (R, C) probability of firm, dry ground
     resolved: F32  # (R, C) metres, height of the smallest obstacle found with a probability of 95 %
-    settles_at: F32  # (R, C) metres, ground width of a pixel that would settle the doubt; NaN: none would
+    settles_at: F32  # (R, C) metres, ground width of a pixel that would settle the doubt; NaN: no width would
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
 
@@ -114,7 +114,7 @@ class Site:
 
     @property
     def kind(self) -> Kind:
-        """Kind of the record: a site in doubt is a candidate."""
+        """Whether the record is a site or a candidate; a candidate has a doubt."""
         return "site" if self.doubt is None else "candidate"
 
     def moved(self, shift: F64) -> Site:

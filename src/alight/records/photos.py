@@ -29,7 +29,7 @@ class PhotoFacts:
 
 @dataclass(frozen=True)
 class PhotoOutcome:
-    """Outcome of one photo: whether the pictures agree with its tags."""
+    """Agreement of the pictures with the tags of one photo, and whether the photo was registered."""
 
     t_ns: int
     attitude: str = ""  # use of the attitude: "believed", turned back, overruled or ignored; empty: no attitude

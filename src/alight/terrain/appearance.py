@@ -23,9 +23,9 @@ class Appearance:
 
 
 def seen(elevation: ElevationMap) -> Mask:
-    """Return the mask of cells that a camera saw and that the map or its finest picture shows.
+    """Return the mask of cells that a camera saw and that have a colour in the map or in its finest picture.
 
-    A map that is built view by view has only the colours of the newest view.
+    A map that is built view by view holds only the colours of the newest view.
     """
     pictured = lit(elevation.rgb)
     if elevation.fine is not None:
@@ -36,12 +36,12 @@ def seen(elevation: ElevationMap) -> Mask:
 
 
 def black_ground(elevation: ElevationMap) -> Mask:
-    """Return the mask of cells that are black and plain in every view; other black cells have no colour yet."""
+    """Return the mask of black cells flagged as saturated or textureless; other black cells have no colour yet."""
     return (elevation.views > 0) & ~lit(elevation.rgb) & is_flagged(elevation.flags, Flag.SATURATED | Flag.TEXTURE)
 
 
 def lit(picture: U8) -> Mask:
-    """Return the mask of pixels with a picture: black means no picture."""
+    """Return the mask of pixels that are not black; a black pixel holds no picture."""
     return np.asarray((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0)
 
 

@@ -21,7 +21,7 @@ def _lowest_neighbour(water: F64, r: int, c: int) -> float:
 
 @kernel
 def fill_basins(surface: F64, outlet: Mask, water: F64) -> None:
-    """Flood the surface from its outlets: morphological reconstruction by erosion (G13).
+    """Compute the level of standing water on a surface with outlets, by morphological reconstruction (G13).
 
     Sweeps from opposite corners repeat until no level sinks. Each cell ends at the lowest level from which its water
     runs off over the 8 neighbours.

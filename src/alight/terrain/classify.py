@@ -37,9 +37,9 @@ class Tables(NamedTuple):
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Mask:
-    """Return the mask of ground within reach of a tree crown (G18), which oblique views show as open ground.
+    """Return the mask of ground under and beside tree crowns (G18); oblique views show such ground as open.
 
-    Doubtful heights are used too, as most of a crown is doubtful and a needless refusal does little harm.
+    Doubtful heights are used too, as most heights of a crown are doubtful and a needless refusal does little harm.
     """
     cell = elevation.grid.cell
     height_above = np.where(is_measured(elevation.flags), elevation.height - shape.ground, np.float32(np.nan))
@@ -54,14 +54,14 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
 
 
 def without_pits(share: F32, cell: float) -> F32:
-    """Raise P(landable), (R, C), in refused patches up to 0.3 m wide to its level around them; `cell` in metres."""
+    """Raise P(landable), (R, C), in low patches up to 0.3 m wide to its value around them; `cell` in metres."""
     return fill_pits(share, int(0.3 / cell + 1e-6) + 1)
 
 
 def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
     """Compute the log odds (8, R, C) that the appearance model adds; None for grey pictures or too coarse cells.
 
-    They are 0 for classes that the model does not have, and on ground unlike all its training patches.
+    The odds are 0 for classes that the model does not have, and on ground unlike all its training patches.
     """
     if model is None or not colours.coloured:
         return None
@@ -84,9 +84,9 @@ def _open_kind(colours: Appearance, leafy: float) -> U8:
 
 
 def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
-    """Make standing water certain in log odds, and assign gaps between tufts to the tufts; in place.
+    """Raise the log odds of WATER in the mask `water`, and of TALL_VEGETATION between tufts, above the rest; in place.
 
-    Patches below 0.1 m^2 are left to the hazard assessment. Gaps below 1 m are too narrow to land in.
+    Tufts below 0.1 m^2 are left to the hazard assessment. Gaps below 1 m are too narrow to land in.
     """
     best = odds.max(axis=0)
     wet, tall = WATER, Terrain.TALL_VEGETATION - 1
@@ -114,9 +114,9 @@ def _shares(odds: F32, strip: int = 64) -> _Shares:
 
 
 def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
-    """Return the most likely class; colour separates classes of open ground, height separates trees from lower plants.
+    """Return the most likely class of each cell, (R, C). Overwrites `odds`.
 
-    Overwrites `odds`.
+    Colour separates the classes of open ground; height separates trees from lower plants.
     """
     odds[OPEN] = -np.inf
     kind = (np.argmax(odds, axis=0) + 1).astype(np.uint8)
@@ -145,7 +145,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
 
     def surely(shares: list[F32]) -> F32:
-        """Return the smaller share, with or without appearance, because appearance never permits (T5)."""
+        """Return the smallest share, lowered where objects stand; so the appearance model can only refuse (T5)."""
         share = without_pits(np.minimum.reduce(shares), cell)
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
@@ -160,7 +160,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:
-    """Pass the features on, and keep every third cell of each in `some` for the novelty."""
+    """Yield all features unchanged, and store every `apart`-th row and column of each in `some` for the novelty."""
     for name, values in terms:
         first = [min(apart // 2, n - 1) for n in values.shape]
         some[name] = values[first[0] :: apart, first[1] :: apart].copy()  # a view would keep the whole array in memory
@@ -168,7 +168,7 @@ def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3
 
 
 def _novelty(known: KnownGround, some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
-    """Compute the novelty of every cell (T6), (R, C), from the features of some cells."""
+    """Compute the novelty (T6) of every cell, (R, C), from the features of a subset of the cells."""
     values = np.stack([some[name].ravel() for name in known.terms], axis=1)
     found = known.novelty(values).reshape(some[known.terms[0]].shape)
     return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)

@@ -64,7 +64,7 @@ class LevelSurfaces:
         return self._marked(roofs, ABOUT, lambda part: _height_over_rim(part, about, settings))
 
     def _marked(self, numbers: Iterable[int], pad: int, measure: Callable[[Mask], float]) -> F32:
-        """Write the measure of each numbered part to its cells and their margin, (R, C); 0 elsewhere.
+        """Return an array (R, C) with the measure of each numbered part on its cells and on a margin; 0 elsewhere.
 
         `measure` gets the mask of a part, padded by `pad` blocks on every side.
         """
@@ -93,7 +93,7 @@ def _rim(part: Mask, outer: int = RIM[1]) -> Mask:
 
 
 def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, settings: TerrainSettings) -> float:
-    """Return the degree to which a part is level and below the ground of its rim, 0 to 1."""
+    """Return the degree, 0 to 1, to which a part is level and lower than the ground of its rim."""
     rows, cols = np.nonzero(part)
     terms = np.column_stack([np.ones(len(rows)), cols * block, rows * block])
     plane = np.linalg.lstsq(terms, bed[rows, cols].astype(np.float64), rcond=None)[0]
@@ -110,7 +110,7 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
 
 
 def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
-    """Return the degree to which a part is a wall's height above its rim, 0 to 1; 0 if half of the rim is unseen."""
+    """Return the degree, 0 to 1, to which a part is a wall's height above its rim; 0 if half the rim is unseen."""
     rim = ground[_rim(part, ABOUT)]
     seen = np.isfinite(rim)
     if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):

@@ -40,7 +40,7 @@ WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: limits of the bands
 
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
-    """Compute the joint score of tall plants (G16): textured, rough or raised, green, moving."""
+    """Compute the score of tall plants (G16), (R, C), from texture, relief, green and the share of `moving` cells."""
     texture = linear_ramp(colours.texture, 0.055, 0.09)
     high = np.maximum(linear_ramp(shape.height_above, 0.15, 0.5), linear_ramp(shape.rough, 0.04, 0.10))
     tone = linear_ramp(colours.green, 0.06, 0.14) * np.float32(colours.coloured)
@@ -64,7 +64,7 @@ def _strength(power: F32, cell: float, metres: float = NEAR) -> F32:
 
 
 def _picture_terms(elevation: ElevationMap) -> Terms:
-    """Yield the features of the finest picture's detail by its width (T1b)."""
+    """Yield the identifier and the values of each feature of the finest picture's detail (T1b)."""
     rgb, factor = elevation.finest
     cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
     light, share, within = block_light(rgb, factor // halves, within=True)
@@ -99,7 +99,7 @@ def _filled(light: F32, share: F32, sigma: float) -> F32:
 
 
 def _between(values: F32, narrow: float, wide: float, pixel: float) -> F32:
-    """Return detail between two widths, (R, C); widths as 1-sigma, metres."""
+    """Return the detail of `values` between two widths, `narrow` and `wide` (1-sigma), (R, C); lengths in metres."""
     return difference_of_gaussians(values, narrow / pixel, wide / pixel)
 
 

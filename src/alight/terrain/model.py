@@ -62,7 +62,7 @@ def _blur(values: F32, sigma: float) -> F32:
 
 
 def _resized(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[F32, F32]:
-    """Resize the picture to the level's pixels and fill unseen pixels; return it and the seen share of each pixel."""
+    """Resize a picture by `factor` and fill its unseen pixels; return the picture and the seen share of each pixel."""
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     weight = cv2.resize(seen.astype(np.float32), size, interpolation=how)
@@ -103,7 +103,7 @@ def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
 
 
 def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32], F32]:
-    """Return the logarithms of brightness, red/green and blue/green on the level's pixels, and the seen share."""
+    """Return logs of brightness, red/green and blue/green of the picture resized by `factor`, and the seen share."""
     colour, share = _resized(rgb, seen, factor)
     r, g, b = (colour[..., k] + np.float32(DARK) for k in range(3))
     light = (r + g + b) / np.float32(3)
@@ -202,12 +202,12 @@ def to_nearest(z: NDArray[Real], centres: NDArray[Any], metric: NDArray[Any]) ->
 
 
 def distance(head: Head, z: F32) -> F32:
-    """Compute the squared distance of features (N, F) to the nearest class, (N,), divided by the median distance."""
+    """Compute the squared distance, (N,), of features `z` (N, F) to the nearest class, divided by `head.reach`."""
     return np.asarray(to_nearest(z, head.centres, head.metric) / head.reach, dtype=np.float32)
 
 
 def scores(head: Head, features: F32) -> F32:
-    """Compute the score of each class before the temperature, (N, K); it fades with distance from the classes (T4)."""
+    """Compute class scores (N, K), not divided by the temperature; they fade far from all classes (T4)."""
     z = standardised(head, features)
     fading = 1 / (1 + np.maximum(distance(head, z) - 1, 0))
     return np.asarray((z @ head.weights.T + head.bias) * fading[:, None], np.float32)
@@ -228,7 +228,8 @@ def log_probability(head: Head, features: F32) -> F32:
 def appearance_evidence(model: Model, rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> F32 | None:
     """Compute the log probability of each class per block of a picture, (r, c, K), for a uniform prior.
 
-    The picture is its own frame (T3). NaN where too little was seen; None if the pixels are too coarse.
+    Detail is relative to its median over the picture (T3). NaN where too little was seen; None if pixels are too
+    coarse.
     """
     found = appearance_features(rgb, sampling, seen)
     head = model.heads[found.level] if found else None

@@ -21,13 +21,13 @@ class Relief:
     height_above: F32  # height above the surrounding ground, minus what a hill of that width may have (G12)
     rough: F32  # root mean square height minus its 0.5 m mean
     depth: F32  # depth of the water that the basin holds (G13)
-    walled: F32  # depth if only seen ground closes a basin, and every map edge is an outlet
+    walled: F32  # depth if every map edge is an outlet, even an edge that looks like water
     level: F32  # height of the water surface
     ground: F32  # height of the ground below objects; where unknown, the nearest known height
 
 
 def ground_under(low: F32, window_cells: float) -> F32:
-    """Remove objects narrower than the window from block heights, by a morphological opening that preserves planes."""
+    """Remove objects narrower than the window from the block heights `low`, by an opening that preserves planes."""
     reach = max(1, round(window_cells / 2))
     disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
@@ -36,7 +36,7 @@ def ground_under(low: F32, window_cells: float) -> F32:
 
 
 def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
-    """Compute the height above the surrounding ground, metres, from `low` block heights of `size` cells a side (G12).
+    """Compute the height above the surrounding ground, metres (G12); `low`: heights of blocks of `size` x `size` cells.
 
     The result is the largest over several windows. A hill may rise by `settings.bulge` per metre of window width,
     because hilltops are broad and objects are not.
@@ -58,10 +58,10 @@ def open_to_rim(unknown: Mask) -> Mask:
 
 
 def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
-    """Compute depth and level of the water that the ground would hold (G13); NaN where unknown.
+    """Compute depth and level of the water that the ground would hold (G13), metres; NaN where unknown.
 
-    The map's edge and unknown cells connected to it are outlets: only seen ground closes a basin. An edge that looks
-    like water (`wet`) is no outlet, as a pond may continue beyond the map.
+    Water runs off over the map's edge and into unknown cells connected to it. An edge that looks like water (`wet`)
+    holds the water back, as a pond may continue beyond the map.
     """
     unknown = np.isnan(ground)
     off = np.pad(open_to_rim(unknown), 1, constant_values=True).astype(np.uint8)
@@ -74,10 +74,7 @@ def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
 
 
 def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Relief:
-    """Compute the shape of the trusted heights; broad shapes on blocks of about half a metre.
-
-    `wet`: (R, C) likeness of each cell to water, 0 to 1.
-    """
+    """Compute the shape of the ground from trusted heights; `wet`: (R, C) likeness of each cell to water, 0 to 1."""
     cell = elevation.grid.cell
     shape = elevation.grid.shape
     known = elevation.trusted

@@ -17,7 +17,10 @@ from alight.terrain.relief import Relief
 
 
 def water_likeness(colours: Appearance) -> F32:
-    """Compute the likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green, like a car park."""
+    """Compute the likeness of each cell to water, 0 to 1; it is high for smooth cells that are neither brown nor green.
+
+    Other smooth grey surfaces, such as car parks, score high too.
+    """
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
     tone = linear_ramp(colours.cool, -0.075, -0.04) * (1 - linear_ramp(colours.green, 0.11, 0.16))
     return np.asarray(plain * tone * np.float32(colours.coloured))
@@ -34,9 +37,9 @@ def _near(values: F32, elevation: ElevationMap) -> F32:
 
 
 def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSettings) -> F32:
-    """Compute the log odds of water (G14) from basin, likeness to water and motion; two strong signs suffice.
+    """Compute the log odds of water (G14), (R, C), from basin, likeness to water and motion.
 
-    `depth`: (R, C) depth of the water that a basin holds, metres.
+    `depth`: depth of the water that a basin holds, metres; `moving`: share of nearby cells that move.
     """
     d = settings.basin_depth
     basin = linear_ramp(depth, d / 2, 1.5 * d)
@@ -54,7 +57,7 @@ class WaterSigns:
     """Evidence of water, (R, C) arrays."""
 
     odds: F32  # log odds
-    walled_odds: F32  # log odds if a map edge that looks like water closes no basin
+    walled_odds: F32  # log odds if every map edge is an outlet, even an edge that looks like water
     wet: F32  # likeness to water, 0 to 1
     moving: F32  # share of nearby cells that move
     bed: F32  # metres, smoothed heights, NaN = unknown
@@ -65,14 +68,14 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
     """Grow water over the connected ground that must be wet too (G15), and return its mask.
 
     First, connected cells that look like water are added. Then connected lower cells are added, because the surface of
-    a pond is level. This closes gaps where the bed looks like the shore, but is skipped if it would more than double
-    the area. A patch that would drain over dry ground, with less than half of it moving, is not water. A patch mostly
-    outside all basins, with less than a fifth of it moving, only looks like water: there a map edge closes no basin.
+    a pond is level. This second step is skipped if it would more than double the area. A patch that would drain over
+    dry ground is not water, unless at least half of it moves. A patch that lies mostly outside all basins, with less
+    than a fifth of it moving, is water only where `walled_odds` are positive.
 
     Args:
         signs: evidence of water.
         cell: cell size, metres.
-        least_share: least share of a patch that must be water by itself; a slab looks like water, too.
+        least_share: share of a patch with positive odds below which only that part is water, as on a wet slab.
     """
     seed, walled = (without_specks(odds > 0, cell, 1.0) for odds in (signs.odds, signs.walled_odds))
     out = np.zeros_like(seed)
@@ -98,17 +101,14 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
 
 def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
-    """Whether half of a patch is higher than connected dry ground of twice its area: a slope, or shade on a plain.
-
-    That ground must be 0.5 m lower, more than the errors of heights.
-    """
+    """Whether connected dry ground, at least 0.5 m below the median height of a patch, covers twice its area."""
     level = np.median(bed[pond])
     dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < 0.2) & (bed < level - 0.5)
     return bool(dry.sum() > 2 * pond.sum())
 
 
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
-    """Return the mask of water, (R, C), by basin, colour, texture and motion, grown by `flooded`."""
+    """Return the mask of standing water, (R, C), from its signs: basin, colour, texture and motion; see `flooded`."""
     cell, weight = elevation.grid.cell, seen(elevation).astype(np.float32)
     restless = is_flagged(elevation.flags, Flag.MOVING | Flag.INCONSISTENT)  # water and swaying plants
     moving = _near(restless.astype(np.float32), elevation)

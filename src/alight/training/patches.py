@@ -72,7 +72,7 @@ def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
 def measure_patches(
     patches: list[LabelledPatch], level: int, report: Report = quiet, variants: int = 3, seed: int = 0
 ) -> Samples:
-    """Measure the features of all patches and their variants at one level, relative to the frame of each site."""
+    """Measure the features of all patches and variants at one level, with detail relative to the site's median."""
     rng = np.random.default_rng(seed)
     parts, which, variant = [], [], []
     for i, patch in enumerate(patches):
@@ -87,7 +87,7 @@ def measure_patches(
 
 
 def _against_sites(samples: Samples, sites: NDArray[np.str_], level: int) -> Samples:
-    """Make the detail relative to the median of each site, which is treated as its frame."""
+    """Return the samples with detail relative to the median of each site, which is treated as its frame."""
     out = samples.values.copy()
     for site in np.unique(sites):
         for v in np.unique(samples.variant):

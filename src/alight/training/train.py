@@ -38,7 +38,7 @@ def share_of_levels(report: Report, level: int) -> Report:
 
 
 def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
-    """Return sample weights that give each class at each site the square root of its number as total weight."""
+    """Return sample weights by which each class at each site weighs the square root of its number of samples."""
     key = np.char.add(sites, kinds.astype(str))
     _, at, count = np.unique(key, return_inverse=True, return_counts=True)
     weight = 1 / np.sqrt(count[at])
@@ -81,7 +81,7 @@ def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = 1e-
 
 
 def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, I64]:
-    """Return scores (n, K) of the pictures of site `out` from a model of all other sites, and their patches.
+    """Return the scores (n, K) of the original pictures of site `out` by a model of all other sites, and patches (n,).
 
     Classes that the other sites lack have the score -inf.
     """

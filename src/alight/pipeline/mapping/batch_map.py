@@ -94,7 +94,7 @@ class BatchMap(GroundMap):
     def match_tiles(
         self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
     ) -> int:
-        """Match all tiles under `views` that `only` accepts, at cell sizes for their sampling; return their number."""
+        """Match all tiles under `views` that `only` accepts, level by level; return the number of matched tiles."""
         views = looking_down(views)
         if self.elevation is None or self.ground is None or not views:
             return 0
@@ -119,7 +119,7 @@ class BatchMap(GroundMap):
         return np.array([self._grounds[v.key] for v in views])
 
     def levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
-        """Yield each level, coarse to fine: level, its views, and the views of it and the adjacent levels."""
+        """Yield each level, coarse to fine: its number, its views, and the views of it and of adjacent levels."""
         level, of = 0, []
         for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
             level = self.level_of(v, ground, level)
@@ -155,7 +155,7 @@ class BatchMap(GroundMap):
     def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
-        """Return the lowest and highest height to search, from points and prior; from the prior if points are few."""
+        """Return the lowest and highest height to search, as in `GroundMap`, but with the heights of a prior."""
         low, high = super().searched_heights(grid, camera, known, part)
         if self.prior is None or self.settings.parallax.height_range:
             return low, high
@@ -194,7 +194,10 @@ class BatchMap(GroundMap):
         return PriorComparison(self.prior.name, float(np.median(off)), nmad(off), len(off) * found.grid.cell**2)
 
     def block_of(self, grid: Grid, asking: list[View], views: Sequence[View]) -> TileBlock:
-        """Return the block of a grid: the views to match it with, and all other views of the same exposures."""
+        """Return the block of a grid with the `views` chosen for it, and all other `views` of the same exposures.
+
+        `asking`: the views whose level has the grid's cell size.
+        """
         camera, above = self._over(grid, asking)
         searched, s = self.searched_heights(grid, camera), self.settings.parallax
         middle = 0.5 * (searched[0] + searched[1])
@@ -204,7 +207,7 @@ class BatchMap(GroundMap):
         return TileBlock(grid, searched, seen, self.ground_under(seen), above)
 
     def _over(self, grid: Grid, views: list[View]) -> tuple[float, float]:
-        """Return the median height of the views over a grid, and above ground, metres; of all views if none fits."""
+        """Return median camera height and median height above ground, metres, of the views that may see a grid."""
         up, ground = np.array([v.centre[2] for v in views]), self.ground_under(views)
         here = may_see(views, grid, *super().searched_heights(grid, float(np.median(up)))) or slice(None)
         return float(np.median(up[here])), float(np.median((up - ground)[here]))
@@ -221,7 +224,7 @@ class BatchMap(GroundMap):
         return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
     def _grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
-        """Return the grids to match, with margin: blocks of tiles if pictures are large enough, else single tiles."""
+        """Return grids to match, with margins, from `low` to `high`: blocks of tiles, or tiles for small pictures."""
         assert self.elevation is not None
         layer = self.elevation.layer(level)
         keys = list(layer.cover((low[0], high[0]), (low[1], high[1])))

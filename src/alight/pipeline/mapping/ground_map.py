@@ -28,9 +28,10 @@ QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 
 
 def cell_size(view: View, ground: float, settings: StageSettings, by_quality: bool) -> float:
-    """Return the cell size, metres, for a view of ground at height `ground`: 1.8 pixels, or larger by the settings.
+    """Return the cell size, metres, for a view of ground at height `ground`.
 
-    A fixed `parallax.cell` takes precedence. `by_quality`: whether `parallax.quality` applies, as for whole recordings.
+    It is `parallax.cell` if that is set, otherwise 1.8 pixels. `by_quality`: whether `parallax.quality` may enlarge it,
+    as for whole recordings.
     """
     if settings.parallax.cell is not None:
         return settings.parallax.cell
@@ -52,8 +53,8 @@ def level_for(size: float, first: float, now: int, slack: float) -> int:
     Args:
         size: wanted cell size, metres.
         first: cell size of level 0, metres; it doubles from level to level.
-        now: present level, which is kept while it is close enough.
-        slack: tolerance beyond half an octave for keeping it, octaves.
+        now: present level, which is kept while its cell size differs from `size` by at most 1/2 + `slack` octaves.
+        slack: tolerance, octaves.
     """
     exact = math.log2(size / first)
     return now if abs(exact - now) <= 0.5 + slack else round(exact)
@@ -82,7 +83,7 @@ def refuse_too_large(low: F64, high: F64, cell: float, each: float) -> None:
 
 
 def lone(given: Mask, where: Box, tuning: MappingTuning) -> Mask:
-    """Return the mask of heights in the box `where` of the trusted heights `given` (R, C) with too few neighbours."""
+    """Return the mask, over the box `where`, of trusted heights (`given`, (R, C)) with too few trusted neighbours."""
     reach, window = tuning.given_cells // 2, (tuning.given_cells, tuning.given_cells)
     r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in where)
     about = given[r, c]
@@ -154,9 +155,10 @@ class GroundMap:
     def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
-        """Return the lowest and highest height to search, from the map if it has enough heights, else from points.
+        """Return the lowest and highest height to search, metres, from the map `known`, or from points if it has few.
 
-        If only a `part` of the map is known, both are used, as the map may miss a pit in the rest.
+        `camera`: height of the camera, metres. `part`: whether `known` may lack a part of the grid, and with it a pit;
+        then points are used as well.
         """
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
@@ -176,11 +178,11 @@ class GroundMap:
     def _without_doubtful(
         self, heights: Heights, above: float, given: Mask | None = None, where: Box | None = None
     ) -> Heights:
-        """Refuse isolated heights, and heights whose sigma is too large for the camera's height `above` ground, metres.
+        """Refuse isolated heights, and heights whose sigma is too large for a camera `above` metres above ground.
 
         Args:
             heights: all cells, or the cells in the box `where` of a window.
-            given: (R, C) mask of the window's trusted heights, updated in the box; None: only `heights` are used.
+            given: (R, C) mask of the window's trusted heights, updated in the box; None: `heights` is the whole window.
         """
         limit = self.settings.elevation.max_sigma or self.settings.mapping.max_sigma * max(above, 1.0)
         vague = heights.sigma > limit

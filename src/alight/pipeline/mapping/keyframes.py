@@ -70,7 +70,7 @@ class FrameStore:
 
 
 def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:
-    """Return the images of keyframes with a motion as posed views; motions in `newer` take precedence."""
+    """Return the images of keyframes with a motion as posed views; motions in `newer`, by time, take precedence."""
     out = []
     for k in keyframes:
         motion = k.motion if newer is None else newer.get(k.frame.t_ns, k.motion)

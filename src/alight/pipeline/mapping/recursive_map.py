@@ -48,7 +48,7 @@ class RecursiveMap(GroundMap):
         return self.ground if self.ground_here is None else self.ground_here
 
     def find_ground_again(self, views: Sequence[View], least: float) -> None:
-        """Find the ground if it lies beyond the searched heights; then reset the height sweep, but keep the heights."""
+        """Find the ground again after it left the searched heights; reset the height sweep, but keep the heights."""
         if self.find_ground(views, least):
             self.ground_here = self.ground
             if self.estimator is not None:
@@ -56,7 +56,7 @@ class RecursiveMap(GroundMap):
         self.out_of_range = False
 
     def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
-        """Drop the heights, as new poses have another map frame, shifted by `shift` (3,) metres from the old one.
+        """Move to a map frame in which positions are larger by `shift`, (3,) metres, and drop the heights.
 
         The ground height is kept, as it is accurate enough for the height search. Cells of traffic and people are kept
         and grown by the horizontal 1-sigma of the shift, `sigma` in metres.
@@ -147,7 +147,7 @@ class RecursiveMap(GroundMap):
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """Return the map of the ground in the views, and around `about`, (2,) metres; None if nothing trusted was seen.
 
-        It has the newest keyframe's cells, or coarser cells if those are finer than the lander needs.
+        Its cells are the newest keyframe's, doubled in size as often as the lander's judging cell allows.
 
         Raises:
             SettingsError: the map would be too large for any memory, as when the ground height is wrong.
@@ -177,7 +177,7 @@ def box_in(grid: Grid, part: Grid) -> Box:
 
 
 def changed(found: Heights, known: ElevationMap, where: Box) -> Heights:
-    """Return the changes of a step in a part of the map; unchanged cells become UNSEEN, so they are not written."""
+    """Return the heights of a step for the box `where`, with cells set to UNSEEN where the `known` map is unchanged."""
     height, sigma, flags, rgb = (getattr(known, k)[where] for k in ("height", "sigma", "flags", "rgb"))
     same = (found.height == height) & (found.sigma == sigma) & (found.flags == flags)
     same &= (found.rgb == rgb).all(axis=2)
@@ -185,7 +185,7 @@ def changed(found: Heights, known: ElevationMap, where: Box) -> Heights:
 
 
 class RecursiveMapper:
-    """Mapping lane that first finds the ground; then every keyframe is a step of the map.
+    """Mapping lane that first finds the ground, and then improves the map with every keyframe.
 
     Args:
         history: whether more keyframes are kept for the end of a recording.
@@ -229,9 +229,9 @@ class RecursiveMapper:
         return steps
 
     def _follows(self, frame: MapFrame, t_ns: int) -> bool:
-        """Adopt the map frame of the newest exposure, and drop the map if the frame changed.
+        """Adopt the map frame of an exposure; drop the map if the frame changed. Return whether the exposure is usable.
 
-        Return False for an exposure out of sequence from another frame, which cannot be used.
+        An exposure out of sequence, from another frame, is not usable.
         """
         if self._frame is not None and frame.frame_id != self._frame.frame_id:
             if t_ns < self._newest_ns:
@@ -311,7 +311,7 @@ class RecursiveMapper:
 
 
 def _posterior_with(motion: Motion, posterior: KeyframePosterior | None) -> KeyframePosterior | None:
-    """Return the posterior, or the motion's own posterior if its keyframe precedes the finding of the ground."""
+    """Return `posterior`, or if it lacks the motion, a posterior of the motion alone; None (exact poses) stays None."""
     if posterior is None or motion.t_ns in {m.t_ns for m in posterior.motions}:
         return posterior
     return KeyframePosterior((motion,), np.asarray(motion.covariance))
