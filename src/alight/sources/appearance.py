@@ -72,7 +72,7 @@ def _classes(codes: NDArray[Any]) -> U8:
 
 
 def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
-    """Return the head of a level, None if absent; raise ValueError for other features, wrong shapes or bad numbers."""
+    """Return the head of a level from the arrays `z`, None if absent; raise ValueError if its arrays are not valid."""
     if f"{level}.names" not in z:
         return None
     if tuple(z[f"{level}.names"]) != names(level):

@@ -39,7 +39,7 @@ class _Placement(NamedTuple):
 
 
 def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
-    """Return how a raster is placed: by its georeference or, without one, over the whole extent of the heights."""
+    """Return where a raster lies, by its georeference or, without one, by the whole extent of the heights."""
     own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
     if not raster.has_place:
         (rows, cols), (height, width) = heights.shape, dataset.shape
@@ -73,7 +73,7 @@ def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
 def _on_cells(
     raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
 ) -> F64:
-    """Read bands with `factor` x `factor` pixels per cell, (B, f R, f C); NaN outside the raster."""
+    """Read bands of a raster placed by `at`, (B, f R, f C) with f = `factor` pixels per side of a height cell."""
     plane = heights.plane
     grid = plane.grid_in_crs(plane.grid.finer(factor))
     together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all of its colours are no-data
@@ -95,7 +95,7 @@ def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, 
 
 
 def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list[str]:
-    """Return a warning if a raster covers only part of the heights; otherwise an empty list.
+    """Return a warning, which ends with `lost`, if the raster covers only part of the heights, by the mask `known`.
 
     Raises:
         InputError: the raster covers no height.

@@ -59,7 +59,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
 
 
 def numbers(tree: Mapping[str, Any], key: str, counts: Sequence[int], where: str) -> F64:
-    """Get a list of finite numbers from a mapping.
+    """Return the list of finite numbers that a mapping holds at `key`; error messages begin with `where`.
 
     Raises:
         InputError: the key is missing, or its value is not a list of finite numbers whose length is among `counts`.
@@ -79,10 +79,10 @@ def numbers(tree: Mapping[str, Any], key: str, counts: Sequence[int], where: str
 
 
 def rigid(tree: Mapping[str, Any], key: str, where: str, hint: str) -> Pose:
-    """Build a pose from a 4x4 matrix, given as rows, as 16 numbers, or as EuRoC's `{rows, cols, data}`.
+    """Build a pose from the 4x4 matrix at `key`, given as rows, as 16 numbers, or as EuRoC's `{rows, cols, data}`.
 
     Raises:
-        InputError: the matrix is missing, or not a rigid motion; the message names file and key.
+        InputError: the matrix is missing, or not a rigid motion; the message begins with `where` and ends with `hint`.
     """
     if key not in tree:
         raise InputError(f"{where}{key} is missing; {hint}")
@@ -103,20 +103,12 @@ def rigid(tree: Mapping[str, Any], key: str, where: str, hint: str) -> Pose:
 
 
 def body_from_sensor(tree: Mapping[str, Any], path: Path) -> Pose:
-    """Read `T_BS`, the pose of a sensor in the body.
-
-    Raises:
-        InputError: the key is missing or malformed.
-    """
+    """Read `T_BS`, the pose of a sensor in the body; see `rigid` for errors."""
     return rigid(tree, "T_BS", f"{path}: ", MATRIX_HINT)
 
 
 def _camera(tree: Mapping[str, Any], coefficients_key: str, where: str) -> Camera:
-    """Read a lens: `resolution`, `intrinsics`, `distortion_model` and its coefficients.
-
-    Raises:
-        InputError: a key is missing or malformed.
-    """
+    """Read a lens: `resolution`, `intrinsics`, `distortion_model`, coefficients. Error messages begin with `where`."""
     if (kind := str(tree.get("camera_model", "pinhole"))) != "pinhole":
         raise InputError(f"{where}camera_model {kind!r} is not supported; calibrate it as 'pinhole'")
     if (given := str(tree.get("distortion_model", "none"))) not in MODELS:
@@ -179,7 +171,7 @@ def read_time_shifts(path: Path, cameras: int) -> list[float | None]:
 
 
 def read_camchain(path: Path, rig: Rig, body_from_imu: Pose) -> Rig:
-    """Replace a rig's lenses, and the mountings that Kalibr's file holds.
+    """Return a rig with the lenses of Kalibr's file, and with the mountings that the file gives.
 
     `T_cam_imu` gives the mounting in the body (through `body_from_imu`). Without it, camera 0 keeps its mounting, and
     `T_cn_cnm1` gives each further camera's pose relative to the previous one. Lenses are scaled to resized images.

@@ -53,7 +53,10 @@ def _read(
     put: Callable[[StampedImage | None], None],
     over: threading.Event,
 ) -> None:
-    """Read one camera until it ends; with `own_time` (a film), images are paced and stamped by the film's own time."""
+    """Pass the images of one camera to `put` until it ends or `over` is set, then None.
+
+    `own_time`: whether to pace and stamp the images by the capture's own time, as for a film.
+    """
     clock, begin = SensorClock(), time.monotonic()
     while not over.is_set():
         good, image = capture.read()

@@ -65,7 +65,7 @@ class FlightLog(CalibratedFolder):
         return heapq.merge(*streams, key=lambda event: event.t_ns)  # equal times in the order of this list
 
     def _read_nav(self) -> Table | None:
-        """Read `nav0`; refuse an origin far from its rows, because heights have single precision."""
+        """Read the usable rows of `nav0`, None if there are none; refuse an origin far from them."""
         nav = usable_nav(read_table(self._root, "nav0", self.findings), self.findings)
         if nav is None:
             if self.georeferenced:
@@ -136,7 +136,7 @@ class FlightLog(CalibratedFolder):
         return None
 
     def _images(self, cam: str) -> list[tuple[int, str]]:
-        """Return (ns, name) of a camera's existing images; missing images at either end mean an excerpt, not a loss."""
+        """Return (ns, name) of a camera's existing images; images missing at either end are not counted as lost."""
         table, group = self._root / cam / "data.csv", f"{cam} images"
         if not table.is_file():
             raise InputError(f"{table}: missing, or no plain file; write lines of 'timestamp [ns],filename'")
@@ -201,7 +201,7 @@ def group_exposures(streams: Sequence[Sequence[tuple[int, str]]]) -> tuple[list[
 
 
 def _no_overlap(name: str, times: I64, other: str, others: I64) -> str:
-    """Return a warning if two streams, (N,) and (M,) ns, do not overlap, so that their clocks differ; otherwise empty.
+    """Return a warning if the times (N,) and (M,), ns, of two streams do not overlap; empty if they do.
 
     A gap of up to two seconds is accepted, because recorders do not start at the same time.
     """

@@ -61,7 +61,7 @@ def _natural(name: str) -> list[str | Decimal]:
 
 
 def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
-    """Read a table of times and file names, or of as many times as there are frames; None if it is another table."""
+    """Read a table of times, one per file name or one per frame in order; None if it is another kind of table."""
     try:
         lines = read_text(path, 100_000_000).splitlines()
     except (OSError, DocumentError) as e:
@@ -87,7 +87,7 @@ def _epoch(found: re.Match[str]) -> str:
 
 
 def _timed(stamps: Sequence[tuple[str, str]], source: str, where: str, head: str = "") -> FrameTimes:
-    """Convert times to ns; their unit is in the table's header, or is the only one with plausible intervals."""
+    """Convert (time, name) pairs to ns, by the unit in the table's header `head`, else the only plausible unit."""
     numbers = np.sort(np.array([float(t) for t, _ in stamps]))
     steps = np.diff(numbers)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0

@@ -49,7 +49,7 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
 
 
 def _cell(grid: Path, geoid: Any, latitude: float, longitude: float) -> tuple[float, float]:
-    """Return row and column of a position, 0 at the first cell's centre; the outer half cell is clipped to the edge."""
+    """Return row and column of a position, 0 at the first cell's centre, clipped to the centres of the outer cells."""
     if min(geoid.height, geoid.width) < 2:
         raise InputError(f"--geoid {grid}: has {geoid.height} x {geoid.width} cells; give a whole grid such as EGM2008")
     rows, cols, t = geoid.height - 1.0, geoid.width - 1.0, ~geoid.transform

@@ -69,7 +69,7 @@ class WaitingExposures(Generic[Item]):
         self._newest = -1  # latest stamp that was yielded
 
     def add(self, camera: int, t_ns: int, item: Item, now: float) -> None:
-        """Add an item to the waiting exposure of equal time, else to the nearest one within half a period."""
+        """Add an item to the exposure of equal time, else to the nearest within half a period, else to a new one."""
         if camera == 0:
             self._stamps.append(t_ns)
         steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
@@ -82,7 +82,7 @@ class WaitingExposures(Generic[Item]):
         self.items[at], self._since[at] = items, self._since.pop(found, now)
 
     def ready(self, now: float) -> Iterator[tuple[int, list[Item | None], float]]:
-        """Yield and drop (stamp, items, waiting time) in order of time, up to the first exposure that must wait.
+        """Yield and drop (stamp ns, items, waiting time s) in order of time, up to the first exposure that must wait.
 
         An exposure older than one already yielded does not wait, because its partner has been yielded alone.
         """
@@ -162,7 +162,7 @@ class GrowingLog(CalibratedFolder):
                 yield Frame(t_ns, images, next(n for n in names if n))
 
     def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
-        """Return the images of an exposure; None while one of them is still being written."""
+        """Return the images of an exposure, or None while one may be incomplete; if `late`, do not wait for it."""
         try:
             return tuple(self._image(k, name, unfinished=not late) for k, name in enumerate(names))
         except ValueError:

@@ -99,7 +99,7 @@ def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | Non
 
 
 def _no_height(values: F64, metres: F64, declared: float | None) -> float | None:
-    """Return a stored value that cannot be a height, or that lies far from all others; None if there is none."""
+    """Return a value that cannot be a height or, without `declared` no-data, is far from all others; else None."""
     for v, height in ((values[0], metres[0]), (values[-1], metres[-1])):
         if not -HIGHEST <= height <= HIGHEST or v in (-9999.0, -999.0, 9999.0):  # common codes for unknown heights
             return float(v)

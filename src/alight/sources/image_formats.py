@@ -42,7 +42,7 @@ def raw_size(path: Path) -> tuple[int, int]:
 
 
 def raw_pixels(path: Path) -> U8:
-    """Develop a raw picture, (H, W, 3) RGB, without rotation; brightness is the same for all pictures of a set.
+    """Develop a raw picture, (H, W, 3) RGB, without rotation and without adjusting its brightness.
 
     Raises:
         ValueError: the file is damaged.
@@ -87,8 +87,8 @@ class Levels(NamedTuple):
 def levels_of(paths: Sequence[Path]) -> Levels | None:
     """Determine the range of a set of similar pictures with more than eight bits; None if none can be read.
 
-    A thousandth of a picture's pixels may lie below the range and as many above it: hot pixels and reflections. In
-    colour, the range begins at 0, because a higher value would change the ratios of the colours.
+    Up to a thousandth of a picture's pixels, such as hot pixels and reflections, may lie below the range, and as many
+    above it. In colour, the range begins at 0, because a higher value would change the ratios of the colours.
     """
     lows, highs = [], []
     for path in paths:

@@ -99,14 +99,14 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def stored_size(image: Image.Image) -> tuple[int, int]:
-    """Return (width, height) as stored in the file; pillow applies the EXIF orientation to TIFF images only."""
+    """Return (width, height) as stored in the file, before the EXIF orientation that pillow applies to TIFF images."""
     if isinstance(image, TiffImageFile):
         return int(image.tag_v2[IMAGEWIDTH]), int(image.tag_v2[IMAGELENGTH])
     return image.size
 
 
 def _not_turned(path: Path) -> Image.Image:
-    """Open a TIFF as stored; pillow would rotate it, and damages grey TIFFs that it maps into memory."""
+    """Open a TIFF without pillow's rotation, from a copy in memory, because pillow damages grey TIFFs that it maps."""
     with Image.open(BytesIO(path.read_bytes())) as image:
         image.getexif()[Base.Orientation] = 1
         return image.copy()  # has the stored size

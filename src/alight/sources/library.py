@@ -32,7 +32,7 @@ CODES = {name: kind for kind, known in KINDS.items() for name in known.split()}
 
 
 def kind_of(folder: str) -> Terrain | None:
-    """Return the class that a folder's name means (`water`, `5_water` or `5`); None if it means no class."""
+    """Return the class that a folder is named for (`water`, `5_water` or `5`); None if it is named for no class."""
     name = folder.lower().replace("-", "_").replace(" ", "_")
     number, _, rest = name.partition("_")
     if number.isdigit():

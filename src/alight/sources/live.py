@@ -26,11 +26,11 @@ class LiveSource:
     source: Source
     events: Iterator[Event]
     real_time: bool
-    telemetry: Callable[[], Telemetry | None] = lambda: None  # latest of the autopilot that gives GPS/INS
+    telemetry: Callable[[], Telemetry | None] = lambda: None  # returns the latest of the GPS/INS autopilot
 
 
 def is_cameras(name: str) -> bool:
-    """Whether a name means cameras; otherwise it is the path of a file or folder."""
+    """Whether a source's name is a list of cameras, and not the path of a file or folder."""
     return name.startswith(PREFIXES)
 
 

@@ -47,7 +47,7 @@ class Reference(NamedTuple):
 
     @property
     def is_metric(self) -> bool:
-        """Whether the plane gives no hint that heights are in a unit other than the metre."""
+        """Whether the plane is in metres or angles, so that undeclared heights may be assumed to be in metres."""
         return self.is_geographic or self.unit == 1.0
 
     @property

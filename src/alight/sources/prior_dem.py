@@ -24,7 +24,7 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
 
     Args:
         path: heights in any coordinate system on Earth, in degrees, metres or feet.
-        local: the world.
+        local: local frame of the world.
 
     Raises:
         InputError: the file is not a raster, has no position on Earth, lies elsewhere, holds no heights, or its unit

@@ -43,7 +43,7 @@ class Band:
 def band_of_heights(raster: OpenedRaster) -> Band:
     """Find the first band whose name means heights, or else the first band, and determine its unit.
 
-    Without a declared unit, metres are assumed, except in a plane in feet, where heights may be in either unit.
+    Without a declared unit, metres are assumed; in a plane in feet, this is an error, since heights may be in either.
 
     Raises:
         InputError: see `band_in_metres`.
@@ -117,7 +117,7 @@ def metres_of(unit: str) -> float | None:
 
 
 def bands_of_picture(raster: OpenedRaster) -> list[int]:
-    """Return band numbers of a picture: red, green, blue, else the first three or the first; never transparency."""
+    """Return the numbers of the colour bands: red, green and blue, else the first three or the first non-alpha band."""
     kinds = raster.dataset.colorinterp
     colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
     if all(c in kinds for c in colours):

@@ -70,11 +70,11 @@ class RasterPlane:
         return self.reference.crs or CRS.from_wkt(LOCAL_WKT)
 
     def in_crs(self, east: float, north: float) -> tuple[float, float]:
-        """Convert a position from metres to units of the coordinate system."""
+        """Convert a position in this plane from metres to units of the coordinate system."""
         return self.x + east / self.metres, self.y + north / self.metres
 
     def lies_in(self, local: LocalFrame) -> bool:
-        """Whether coordinates equal world coordinates around `local`, to a fraction of a cell; True if unknown."""
+        """Whether coordinates in this plane equal coordinates in `local`, to a fraction of a cell; True if unknown."""
         if not self.reference.on_earth:
             return True  # cannot be checked
         corners = [axis[[0, -1]] for axis in self.grid.xy()]
@@ -142,7 +142,7 @@ def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> Rast
 
 
 def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
-    """Compute point scale (Tissot's indicatrix) and convergence at the middle; refuse a scale that varies too much."""
+    """Compute point scale (Tissot's indicatrix) and convergence in the middle of `own`; refuse a varying scale."""
     plane = raster.reference.plane
     assert plane is not None
     sides = np.linspace(-0.5, 0.5, 3)

@@ -78,11 +78,7 @@ def _read_head(text: str, path: Path) -> FlightHead:
 
 
 def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
-    """Add an entry to the schedule, completely or not at all.
-
-    Raises:
-        ValueError, KeyError, TypeError, IndexError, OverflowError: the entry is damaged.
-    """
+    """Add an `entry` of a `kind` to the lists in `entries`, completely or, if it is damaged, not at all."""
     t_ns, value = int(entry["t_ns"]), int(entry["value"])
     place = entry["about"]
     about = None if place is None else (float(place[0]), float(place[1]))

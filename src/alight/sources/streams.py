@@ -38,7 +38,7 @@ class Table:
     lines: list[int]  # line numbers in the file
 
     def without(self, bad: Mapping[str, Mask], stream: str, findings: Findings) -> Table | None:
-        """Return the rows that no mask in `bad` marks; report the others by the mask's key. None if no row remains."""
+        """Return the rows that no mask in `bad` marks, or None; record others as lost, for the reason in the key."""
         why = {int(i): reason for reason, rows in bad.items() for i in np.flatnonzero(rows)}
         for i in sorted(why):
             findings.lose(f"{stream} rows", f"line {self.lines[i]}", why[i])
@@ -49,7 +49,7 @@ class Table:
 def rows_of(
     lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings
 ) -> list[StreamRow]:
-    """Parse numbered lines into rows with a time and an allowed number of columns; skip comments and empty lines."""
+    """Parse (number, line) pairs into rows with a time and a number of columns in `columns`; record others as lost."""
     rows: list[StreamRow] = []
     for number, line in lines:
         text = line.strip()
@@ -73,7 +73,7 @@ def _read_rows(path: Path, columns: tuple[int, ...], group: str, findings: Findi
 
 
 def rising(times: list[int]) -> list[bool]:
-    """Mask the longest strictly rising subsequence, so that one wrong time does not discard all later times."""
+    """Return the mask of the longest rising subsequence; one wrong time thus does not exclude all later times."""
     tails: list[int] = []  # smallest last time of a rising subsequence of each length
     length = []
     for t in times:
@@ -114,7 +114,7 @@ def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, st
 
 
 def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
-    """Whether a row names a file inside the folder; otherwise it is reported."""
+    """Whether a row names a file inside the folder; if not, the row is recorded as lost."""
     name = row.fields[0]
     fits = len(name.encode(errors="replace")) <= 255 and "\0" not in name  # bytes; file systems allow no longer name
     if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():
@@ -124,7 +124,7 @@ def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
 
 
 def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | None:
-    """Return the numbers of a row, NaN for empty fields; None if a field is not a finite number."""
+    """Return the numbers of a row, NaN for empty fields; None, recorded as lost, if a field is not a finite number."""
     out = []
     for field in row.fields:
         try:
@@ -142,8 +142,7 @@ def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | No
 def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_order: bool = True) -> Table:
     """Convert rows to numbers; leave out rows with a field that is not a number, and pad shorter rows with NaN.
 
-    Args:
-        in_order: whether to sort the rows by time and leave out times that go backwards.
+    With `in_order`, the rows are sorted by time, and times that go backwards are left out.
     """
     group, width = f"{stream} rows", COLUMNS[stream][0] - 1
     read = {row.line: (row, v) for row in rows if (v := _numbers(row, group, findings)) is not None}
@@ -221,7 +220,7 @@ def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
 
 
 def _measured(values: F64, positive: bool = False) -> F64 | None:
-    """Return a copy of values if all are measured (and, for sigmas, positive), else None."""
+    """Return a copy of the values if all are finite (and, with `positive`, above 0), else None."""
     return values.copy() if np.isfinite(values).all() and not (positive and (values <= 0).any()) else None
 
 

@@ -56,9 +56,9 @@ def adjust(
     """Estimate the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
 
     `nav[i]` belongs to `frames[i]`: position in metres, attitude world_from_body, and their sigmas; None: not measured.
-    Of each frame, the first camera with a picture is used. Photos that cannot be registered have no motion, but a
-    warning. `jobs` extracts features and matches pairs; None: this process does. `above[i]` is the photo's height above
-    take-off in metres (NaN: unknown), which serves to check heights above ground.
+    Of each frame, the first camera with a picture is used. A photo that cannot be registered gets a warning, but no
+    motion. `jobs` extracts features and matches pairs; None: this process does. `above[i]` is the photo's height above
+    take-off in metres (NaN: unknown), which is used to check the heights above ground.
 
     Raises:
         MissingExtraError: pycolmap is not installed.
@@ -101,10 +101,10 @@ def solve_bundle(
     seconds: F64 | None = None,
     frames: Sequence[Frame] = (),
 ) -> Solved | None:
-    """Find initial poses, then triangulate, select and adjust in rounds; None if no two photos are connected.
+    """Find initial poses and refine them in rounds of bundle adjustment; None if no two photos are connected.
 
     Args:
-        seconds: (n,) times of the photos; None: no rolling shutter is estimated.
+        seconds: (n,) times of the photos in s; None: no rolling shutter is estimated.
         frames: the photos, in which observations are refined before the last adjustment; empty: not refined.
     """
     first = first_poses(pairs, priors)
@@ -149,7 +149,7 @@ def solve_bundle(
 
 
 def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
-    """Return (N,) 1-sigma in px from residuals (N, 2), one value for features and one for patches.
+    """Return the 1-sigma (N,) in px of residuals (N, 2): one value for all features, and one for all patches.
 
     A lower limit allows for errors that are correlated.
     """
@@ -160,14 +160,14 @@ def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
 
 
 def _of_no_height(joint: F64, tags: F64) -> F64:
-    """Add the scatter of the altitude tags (n,), m, to the poses' covariance, as a common error of all heights."""
+    """Return `joint` with an error added that all heights share, as large as the scatter of the altitude tags (n,)."""
     joint, up = joint.copy(), 6 * np.arange(len(tags)) + 2
     joint[np.ix_(up, up)] += float(np.nanmean((tags - np.nanmedian(tags)) ** 2))
     return joint
 
 
 def select(obs: BundleObservations, cap: int) -> BundleObservations:
-    """Keep the longest tracks until every photo has `cap` observations, to bound time and memory."""
+    """Return the observations of the longest tracks, added until every photo has `cap`, to bound time and memory."""
     length = np.bincount(obs.point)
     photos_of = np.split(obs.photo, obs.starts[1:])
     have = np.zeros(int(obs.photo.max(initial=0)) + 1, dtype=np.int64)
@@ -218,11 +218,11 @@ def _trajectory(survey: Survey, rig: Rig, settings: BundleSettings) -> Trajector
 
 
 def confirmed(points: F64, photos: I64, above: float) -> Mask:
-    """Return a mask of points (m, 3) seen by three or more photos, or about as high as such points nearby.
+    """Return the mask of points that three or more photos see, and of points about as high as the nearest of these.
 
     Two photos of a wood match many different leaves, and groups of wrong matches agree by chance. Wrong heights, tens
-    of metres off, would widen the search in every tile around them. With fewer than a hundred points of three or more
-    photos, all points are used.
+    of metres off, would widen the search in every tile around them. The mask is True everywhere if fewer than a hundred
+    points are seen by three or more photos.
 
     Args:
         points: (m, 3) metres.
@@ -239,7 +239,7 @@ def confirmed(points: F64, photos: I64, above: float) -> Mask:
 
 
 def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframePosterior:
-    """Return the joint covariance of the registered poses and of the free lens parameters in units of their sigmas."""
+    """Return the posterior of the registered poses and the free lens parameters, the latter in units of their sigma."""
     rows = (6 * solved.registered[:, None] + np.arange(6)).ravel()
     free = np.flatnonzero(solved.free)
     start = 6 * len(priors.centres)
@@ -256,14 +256,14 @@ def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframeP
 
 
 def _moved(rows: F64, move: F64, sigma: F64) -> F64:
-    """Transform rows of a joint covariance: multiply poses' rows by `move` (k, 6, 6), divide lens rows by `sigma`."""
+    """Return rows of a joint covariance, pose rows multiplied by `move` (k, 6, 6), lens rows divided by `sigma`."""
     n = 6 * len(move)
     poses = np.matmul(move, rows[:n].reshape(len(move), 6, -1)).reshape(n, -1)
     return np.concatenate([poses, rows[n:] / sigma[:, None]])
 
 
 def _about_body(motion: Motion) -> F64:
-    """Return the (6, 6) map from the camera's pose error, which the adjustment estimates, to the body's pose error."""
+    """Return the (6, 6) matrix that converts an error of the camera's pose to the error of the body's pose."""
     out = np.eye(6)
     out[:3, 3:] = -skew(motion.world_from_body.translation - motion.world_from_cams[0].translation)
     return out
@@ -285,7 +285,7 @@ class BundleLane:
         self._last: NavSample | None = None
 
     def feed(self, event: Event) -> Navigation | None:
-        """Store a photo with the navigation sample of its time; its motion follows at the end."""
+        """Store a photo with the navigation sample of its time, return it without a motion; None for other events."""
         if isinstance(event, NavSample):
             self._last = event
         elif isinstance(event, Frame):

@@ -33,7 +33,7 @@ def predict_pixels(
     photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
     point: I64, x: F64, out: F64, depth: F64,
 ) -> None:  # fmt: skip
-    """Write (N, 2) predicted pixels `out`, NaN behind the camera, and (N,) depths in metres (eqs. 1, 10)."""
+    """Write pixels `out` (N, 2), NaN behind the camera, and depths (N,) in m (eqs. 1, 10); inputs: see the module."""
     turn, row_R, row_C, q = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
     for n in range(len(photo)):
@@ -51,7 +51,10 @@ def predict_pixels(
 
 @pixelwise
 def _residual(depth: float, flat: F64, of: F64, seen: F64, sigma: float, loss: float, r: F64) -> float:
-    """Write a residual `r` (2,) in pixels; return the square root of its Cauchy weight, divided by sigma."""
+    """Write the residual `r` (2,) in px, predicted minus `seen`; return sqrt(Cauchy weight) / `sigma`.
+
+    `flat`: distorted coordinates of the point; `of`: row of the lens table. If `depth` is not above 0, `r` is `FAR`.
+    """
     for h in range(2):
         r[h] = of[h] * flat[h] + of[2 + h] - seen[h] if depth > 0.0 else FAR
         r[h] = min(max(r[h], -FAR), FAR)
@@ -60,7 +63,10 @@ def _residual(depth: float, flat: F64, of: F64, seen: F64, sigma: float, loss: f
 
 @pixelwise
 def _by_point(R: F64, x: float, y: float, near: float, of: F64, by_xy: F64, B: F64) -> None:
-    """Write the derivative B (2, 3) of a pixel by its point, at ideal coordinates and inverse depth `near` (eq. 2)."""
+    """Write the derivatives B (2, 3) of a pixel with respect to its point in the world (eq. 2).
+
+    `x`, `y`, `near`: ideal coordinates and inverse depth; `of`: row of the lens table; `by_xy`: output of `distort`.
+    """
     for h in range(2):
         u, v = of[h] * near * by_xy[h, 0], of[h] * near * by_xy[h, 1]
         z = -(u * x + v * y)
@@ -70,7 +76,11 @@ def _by_point(R: F64, x: float, y: float, near: float, of: F64, by_xy: F64, B: F
 
 @pixelwise
 def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> None:
-    """Write the derivatives J (2, e) of a pixel by its photo's position, rotation and turns (eqs. 2, 11)."""
+    """Write the derivatives J (2, e) of a pixel with respect to the e unknowns of its photo (eqs. 2, 11).
+
+    `B`: derivatives with respect to the point `x`; `C`: camera centre at the row; `R`: rotation in the middle of the
+    readout; `t`: see `row_time`; `each`: e, 6 for position and rotation, 12 with the rotation during the readout.
+    """
     a, b, c = x[0] - C[0], x[1] - C[1], x[2] - C[2]
     for h in range(2):
         for j in range(3):
@@ -84,7 +94,11 @@ def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> Non
 
 @pixelwise
 def _by_lens(flat: F64, by_k: F64, of: F64, scale: F64, B: F64, velocity: F64, t: float, D: F64) -> None:
-    """Write the derivatives D (2, 10) of a pixel by the parameters of its lens, the readout last (eqs. 3, 11)."""
+    """Write the derivatives D (2, 10) of a pixel with respect to its lens parameters, readout time last (eqs. 3, 11).
+
+    `flat`, `by_k`: output of `distort`; `of`: row of the lens table; `scale`: 1 + s and 1 + a of the lens; `B`:
+    derivatives with respect to the point in the world; `t`: see `row_time`.
+    """
     D[0, 1], D[1, 1], D[0, 2], D[1, 2], D[0, 3], D[1, 3] = of[0] * flat[0] / scale[1], 0.0, 1.0, 0.0, 0.0, 1.0
     for h in range(2):
         D[h, 0] = of[h] * flat[h] / scale[0]
@@ -114,7 +128,10 @@ def _add_point(B: F64, r: F64, information: F64, gradient: F64) -> None:
 
 @pixelwise
 def _couple(B: F64, J: F64, each: int, place: I64, coupling: F64, lens_coupling: F64) -> None:
-    """Write B'J (3, e) of a photo's unknowns; add B'J of free lens parameters to columns `place` of a (3, k) array."""
+    """Write B'J of the e = `each` unknowns of a photo to `coupling` (3, e), and add B'J of its lens to `lens_coupling`.
+
+    `place`: columns of the free lens parameters in `lens_coupling` (3, k), padded with -1.
+    """
     for j in range(3):
         u, v = B[0, j], B[1, j]
         for a in range(each):
@@ -134,9 +151,9 @@ def linearise(
 
     Args:
         photo ... x: common arguments, see the module.
-        scale: (c, 2) 1 + s and 1 + a of each lens (eq. 3).
+        scale: (c, 2) factors 1 + s and 1 + a of each lens (eq. 3).
         number: (c, f) indices of each lens's free parameters (see `READOUT_NUMBER`), padded with -1.
-        place: (c, f) index of each of them among all k free lens parameters.
+        place: (c, f) indices of the same parameters among all k free lens parameters.
         each: e, number of unknowns per photo.
         sigma: (N,) px, 1-sigma of each observation.
         loss: scale of the loss in sigmas.
@@ -179,7 +196,7 @@ def rays_of_pixels(
     photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
     ray: F64, origin: F64,
 ) -> None:  # fmt: skip
-    """Write the (N, 3) unit rays of pixels in the world, and their (N, 3) origins in metres (eq. 10)."""
+    """Write unit vectors `ray` (N, 3) of pixels in the world, and origins (N, 3) in m (eq. 10); see the module."""
     turn, row_R, at = np.empty((3, 3)), np.empty((3, 3)), np.empty(2)
     flat, by_xy, by_k = np.empty(2), np.empty((2, 2)), np.empty((2, 5))
     for n in range(len(photo)):
@@ -196,7 +213,10 @@ def rays_of_pixels(
 
 @pixelwise
 def _reweigh(ray: F64, origin: F64, x: F64, focal: float, scale: float) -> float:
-    """Return the Cauchy weight of a ray by the angle at which it misses a point, over the point's squared distance."""
+    """Return the Cauchy weight of the angle between a ray and the point `x`, divided by the point's squared distance.
+
+    `focal`: focal length in px; `scale`: scale of the loss in px.
+    """
     a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
     along = ray[0] * a + ray[1] * b + ray[2] * c
     square = max(a * a + b * b + c * c, 1e-6 * 1e-6)
@@ -209,10 +229,10 @@ def _reweigh(ray: F64, origin: F64, x: F64, focal: float, scale: float) -> float
 def meet_rays(
     starts: I64, ray: F64, origin: F64, focal: F64, rounds: int, scale: float, regular: float, weight: F64, out: F64
 ) -> None:
-    """Write the points nearest to their rays (midpoint method), with Cauchy weights.
+    """Triangulate points as the positions nearest to their rays (midpoint method), with Cauchy weights.
 
     Args:
-        starts: (m + 1,) first ray of each point, then N.
+        starts: (m + 1,) index of the first ray of each point, then N.
         ray, origin: (N, 3) unit directions and origins (m), sorted by point.
         focal: (N,) focal length of each ray, px.
         rounds: number of rounds of weighting.

@@ -54,8 +54,8 @@ def distort(x: float, y: float, model: int, k: F64, out: F64, by_xy: F64, by_k: 
         model: 0 no distortion, 1 radial-tangential, 2 equidistant.
         k: (5,) coefficients.
         out: (2,) out: distorted coordinates.
-        by_xy: (2, 2) out: derivatives by the ideal coordinates.
-        by_k: (2, 5) out: derivatives by the coefficients; 0 for coefficients that the model lacks.
+        by_xy: (2, 2) out: derivatives with respect to the ideal coordinates.
+        by_k: (2, 5) out: derivatives with respect to the coefficients; 0 for coefficients that the model lacks.
     """
     out[0], out[1] = x, y
     by_xy[0, 0] = by_xy[1, 1] = 1.0
@@ -69,7 +69,7 @@ def distort(x: float, y: float, model: int, k: F64, out: F64, by_xy: F64, by_k: 
 
 @pixelwise
 def undistort(u: float, v: float, model: int, k: F64, out: F64, flat: F64, by_xy: F64, by_k: F64) -> None:
-    """Write ideal coordinates `out` (2,) for distorted ones u, v (Newton); other arrays are scratch for `distort`."""
+    """Write the ideal coordinates `out` (2,) of distorted u, v (Newton's method); the last three arrays are scratch."""
     out[0], out[1] = u, v
     for _ in range(20 if model > 0 else 0):  # usually five suffice
         distort(out[0], out[1], model, k, flat, by_xy, by_k)
@@ -85,7 +85,7 @@ def undistort(u: float, v: float, model: int, k: F64, out: F64, flat: F64, by_xy
 
 @pixelwise
 def row_time(row: float, of: F64) -> float:
-    """Return the exposure time of a pixel row in readouts from the photo's middle: -0.5 first row, 0.5 last row.
+    """Return the exposure time of a pixel row as a share of the readout, -0.5 at the first row, 0.5 at the last row.
 
     `of` (11,) is a row of the lens table (`adjustment_kernels`).
     """
@@ -95,7 +95,7 @@ def row_time(row: float, of: F64) -> float:
 
 @pixelwise
 def quadratic(t: float) -> float:
-    """Return the factor of a photo's quadratic turn at time `t` of `row_time`; the linear turn has the factor `t`."""
+    """Return `t`^2 minus its mean over the readout, the factor of a photo's quadratic rotation; `t`: see `row_time`."""
     return t * t - 1.0 / 12.0
 
 
@@ -105,10 +105,10 @@ def expose(R: F64, C: F64, turns: F64, velocity: F64, of: F64, t: float, turn: F
 
     Args:
         R, C: (3, 3), (3,) world_from_cam in the middle of the readout.
-        turns: (2, 3) rad, linear and quadratic in time.
+        turns: (2, 3) rad, rotation vectors in the camera during the readout, linear and quadratic in time.
         velocity: (3,) m/s.
         of: (11,) row of the lens table.
-        t: time of the row by `row_time`.
+        t: time of the row, see `row_time`.
         turn: (3, 3) out: rotation from the row's camera to the camera in the middle of the readout.
         row_R, row_C: (3, 3), (3,) out: world_from_cam at the row.
     """

@@ -12,7 +12,7 @@ from alight.motion.point_kernels import invert
 
 @pixelwise
 def _times_root(W: F64, root: F64, out: F64) -> None:
-    """Write root' W (3, p), for a block W (3, p) and the upper triangular root of a point's covariance."""
+    """Write root' W to `out` (3, p), for a block W (3, p) and a point's upper triangular covariance root (3, 3)."""
     for a in range(W.shape[1]):
         out[0, a] = W[0, a] * root[0, 0]
         out[1, a] = W[0, a] * root[0, 1] + W[1, a] * root[1, 1]
@@ -21,7 +21,7 @@ def _times_root(W: F64, root: F64, out: F64) -> None:
 
 @pixelwise
 def _subtract_product(G: F64, H: F64, at: int, to: int, width: int, S: F64) -> None:
-    """Subtract G'H, for G (3, p) and H (3, width), from the block of S that begins at row `at` and column `to`."""
+    """Subtract G'H from the block of S that begins at row `at` and column `to`; G is (3, p), H is (3, `width`)."""
     for a in range(G.shape[1]):
         u, v, w = G[0, a], G[1, a], G[2, a]
         for b in range(width):
@@ -30,7 +30,7 @@ def _subtract_product(G: F64, H: F64, at: int, to: int, width: int, S: F64) -> N
 
 @pixelwise
 def _subtract_photos(G: F64, H: F64, at: int, to: int, S: F64) -> None:
-    """Call `_subtract_product` for an H of one photo; the constant width lets the compiler make it a third faster."""
+    """Call `_subtract_product` for H (3, 6) or (3, 12); a constant width lets the compiler make it a third faster."""
     if H.shape[1] == 12:
         _subtract_product(G, H, at, to, 12, S)
     else:
@@ -39,7 +39,7 @@ def _subtract_photos(G: F64, H: F64, at: int, to: int, S: F64) -> None:
 
 @pixelwise
 def _subtract_times(G: F64, z: F64, at: int, rhs: F64) -> None:
-    """Subtract G'z, for G (3, p) and z (3,), from a vector, beginning at index `at`."""
+    """Subtract G'z from the part of `rhs` that begins at index `at`; G is (3, p), z is (3,)."""
     for a in range(G.shape[1]):
         rhs[at + a] -= G[0, a] * z[0] + G[1, a] * z[1] + G[2, a] * z[2]
 
@@ -51,16 +51,15 @@ def eliminate(
 ) -> None:  # fmt: skip
     """Subtract the eliminated points from the normal equations of all other unknowns, lower triangle of S (eq. 8).
 
-    A short track changes few blocks, whatever the size of the matrix.
-
     Args:
-        starts: (m + 1,) first observation of each point, then N.
-        photo, coupling, lens_coupling, information, gradient: as written by `linearise`.
+        starts: (m + 1,) index of the first observation of each point, then N.
+        photo: (N,) photo indices.
+        coupling, lens_coupling, information, gradient: output of `linearise`.
         damping: share of the diagonal of a point's block that is added to it (Levenberg-Marquardt).
         regular: constant added to that diagonal.
         lenses: index of the first lens parameter in S.
         G: (longest, 3, e) scratch; `longest` is the greatest number of observations of a point.
-        S, rhs: (p, p), (p,) normal equations, photos first.
+        S, rhs: (p, p), (p,) normal equations, photos first; changed in place.
         inverse: (m, 3, 3) out: covariance of the points if the poses were exact.
     """
     each = coupling.shape[2]
@@ -90,7 +89,7 @@ def move_points(
     starts: I64, photo: I64, coupling: F64, lens_coupling: F64, gradient: F64, inverse: F64, pose: F64, lens: F64,
     out: F64,
 ) -> None:  # fmt: skip
-    """Write the steps of the points (m, 3) for given steps of photos (n, e) and free lens parameters (k,) (eq. 7)."""
+    """Write the steps `out` (m, 3) of the points that follow from the steps `pose` (n, e) and `lens` (k,) (eq. 7)."""
     g = np.empty(3)
     for k in range(len(starts) - 1):
         for j in range(3):

@@ -22,14 +22,14 @@ TIE = 0.02  # weight of the prior that a photo's factor is 1, as a share of its 
 
 
 def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -> F64:
-    """Compute a factor for each colour of each photo.
+    """Compute factors of the colours of each photo that make the same ground look alike in all photos.
 
     Args:
         features: features of all photos, with colours.
         obs: observations of points seen in several photos.
 
     Returns:
-        (n, 3) factors, 1/4 to 4, close to 1 overall; 1 where shared points do not determine them.
+        (n, 3) factors of red, green and blue, 1/4 to 4; 1 where no shared points determine them.
     """
     colour = np.full((len(obs.photo), 3), np.nan)
     for i in np.unique(obs.photo):
@@ -50,7 +50,7 @@ def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -
 
 
 def _of(obs: BundleObservations, rows: Mask, value: F64) -> tuple[BundleObservations, F64]:
-    """Return the masked rows and their values, without points that only one photo sees then."""
+    """Return the observations for which `rows` is True, and their values, without points left with one photo."""
     rows = rows & (np.bincount(obs.point[rows], minlength=obs.points)[obs.point] >= 2)
     return obs.keep(rows)[0], value[rows]
 
@@ -61,7 +61,7 @@ def _means(obs: BundleObservations, value: F64) -> F64:
 
 
 def _solved(obs: BundleObservations, value: F64, photos: int) -> F64:
-    """Return the (n, 3) logarithms of the factors; the points' own values are eliminated."""
+    """Return the logarithms (n, 3) of the factors that fit the logarithms `value` (N, 3) of the observed colours."""
     if not len(value):
         return np.zeros((photos, 3))
     count, each = np.bincount(obs.photo, minlength=photos), np.bincount(obs.point)

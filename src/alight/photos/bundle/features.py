@@ -45,7 +45,7 @@ class PhotoFeatures:
 
 
 def colmap() -> ModuleType:
-    """Import pycolmap, silenced.
+    """Import and return pycolmap, with its log messages switched off.
 
     Raises:
         MissingExtraError: pycolmap is not installed.
@@ -77,7 +77,7 @@ def colmap_camera(camera: Camera) -> object:
 
 
 def shrunk(image: Pixels, longest: float) -> U8:
-    """Return the picture with at most `longest` pixels on its longest side, (H, W) grey or (H, W, 3) RGB."""
+    """Return a picture, (H, W) grey or (H, W, 3) RGB, downscaled if its longer side exceeds `longest` pixels."""
     picture = np.asarray(image)
     factor = longest / max(picture.shape[:2])
     if factor < 1.0:
@@ -87,7 +87,7 @@ def shrunk(image: Pixels, longest: float) -> U8:
 
 
 def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:
-    """Yield the blurred pictures (`LAYERS` + 3, R, C) of each octave; each octave has half the previous size."""
+    """Yield the blurred pictures (`LAYERS` + 3, R, C) of each octave; `blurred`: sigma of the blur in `grey`, px."""
     step = 2.0 ** (1.0 / LAYERS)
     weights = np.array([0.25, 0.75, 0.0])  # of pixels, to sample every other pixel of a doubled picture
     between = cv2.sepFilter2D(grey.astype(np.float32), -1, weights, weights)
@@ -130,7 +130,7 @@ def keypoints(found: F64) -> list[cv2.KeyPoint]:
 
 
 def extract(image: Pixels | None, settings: BundleSettings) -> PhotoFeatures:
-    """Extract the SIFT features of one photo, largest scales first; these match twice as often as the strongest ones.
+    """Extract the largest SIFT features of one photo, which match twice as often as those of the highest contrast.
 
     If a small or dull picture has too few, features of the doubled picture are added, at four times the cost.
     """
@@ -148,7 +148,7 @@ def extract(image: Pixels | None, settings: BundleSettings) -> PhotoFeatures:
 
 
 def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
-    """Describe the largest `count` of the features `found`; return (K, 2) pixels and (K, 128) descriptors."""
+    """Describe the `count` largest features `found` (see `detect`); return pixels (K, 2) and descriptors (K, 128)."""
     largest = np.argsort(-found[:, 2], kind="stable")[:count]
     kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
     place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
@@ -162,7 +162,7 @@ def rooted(descriptors: F32) -> U8:
 
 
 def colours_at(picture: U8, pixels: F64) -> F32:
-    """Return (K, 3) mean colours around pixels (K, 2) of a picture (H, W) or (H, W, 3); grey is repeated thrice."""
+    """Return the mean colours (K, 3) around pixels (K, 2) of a picture, RGB (H, W, 3) or grey (H, W)."""
     even = cv2.blur(picture, (9, 9))
     even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
     col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
@@ -170,7 +170,7 @@ def colours_at(picture: U8, pixels: F64) -> F32:
 
 
 def taken_by(frame: Frame) -> int:
-    """Return the index of the first camera with a picture of an exposure; 0 if no camera has one."""
+    """Return the index of the first camera that has a picture in the frame; 0 if no camera has one."""
     return next((k for k, image in enumerate(frame.images) if image is not None), 0)
 
 

@@ -24,15 +24,15 @@ ELSEWHERE = 1e-4  # 1/m, likelihood of a take-off far above or below the ground 
 
 
 class FocalScore(NamedTuple):
-    """Estimate of log(true / used focal length) by the adjustment, and what GPS leaves undetermined."""
+    """Estimate of log(true / used focal length) by the adjustment, and its uncertainty."""
 
     estimate: float
-    sigma: float  # of the estimate
-    baseline_sigma: float  # relative, of a common error of all baseline lengths
+    sigma: float  # 1-sigma of the estimate
+    baseline_sigma: float  # relative 1-sigma of an error that all GPS baseline lengths share
 
     @property
     def curve(self) -> F64:
-        """Log-likelihood of each of `RATIOS`, if the estimate overshoots by a fifth at most, or falls short by half."""
+        """Log-likelihood of each of `RATIOS`; its width allows for an estimate a fifth too large or half too small."""
         miss = np.log(RATIOS) - self.estimate
         share = np.where(miss * self.estimate > 0.0, 0.5, 0.2)
         return np.asarray(-0.5 * (miss / np.hypot(self.sigma, share * self.estimate)) ** 2)
@@ -60,7 +60,7 @@ class HeightCheck(NamedTuple):
         return f"agree with the photos: {found}" if self.is_sharp else f"cannot be checked: {found}"
 
     def reason(self, focal_px: float) -> str:
-        """Return why heights are not to be trusted, and the remedy; empty if no evidence contradicts them."""
+        """Return why heights are not to be trusted, and the remedy; empty if no evidence contradicts the heights."""
         if not self.because:
             return ""
         factor, likely = max(self.ratio, 1.0 / self.ratio), f"{self.ratio * focal_px:.0f}"
@@ -75,14 +75,14 @@ class HeightCheck(NamedTuple):
 def score_focal(
     obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float, state: BundleState
 ) -> FocalScore:
-    """Estimate the common error of all focal lengths by one Gauss-Newton step in which they are free.
+    """Estimate the error that all focal lengths share, by one Gauss-Newton step in which they are free.
 
-    The state is not changed. The sigma grows with the GPS residuals left after the step, and is not below the
-    uncertainty of real lenses. At least two photos must have GPS positions, which must differ.
+    The GPS residuals after the step inflate the sigma, which is `SCORE_SIGMA` at least. At least two photos must have
+    different GPS positions.
 
     Args:
         obs, priors, pixel_sigma, loss: inputs of the last adjustment.
-        state: solution of the last adjustment.
+        state: solution of the last adjustment; not changed.
     """
     sigma, scales = priors.sigma_lens.copy(), [part.start for part in priors.lenses.parts]
     sigma[scales] = np.inf  # free, without a prior
@@ -106,11 +106,11 @@ def score_focal(
 
 
 def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> HeightCheck:
-    """Weigh the evidence on the ratio of the true to the used focal length.
+    """Combine all evidence on the ratio of the true to the used focal length.
 
     Args:
         score: estimate by the adjustment.
-        up: (n,) metres, heights of the cameras by the pictures.
+        up: (n,) metres, heights of the cameras in the world by the pictures.
         above: (n,) metres, heights of the cameras above take-off by their tags; NaN: unknown.
         ground: (m, 3) metres, points on the ground.
     """
@@ -147,13 +147,12 @@ def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> Height
 
 
 def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:
-    """Return the likelihood of each of `RATIOS`, 1/m, if take-off lies on the ground or on its extrapolated slope.
+    """Return the likelihood of each of `RATIOS`, 1/m, if take-off was on the ground or on its extrapolated slope.
 
-    Three quarters of the weight go to all heights of the relief alike, one quarter to heights by their share of the
-    ground, because take-off on a few trees is unlikely.
+    The height of take-off has a prior: with weight 3/4 uniform over that range, with weight 1/4 like the ground.
 
     Args:
-        relative, sigma: metres, height of the cameras above take-off.
+        relative, sigma: metres, height of the cameras above take-off by the tags, and its 1-sigma.
         ground: (m, 3) metres, points on the ground.
         high: metres, height of the cameras in the world.
     """

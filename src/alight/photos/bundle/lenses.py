@@ -19,7 +19,7 @@ class PhotoLenses:
     cameras: tuple[Camera, ...]
     of: I64  # (n,) camera index of each photo
     readouts: tuple[float, ...] = ()  # s per camera, from the first row to the last; empty: all rows at once
-    by_maker: tuple[float | None, ...] = ()  # s per camera, readout by the maker, which is fixed; None: unknown
+    by_maker: tuple[float | None, ...] = ()  # s per camera, readout given by its maker, not estimated; None: not given
 
     def of_photo(self, photo: int) -> Camera:
         """Return the camera of one photo."""
@@ -27,7 +27,7 @@ class PhotoLenses:
 
     @property
     def parts(self) -> list[slice]:
-        """Range of each camera among all k lens parameters: scale, aspect, cu, cv, distortion..., readout."""
+        """Slice of each camera's lens parameters among all k: scale, aspect, cu, cv, distortion..., readout."""
         ends = np.cumsum([0] + [5 + len(c.distortion) for c in self.cameras])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
@@ -42,18 +42,18 @@ class PhotoLenses:
         return [part.stop - 1 for part in self.parts]
 
     def with_maker_readouts(self, lens: F64) -> F64:
-        """Return the lens offsets (k,) with the readouts inserted that the makers give."""
+        """Return the lens offsets (k,) with the maker's readout for each camera whose maker gives it."""
         lens = lens.copy()
         for number, readout in zip(self.readout_numbers, self.by_maker, strict=True):
             lens[number] = lens[number] if readout is None else readout
         return lens
 
     def readout(self, photo: I64) -> F64:
-        """Return the (N,) seconds from the first to the last row of photos (N,)."""
+        """Return the readout times (N,) in s, from first to last row, of the photos with indices `photo` (N,)."""
         return np.asarray(self.table()[0][self.of[photo], -1])
 
     def table(self) -> tuple[F64, I64]:
-        """Return kernel inputs: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
+        """Return the lens table of the kernels (see `adjustment_kernels`), `lens` (c, 11) and `model` (c,)."""
         readouts = self.readouts or (0.0,) * len(self.cameras)
         rows = [
             (c.fu, c.fv, c.cu, c.cv, *c.coefficients, c.height, readout)
@@ -62,10 +62,10 @@ class PhotoLenses:
         return np.array(rows, np.float64), np.array([c.code for c in self.cameras], np.int64)
 
     def free_numbers(self, free: Mask) -> tuple[I64, I64]:
-        """Return two (c, f) tables of each camera's free parameters: indices in its lens, and among all free ones.
+        """Return two (c, f) tables of each camera's free parameters: indices in its lens, indices among all free ones.
 
         `free` (k,) is the mask of free lens parameters. Indices in a lens are those of the kernels. Entries are -1
-        where a camera has fewer free parameters.
+        where a camera has fewer than f free parameters.
         """
         count = np.array([free[part].sum() for part in self.parts])
         number, place = np.full((2, len(count), count.max()), -1, np.int64)
@@ -76,7 +76,7 @@ class PhotoLenses:
         return number, place
 
     def focal(self, photo: I64) -> F64:
-        """Return (N, 2) focal lengths fu, fv in pixels of photos (N,)."""
+        """Return the focal lengths (N, 2), fu and fv in pixels, of the photos with indices `photo` (N,)."""
         return np.array([(c.fu, c.fv) for c in self.cameras])[self.of[photo]]
 
 

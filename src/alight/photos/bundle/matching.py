@@ -46,7 +46,7 @@ class BundleObservations:
 
     @property
     def starts(self) -> I64:
-        """(m,) first row of each point, as `np.add.reduceat` needs it."""
+        """(m,) index of the first row of each point, as `np.add.reduceat` needs it."""
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
     def without(self, photos: I64) -> BundleObservations:
@@ -59,7 +59,7 @@ class BundleObservations:
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
     def keep(self, rows: Mask) -> tuple[BundleObservations, I64]:
-        """Keep the masked rows, drop points then seen by one photo; return also the old indices of the kept points."""
+        """Keep the rows where `rows` is True, drop points left with one photo; also return the points' old indices."""
         count = np.bincount(self.point[rows], minlength=self.points)
         rows = rows & (count[self.point] >= 2)
         old, point = np.unique(self.point[rows], return_inverse=True)
@@ -67,11 +67,11 @@ class BundleObservations:
 
 
 def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
-    """Choose pairs to match: each photo with its `count` nearest, the nearest in each of eight directions, the next.
+    """Choose pairs (i, j) of photos to match, i < j.
 
-    `positions` is (n, 3) metres in order of time, NaN where unknown. Photos without a position are paired with the
-    `count` photos before and after them in time. The eight directions link neighbouring strips, which the nearest
-    photos alone may miss.
+    A photo is paired with its `count` nearest photos, with the nearest in each of eight directions, which links
+    neighbouring strips, and with the next in time. A photo without a position is paired with the `count` photos before
+    and after it in time. `positions` is (n, 3) metres in order of time, NaN where unknown.
     """
     n = len(positions)
     pairs: set[tuple[int, int]] = set()
@@ -91,7 +91,7 @@ def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
 
 
 def match_descriptors(a: F32, b: F32) -> I64:
-    """Match unit descriptors (K, 128) and (L, 128) that are each other's clearly best match; return (M, 2) indices."""
+    """Match unit descriptors (K, 128) and (L, 128) by mutual best match and ratio test; return indices (M, 2)."""
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
     block = 1024  # rows matched at once, to bound the table of descriptor products
@@ -116,7 +116,7 @@ def match_descriptors(a: F32, b: F32) -> I64:
 def verify(
     cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
 ) -> tuple[I64, F64, F64] | None:
-    """Return the inlier matches of one two-view geometry, with rotation and direction as in `Pair`; None: too few."""
+    """Return inliers (M, 2), rotation and direction (see `Pair`) of a two-view geometry; None below `least` inliers."""
     if len(matches) < least:
         return None
     pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)
@@ -138,7 +138,7 @@ def verify(
 def match_photo(
     cameras: Sequence[Camera], settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
 ) -> list[Pair | None]:
-    """Match and verify one photo with several others; return one pair for each of them, None where they do not match.
+    """Match photo `first` with each of `others`; return one verified pair for each, None where the photos do not match.
 
     `ij` (N, 2) are the photo indices of each pair. `cameras` are the first photo's camera, then the other photos'
     cameras.
@@ -159,7 +159,7 @@ def match_pairs(
     settings: BundleSettings,
     jobs: Jobs,
 ) -> Iterator[list[Pair]]:
-    """Match and verify the wanted pairs; yield the found pairs of each first photo."""
+    """Match and verify the pairs (i, j) in `wanted`; yield one list for each photo i with the pairs that match."""
 
     def sent(k: int) -> Sent:
         return Sent(f"features-{frames[k].t_ns}", features[k])

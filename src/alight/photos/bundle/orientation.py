@@ -36,7 +36,7 @@ class _Oriented:
     turned: I64  # indices of photos whose gimbal tag is half a turn off about the optical axis
     contradicted: I64  # indices of photos whose gimbal tag contradicts the pictures in any other way
     jumped: I64  # indices of photos whose GPS position contradicts the pictures
-    guessed: bool  # the roll about a straight line of flight relies on the assumption that the camera looks down
+    guessed: bool  # whether the roll about a straight line of flight assumes that the camera looks down
     cost: float  # Cauchy cost of GPS baselines and attitudes
     baselines: int  # number of baselines
     heading: float  # rad, common error of the headings of all tags, clockwise from above
@@ -49,20 +49,20 @@ class FirstPoses:
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
     groups: tuple[I64, ...]  # photo indices, grouped by connection through matches
-    photos: I64  # indices of photos with a pose; so below
-    turned: I64  # photos whose attitude tag is half a turn off
-    contradicted: I64  # photos whose attitude tag is wrong
-    overruled: I64  # photos whose heading tag has an error common to its group
-    jumped: I64  # photos whose GPS position is wrong
+    photos: I64  # indices of photos with a pose
+    turned: I64  # indices of photos whose attitude tag is half a turn off
+    contradicted: I64  # indices of photos whose attitude tag is wrong
+    overruled: I64  # indices of photos whose heading tag has an error common to its group
+    jumped: I64  # indices of photos whose GPS position is wrong
     warnings: list[str]
     climbs: bool  # whether a level flight fits better than the altitude tags, which are then ignored
 
 
 def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
-    """Orient every connected component; None if no two photos with GPS are connected.
+    """Return initial poses for every connected component; None if no two photos with GPS are connected.
 
-    Altitude tags are ignored if half of them are more than two sigmas off one height, and a level flight fits better:
-    it lowers the cost by more than 0.1 per baseline.
+    If half of the altitude tags are more than two sigmas off the median altitude, a level flight at that altitude is
+    tried; it is used if it lowers the cost by more than 0.1 per baseline.
     """
     n = len(priors.centres)
     gimbal = priors.world_from_body @ priors.body_from_cam
@@ -102,7 +102,7 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
 
 
 def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
-    """Give photos without GPS the mean position of the photos they match, weighted by the number of matches."""
+    """Return `centres` with missing positions filled by the mean position of matched photos, weighted by matches."""
     out = centres.copy()
     for _ in range(len(centres)):
         missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
@@ -131,7 +131,7 @@ def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
 
 
 def _median_rotation(rotations: F64, start: F64) -> F64:
-    """Return the geometric median of (k, 3, 3) rotations by Weiszfeld steps; robust to a minority of wrong ones."""
+    """Return the geometric median (3, 3) of rotations (k, 3, 3) by Weiszfeld steps from `start`."""
     R = start
     for _ in range(3):
         logs = so3_log(rotations @ R.T)
@@ -171,7 +171,7 @@ class _Baselines:
     ends: I64  # (q, 2) photo indices
     world: F64  # (q, 3)
     frame: F64  # (q, 3)
-    noise: F64  # (q,) rad
+    noise: F64  # (q,) rad, 1-sigma
 
     def misfit(self, R: F64) -> F64:
         """Return the (q,) squared misfits under `world_from_frame` R, in sigmas."""
@@ -202,7 +202,7 @@ def _baselines(photos: I64, frame_from_cam: F64, pairs: Sequence[Pair], centres:
 
 
 def _jumped(base: _Baselines, R: F64) -> I64:
-    """Return the photos whose GPS position makes most of their baselines wrong; the worst photo is removed first."""
+    """Return the photos whose GPS position is wrong: more than 60 % of their baselines misfit `world_from_frame` R."""
     is_wrong = base.misfit(R) > _MAX_BASELINE_ERROR**2
     left = np.ones(len(is_wrong), dtype=bool)
     out: list[int] = []
@@ -221,9 +221,9 @@ def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal
     """Align the averaged rotations of one component with the world.
 
     `centres` (n, 3) metres, `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
-    Directions between photos are compared with GPS baselines, and camera axes with the gimbal, with robust weights. Of
-    three starts (gimbal with heading, gimbal without heading, cameras looking down), the best fit is used. The common
-    heading error enters the cost once, not once per photo. If tags are wrong in most photos, they are used in no photo.
+    Directions between photos are compared with GPS baselines, and camera axes with the gimbal, with robust weights. The
+    best of three alignments is used: by gimbal, by gimbal without heading, by cameras that look down. The heading error
+    that all tags share enters the cost once, not once per photo. If most tags are wrong, no tags are used.
     """
     frame_from_cam = average_rotations(photos, pairs)
     base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
@@ -258,7 +258,7 @@ def _in_line(base: _Baselines) -> bool:
 
 
 def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
-    """Return `world_from_frame` from the baselines and the given axes of the tags."""
+    """Return `world_from_frame` by the baselines and the camera axes `axes` of the tags (k, 3, 3); `sigma` in rad."""
     world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
     frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
     noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
@@ -266,7 +266,7 @@ def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tu
 
 
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
-    """Return the Cauchy cost of a rotation R over the baselines and all axes of the tags, to compare the starts."""
+    """Return the Cauchy cost of `world_from_frame` R, over the baselines and all camera axes of the tags (k, 3, 3)."""
     heading = _common_heading(R @ frame_from_cam, tags)
     axes = ((so3_exp([0.0, 0.0, heading]) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
     common = (heading / COMMON_HEADING) ** 2
@@ -274,7 +274,7 @@ def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
 
 
 def _common_heading(world_from_cam: F64, tags: F64) -> float:
-    """Return the heading error (rad, about the vertical) that tags (k, 3, 3) share; 0 without tags or if too large."""
+    """Return the heading error, rad, that tags (k, 3, 3) share; 0 without tags or above `_MOST_COMMON_HEADING`."""
     if not len(tags):
         return 0.0
     off = world_from_cam @ np.swapaxes(tags, 1, 2)

@@ -65,7 +65,7 @@ def refine_observations(
 
 
 def _by_photo(obs: BundleObservations, rows: Mask) -> list[tuple[int, I64]]:
-    """Return the index of each photo with chosen rows, and the indices of its chosen rows."""
+    """Group the observations where `rows` is True by photo; return (photo index, observation indices) pairs."""
     chosen = np.flatnonzero(rows)
     order = chosen[np.argsort(obs.photo[chosen], kind="stable")]
     photos, begin = np.unique(obs.photo[order], return_index=True)
@@ -79,7 +79,7 @@ def _picture(frame: Frame) -> Pixels:
 
 
 def _grey(image: Pixels) -> tuple[F32, F64]:
-    """Return grey levels (H, W) of a picture, shrunk if large, and (2,) its width and height over the photo's."""
+    """Return grey levels (H, W) of a picture, shrunk if large, and their scale (2,) in x, y relative to the photo."""
     picture = np.asarray(image)
     read = grey_levels(shrunk(picture, MOST_PX))
     return read.astype(np.float32), np.array(read.shape[1::-1]) / picture.shape[1::-1]
@@ -93,7 +93,7 @@ def _cut(image: Pixels, pixels: F64) -> F16:
 
 
 def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
-    """Return the shifts (K, 2) in photo pixels from pixels (K, 2) to where the patches are found; NaN: not found."""
+    """Return the shifts (K, 2) in photo pixels from `pixels` (K, 2) to where the patches are found; NaN: not found."""
     grey, scale = _grey(image)
     moved, likeness = np.empty((len(pixels), 2)), np.empty(len(pixels))
     kernels.match_patches(
@@ -104,7 +104,7 @@ def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
 
 
 def _warps(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
-    """Return (N, 2, 2) derivatives of a ground point's pixel in each picture by its pixel in the point's first picture.
+    """Return derivatives (N, 2, 2) of a point's pixel in each picture with respect to its pixel in its first picture.
 
     Pixels are those of the pictures in which patches are matched. The ground is assumed level over five pixels around a
     point. NaN where a patch is stretched more than three times, since it cannot be found there.

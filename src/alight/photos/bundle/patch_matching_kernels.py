@@ -16,7 +16,7 @@ _LEAST_VARIANCE = 1.0  # squared grey levels, least variance of a patch
 
 @pixelwise
 def _weights(f: float, out: F64) -> None:
-    """Write the four weights of cubic convolution at a fraction of a pixel (Keys 1981, a = -1/2)."""
+    """Write the four weights of cubic convolution at the fraction `f` of a pixel (Keys 1981, a = -1/2)."""
     out[0] = f * (-0.5 + f * (1.0 - 0.5 * f))
     out[1] = 1.0 + f * f * (-2.5 + 1.5 * f)
     out[2] = f * (0.5 + f * (2.0 - 1.5 * f))
@@ -25,7 +25,7 @@ def _weights(f: float, out: F64) -> None:
 
 @pixelwise
 def _sample(picture: F32, x: float, y: float, wx: F64, wy: F64) -> float:
-    """Return the grey level at a position x (column), y (row); NaN too near the picture's edge."""
+    """Return the grey level at column `x`, row `y`; NaN too near the picture's edge. `wx`, `wy`: scratch (4,)."""
     i, j = math.floor(x), math.floor(y)
     if i < 1 or j < 1 or i > picture.shape[1] - 3 or j > picture.shape[0] - 3:
         return math.nan
@@ -42,7 +42,7 @@ def _sample(picture: F32, x: float, y: float, wx: F64, wy: F64) -> float:
 
 @kernel
 def sample_patches(picture: F32, at: F64, out: F32) -> None:
-    """Write the patches (K, S, S) of a picture (H, W) around positions (K, 2) in pixels; NaN beyond its edge."""
+    """Write the patches (K, S, S) around pixels `at` (K, 2) of a picture (H, W); NaN beyond the picture's edge."""
     wx, wy = np.empty(4), np.empty(4)
     for k in range(len(at)):
         for r in range(out.shape[1]):
@@ -52,7 +52,7 @@ def sample_patches(picture: F32, at: F64, out: F32) -> None:
 
 @pixelwise
 def _inverse(N: F64, out: F64) -> bool:
-    """Write the inverse of a symmetric matrix (3, 3); return False if the matrix is nearly singular."""
+    """Write the inverse of the symmetric matrix N (3, 3); return False if N is nearly singular."""
     a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
     out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
     out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
@@ -68,7 +68,7 @@ def _inverse(N: F64, out: F64) -> bool:
 
 @pixelwise
 def _template(patch: F32, weight: F64, terms: F64, N: F64) -> float:
-    """Write a patch's grey levels and slopes (3, P) minus their means, and their products (3, 3), weighted by (P,).
+    """Write a patch's grey levels and slopes `terms` (3, P) minus their means, and their weighted products N (3, 3).
 
     Returns the patch's variance in squared grey levels; NaN if the patch reaches beyond the edge of its picture.
     """
@@ -98,9 +98,10 @@ def _template(patch: F32, weight: F64, terms: F64, N: F64) -> float:
 def _overlap(
     picture: F32, x: float, y: float, warp: F64, weight: F64, terms: F64, wx: F64, wy: F64, right: F64
 ) -> tuple[float, float]:
-    """Write the products (3,) of a patch's `terms` with the picture around a position, weighted by (P,).
+    """Write the weighted products `right` (3,) of a patch's `terms` (3, P) and the picture around column `x`, row `y`.
 
     Returns the weighted sums of the picture's grey levels and of their squares; NaN beyond the picture's edge.
+    `warp`: (2, 2) shift in the picture, px, per pixel of the patch. `wx`, `wy`: scratch.
     """
     side = 2 * HALF + 1
     right[:] = 0.0
@@ -123,7 +124,10 @@ def _slide(
     picture: F32, at: F64, warp: F64, weight: F64, whole: float, terms: F64, variance: float, C: F64, wx: F64, wy: F64,
     right: F64, h: F64, moved: F64,
 ) -> float:  # fmt: skip
-    """Write the shift (2,) at which a patch is found (eqs. 13, 14); return its correlation there, 0 if not found."""
+    """Write the shift `moved` (2,) in px from `at` to a patch (eqs. 13, 14); return its correlation, 0 if not found.
+
+    `terms`, `variance`: output of `_template`; `C`: inverse of its N; `whole`: sum of `weight`; `wx` to `h`: scratch.
+    """
     moved[:] = 0.0
     for _ in range(10):
         mean, square = _overlap(picture, at[0] + moved[0], at[1] + moved[1], warp, weight, terms, wx, wy, right)

@@ -35,10 +35,10 @@ _LENS_PHOTOS = 12  # with fewer photos of a camera, its radial distortion is fix
 def make_priors(
     nav: Sequence[NavSample | None], rig: Rig, settings: BundleSettings, cameras: I64 | None = None
 ) -> Priors:
-    """Build priors from positions, attitudes and calibration; where a photo gives no sigma, the settings do.
+    """Build priors from positions, attitudes and calibration; the settings give the sigmas that a photo lacks.
 
     `cameras` (n,) is the index of the rig's camera that took each photo; None: the first camera took all photos. All
-    cameras are assumed to have one pose in the body. There is no rolling shutter until `rolling_priors` adds it.
+    cameras are assumed to share one mounting. There is no rolling shutter until `rolling_priors` adds it.
     """
     n = len(nav)
     centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
@@ -97,7 +97,7 @@ def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
 
 
 def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
-    """Enlarge heading sigmas so that connected photos, which share a compass error, weigh like one heading per group.
+    """Enlarge heading sigmas so that all headings of a group, which share a compass error, weigh like one heading.
 
     Headings with a sigma below 0.05 rad do not come from a compass and are not changed.
     """
@@ -118,7 +118,7 @@ def gps_heading_sigma(photos: I64, priors: Priors) -> float:
 
 
 def observable_lens(priors: Priors, photos: I64) -> Priors:
-    """Fix the radial distortion of cameras with few photos: it correlates with height (docs/method/bundle.md)."""
+    """Fix the radial distortion, which correlates with height, of cameras with few photos (docs/method/bundle.md)."""
     sigma = priors.sigma_lens.copy()
     for k, (camera, part) in enumerate(zip(priors.lenses.cameras, priors.lenses.parts, strict=True)):
         if (priors.lenses.of[photos] == k).sum() < _LENS_PHOTOS:
@@ -131,14 +131,14 @@ def observable_lens(priors: Priors, photos: I64) -> Priors:
 
 
 def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
-    """Add a rolling shutter; estimate its readout time if enough velocities are known and the maker gives no readout.
+    """Add a rolling shutter, whose readout time is free if enough velocities are known and the maker does not give it.
 
     If all lens parameters are fixed, so are the readout times.
 
     Args:
         priors: priors of all photos.
         centres: (n, 3) metres, camera centres as adjusted so far.
-        seconds: (n,) exposure time of each photo; NaN: unknown.
+        seconds: (n,) exposure time of each photo, s; NaN: unknown.
     """
     velocity = velocities(centres, seconds, priors.lenses.of)
     sigma, held = priors.sigma_lens.copy(), not priors.sigma_lens.any()
@@ -150,12 +150,12 @@ def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
 
 
 def turning_priors(priors: Priors, readouts: tuple[float, ...]) -> Priors:
-    """Let the photos rotate during the readout, and fix the readout times (s, one per camera)."""
+    """Return priors that let the photos rotate during the readout, with fixed readout times (s, one per camera)."""
     return replace(at_once(priors), sigma_turn=_SIGMA_RATE * max(abs(r) for r in readouts))
 
 
 def at_once(priors: Priors) -> Priors:
-    """Fix the readout times, and let no photo rotate during the readout."""
+    """Return priors with fixed readout times, and without rotation of the photos during the readout."""
     sigma = priors.sigma_lens.copy()
     sigma[priors.lenses.readout_numbers] = 0.0
     return replace(priors, sigma_lens=sigma, sigma_turn=0.0)
@@ -165,12 +165,12 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
     """Return the (n, 3) velocity in m/s at each photo, from the photos before and after it; 0 where unknown.
 
     If the legs before and after a photo differ in direction, as at the end of a strip, the faster leg is used, because
-    turns take time. Legs that last over a minute, are shorter than a metre, or are faster than 60 m/s (wrong tags) are
-    ignored.
+    the slower one contains the turn. Legs that last over a minute, are shorter than a metre, or are faster than 60 m/s
+    (wrong tags) are ignored.
 
     Args:
         centres: (n, 3) metres.
-        seconds: (n,) time of each photo; NaN: unknown.
+        seconds: (n,) time of each photo, s; NaN: unknown.
         camera: (n,) camera index of each photo; only photos of one camera are compared.
     """
     out = np.zeros_like(centres)
@@ -186,7 +186,10 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
 
 
 def _between(before: int, after: int, way: F64, time: F64, good: Mask) -> F64:
-    """Return the velocity (3,) in m/s at the photo between two legs, from the good legs; 0 if neither is good."""
+    """Return the velocity (3,) in m/s between the legs `before` and `after`, by the good ones; 0 if neither is good.
+
+    `way` (q, 3) in m, `time` (q,) in s and `good` (q,) are of all legs.
+    """
     used = [k for k in (before, after) if 0 <= k < len(good) and good[k]]
     speed = [way[k] / time[k] for k in used]
     if len(used) == 2:

@@ -43,9 +43,10 @@ def coarse_rounds(
     progress: Callable[[float], None],
     seconds: F64 | None,
 ) -> tuple[BundleState, Priors, I64]:
-    """Do the coarse rounds without the photos `aside`; return the state, the priors and the extended `aside`.
+    """Do the coarse rounds of adjustment without the photos `aside`; return the new state, priors and `aside`.
 
-    Photos that prove misplaced are added to `aside`. `seconds` (n,) are exposure times; None: no rolling shutter.
+    Photos that prove misplaced are added to `aside`. `few` are the observations to use. `seconds` (n,) are exposure
+    times in s; None: no rolling shutter.
     """
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
     few = few.without(aside)
@@ -77,9 +78,8 @@ def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) ->
 def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tuple[BundleState, Priors]:
     """Do the rounds with a free lens, and choose the rolling shutter: none, with translation, or also with rotation.
 
-    A readout that moves rows by less than a pixel is noise. Over level ground, a rotation looks much like a
-    translation. The readout is therefore fixed when rotations are free. Rotations are used only if they lower the cost
-    much more than by chance.
+    A readout that moves rows by less than a pixel is taken as none. Rotations are used only if they lower the cost much
+    more than by chance, with a fixed readout time, because a rotation looks much like a translation over level ground.
     """
     state = _lens_rounds(first, obs, priors)
     lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
@@ -109,7 +109,7 @@ def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> floa
 
 
 def one_round(state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float) -> BundleState:
-    """Triangulate, remove outliers beyond `cut` px, and adjust with Cauchy scale `loss` px."""
+    """Triangulate, remove outliers beyond `cut` px, and adjust with Cauchy scale `loss` px; return the new state."""
     state, used = retriangulate(state, obs, priors, cut, loss)
     if len(used.photo):
         state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
@@ -121,7 +121,7 @@ def one_round(state: BundleState, obs: BundleObservations, priors: Priors, loss:
 def retriangulate(
     state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
 ) -> tuple[BundleState, BundleObservations]:
-    """Triangulate all tracks; remove observations with residuals above `cut` px, and points with narrow ray angles."""
+    """Triangulate all tracks (Cauchy, `scale` px); remove residuals over `cut` px, and points with small ray angles."""
     for _ in range(2):
         points = triangulate_bundle(state, obs, priors, scale)
         state = replace(state, points=points)
@@ -164,7 +164,7 @@ def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Pri
 
 
 def _absolute_pose(camera: Camera, pixels: F64, points: F64) -> tuple[F64, F64] | None:
-    """Return world_from_cam (3, 3) and centre (3,) by RANSAC from (k, 2) pixels of (k, 3) points; None: too few."""
+    """Return world_from_cam (3, 3) and centre (3,) by RANSAC from pixels (k, 2) of points (k, 3); None: not found."""
     if len(points) < _LEAST_INLIERS:
         return None
     pc = colmap()

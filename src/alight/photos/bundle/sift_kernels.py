@@ -14,7 +14,7 @@ BINS = 36  # bins of an orientation histogram
 
 @inline
 def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
-    """Whether a sample is the highest or lowest of the 27 samples around it."""
+    """Whether the sample at layer `k`, row `r`, column `c` is the extremum of the 3 x 3 x 3 samples around it."""
     v = dogs[k, r, c]
     sign = np.float32(1) if v > 0 else np.float32(-1)
     for j in range(k - 1, k + 2):
@@ -27,7 +27,10 @@ def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
 
 @kernel
 def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
-    """Write the shift (columns, rows, layers) to the extremum, its value, trace^2 / determinant; False: singular."""
+    """Write to `out` (5,) the offset to an extremum (columns, rows, layers), its value, and trace^2 / determinant.
+
+    `k`, `r`, `c`: layer, row and column of the sample. Returns False if no offset can be computed.
+    """
     v = 2.0 * dogs[k, r, c]
     dx = 0.5 * (dogs[k, r, c + 1] - dogs[k, r, c - 1])
     dy = 0.5 * (dogs[k, r + 1, c] - dogs[k, r - 1, c])
@@ -52,7 +55,10 @@ def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
 
 @kernel
 def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F64) -> bool:
-    """Write column, row, layer of an extremum, then its nearest layer, column, row; return whether it is usable."""
+    """Write to `place` (6,) column, row, layer of an extremum, then its nearest layer, column, row; False: unusable.
+
+    `k`, `r`, `c`: layer, row, column to start from; `least`: least contrast; `way`: (5,) scratch.
+    """
     layers, rows, cols = dogs.shape
     for _ in range(5):
         if not _newton(dogs, k, r, c, way):
@@ -73,7 +79,7 @@ def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F6
 
 @kernel
 def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F64) -> None:
-    """Write a smoothed histogram `even` (`BINS`,) of gradient directions around a pixel; `raw` is scratch."""
+    """Write a smoothed histogram `even` (`BINS`,) of gradient directions around a pixel; `scale`: sigma in px."""
     rows, cols = picture.shape
     reach, fall = int(np.rint(4.5 * scale)), -0.5 / (1.5 * scale) ** 2
     raw[:] = 0.0
@@ -90,7 +96,7 @@ def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F
 
 @kernel
 def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
-    """Add a feature for each high peak of an orientation histogram; return the new number of features."""
+    """Add a feature at `place` to `found` per high peak of the orientation histogram `even`; return the new `count`."""
     most = even.max()
     for k in range(BINS):
         left, mid, right = even[k - 1], even[k], even[(k + 1) % BINS]
@@ -104,7 +110,7 @@ def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
 
 @kernel
 def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) -> int:
-    """Write the features of an octave into `found` and return their number; features that do not fit are dropped.
+    """Write the features of an octave into `found` and return their number; features beyond its length are dropped.
 
     Args:
         dogs: (L + 2, R, C) differences of the blurred pictures.

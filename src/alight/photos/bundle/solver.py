@@ -101,7 +101,7 @@ def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F6
 
 
 def _attitude(state: BundleState, priors: Priors) -> tuple[I64, F64, F64]:
-    """Return photos with an attitude prior, (k, 3) residuals in rad, (k, 3, 3) derivatives by the mounting (eq. 5)."""
+    """Return photos with an attitude prior, residuals (k, 3) in rad, derivatives w.r.t. the mounting (eq. 5)."""
     who = np.flatnonzero(
         np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
     )
@@ -125,7 +125,7 @@ def _prior_cost(state: BundleState, priors: Priors) -> float:
 
 
 class Adjustment:
-    """Gauss-Newton system over fixed observations: linearise, step, then accept or damp the step.
+    """Gauss-Newton system of fixed observations and priors, solved by damped steps.
 
     Args:
         obs: the N observations.
@@ -168,7 +168,7 @@ class Adjustment:
         return NormalEquations(U, b, coupling, lens_coupling, information, gradient)
 
     def _of_photos(self, stop: int, start: int = 0) -> I64:
-        """Return the (n, stop - start) indices of unknowns `start` to `stop` of each photo."""
+        """Return the indices (n, stop - start), among all unknowns, of each photo's unknowns `start` to `stop` - 1."""
         return np.arange(0, self.poses, self.each)[:, None] + np.arange(start, stop)
 
     def prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
@@ -203,7 +203,7 @@ class Adjustment:
         return U, b
 
     def reduce(self, equations: NormalEquations, damping: float) -> Reduced:
-        """Eliminate the points from the normal equations, damped by a share of their diagonal (eq. 8)."""
+        """Eliminate the points from the normal equations, with a share `damping` of the diagonal added (eq. 8)."""
         S, rhs, *blocks = (equations.U.copy(), equations.b.copy(), *equations[2:])
         S[np.diag_indices_from(S)] *= 1.0 + damping
         longest = int(np.diff(self._starts).max(initial=1))
@@ -269,7 +269,7 @@ class Adjustment:
 def covariance_of(S: F64) -> F64:
     """Invert an information matrix (p, p); variances stay positive even if rounding made the matrix indefinite.
 
-    Unknowns that no observation determines, such as poses of photos of other ground, get a large variance.
+    Unknowns that no observation determines get a large variance.
     """
     C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
     if np.isfinite(C).all() and (np.diag(C) > 0).all():
@@ -280,10 +280,9 @@ def covariance_of(S: F64) -> F64:
 
 
 def solved_steps(S: F64, rhs: F64) -> F64:
-    """Solve the reduced normal equations (p, p); above 1200 unknowns as sparse, since each photo overlaps few others.
+    """Solve the reduced normal equations (p, p) for the steps (p,); above 1200 unknowns with a sparse factor.
 
-    For 1000 photos in strips, 3 % of the factor is non-zero, and solving takes a fiftieth of the time of a dense
-    matrix. Up to 1200 unknowns, a dense matrix is as fast.
+    For 1000 photos in strips, a sparse factor takes a fiftieth of the time of a dense one.
 
     Raises:
         LinAlgError: the matrix is singular.
@@ -299,7 +298,7 @@ def solved_steps(S: F64, rhs: F64) -> F64:
 
 
 def triangulate_bundle(state: BundleState, obs: BundleObservations, priors: Priors, scale_px: float = 3.0) -> F64:
-    """Return (m, 3) points nearest to their rays (midpoint method), reweighted in four rounds (Cauchy, `scale_px`)."""
+    """Triangulate the points (m, 3) by the midpoint method, with Cauchy weights (scale `scale_px`) in four rounds."""
     ray, origin = np.empty((len(obs.photo), 3)), np.empty((len(obs.photo), 3))
     rays_of_pixels(*state.for_kernels(obs, priors), ray, origin)
     starts, weight = np.append(obs.starts, len(obs.point)), np.ones(len(ray))

@@ -80,7 +80,7 @@ def why_no_motion(features: Sequence[PhotoFeatures], priors: Priors) -> str:
 
 
 def bundle_warnings(survey: Survey) -> list[str]:
-    """Return warnings about photos left out, with the reason, and photos whose tags contradict the images."""
+    """Return warnings about photos left out, with the reason, and about photos whose tags contradict the images."""
     solved, tagged, priors = survey.solved, survey.tagged, survey.priors
     out = list(solved.first.warnings)
     if solved.first.climbs:
@@ -109,12 +109,10 @@ def bundle_warnings(survey: Survey) -> list[str]:
 
 
 def fixed_attitudes(joint: F64, photos: int) -> Mask:
-    """Return a mask (n,) of photos whose attitude is determined to 3 rad; false matches leave it undetermined.
+    """Return the mask (n,) of photos whose attitude has a 1-sigma of at most 3 rad about every axis.
 
-    Args:
-        joint: (6 n + k, 6 n + k) covariance of positions and attitudes. Undetermined unknowns have huge or, by
-            rounding, negative variances.
-        photos: n.
+    `joint` (6 n + k, 6 n + k) is the covariance of positions and attitudes of n = `photos` photos. Undetermined
+    unknowns have huge or, by rounding, negative variances.
     """
     at = 6 * np.arange(photos)[:, None] + np.arange(3, 6)
     turns = joint[at[:, :, None], at[:, None, :]]

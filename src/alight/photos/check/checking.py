@@ -39,7 +39,7 @@ def check_photos(
 
 
 def _of_reading(source: Photos) -> Iterator[CheckResult]:
-    """Yield what was noticed while the tags were read; contradictions are faults, all else is a warning."""
+    """Yield the source's warnings as results, contradictions as faults and all others as warnings."""
     for sentence in source.warnings:
         contradicts = sentence in source.findings.contradictions
         yield bad("reading", sentence, "remove the wrong tags") if contradicts else warning("reading", sentence, "")
@@ -77,7 +77,7 @@ def judge_focal(found: PhotoEvidence) -> CheckResult:
 
 
 def judge_positions(found: PhotoEvidence) -> CheckResult:
-    """Judge whether all photos have positions; report kinds of fix and their 1-sigma."""
+    """Judge whether all photos have positions; report the kinds of GPS fix and the 1-sigma of the positions."""
     notes, lack = found.source.notes, int((~np.isfinite(found.centres).all(axis=1)).sum())
     kinds = ", ".join(f"{n} {kind}" for kind, n in notes["gps"].items())
     east, north, up = notes["position_sigma"]

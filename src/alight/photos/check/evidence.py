@@ -112,7 +112,7 @@ def _middle(picture: U8, side: int = 1200) -> U8:
 
 
 def _neighbour(number: int, centres: F64) -> int | None:
-    """Return the index of the next photo (for the last photo, the previous one), or of a much nearer photo."""
+    """Return the index of the next photo (previous one for the last), or of a photo less than half as far away."""
     if len(centres) < 2:
         return None
     next_one = number + 1 if number + 1 < len(centres) else number - 1
@@ -184,7 +184,7 @@ def _height(found: PhotoEvidence, numbers: tuple[int, int], ray: F64) -> float:
 class Coverage(NamedTuple):
     """Overlap of photos on level ground."""
 
-    along: F64  # share of each picture that the next picture shows, for photos with a next one
+    along: F64  # share of each picture that the next picture shows, for photos before the last
     views: I64  # number of photos that show the ground in the middle of each picture
 
 

@@ -42,8 +42,8 @@ class PicturePath:
     """Path of the pictures over the ground."""
 
     seconds: F64  # (N,) s, on the film's clock
-    path: Complex  # (N,) image shift by the ground's motion, in units of an assumed focal length
-    heading: Complex  # (N,) unit complex numbers
+    path: Complex  # (N,) path of the camera as a shift in the picture, in units of an assumed focal length
+    heading: Complex  # (N,) heading relative to the first picture, unit complex numbers
 
 
 def picture_path(film: Path) -> PicturePath:
@@ -67,9 +67,9 @@ def picture_path(film: Path) -> PicturePath:
 
 
 def _motion(then: U8, now: U8, factor: int) -> tuple[complex, complex] | None:
-    """Return the camera's motion (right + 1j forward), and half its rotation as a unit complex number.
+    """Return the camera's motion from `then` to `now` (right + 1j forward), and half its rotation (unit complex).
 
-    The motion is in units of an assumed focal length. None if too few features agree.
+    The motion is in units of an assumed focal length. None: too few features agree. `factor`: downscaling.
     """
     height, width = (float(n * factor) for n in now.shape)
     lens = Camera(round(width), round(height), width, width, width / 2, height / 2)
@@ -81,11 +81,7 @@ def _motion(then: U8, now: U8, factor: int) -> tuple[complex, complex] | None:
 
 
 def film_offset(pictures: PicturePath, telemetry: FilmTelemetry) -> ClockOffset:
-    """Find the time of the telemetry at which the film begins.
-
-    Returns:
-        The offset in seconds to add to the film's time, and the reason if it is unclear.
-    """
+    """Find the offset in s that converts the film's time to the telemetry's time, and the reason if it is unclear."""
     t0, u = _velocity(pictures.seconds, pictures.path)
     _, g = _velocity(pictures.seconds, 1j * pictures.heading)
     s0, v = _velocity(np.array(telemetry.seconds), telemetry.path())
@@ -112,7 +108,7 @@ def _energy(z: Complex) -> F64:
 
 
 def _sums(a: Complex | F64, b: Complex | F64) -> Complex:
-    """Return the (N + M - 1,) sums over j of a[j + k] conj(b[j]), for k = 1 - M, ..., N - 1."""
+    """Return the cross-correlation (N + M - 1,) of a and b, sum_j a[j + k] conj(b[j]) for k = 1 - M, ..., N - 1."""
     return np.asarray(fftconvolve(a, np.conj(b[::-1])))
 
 

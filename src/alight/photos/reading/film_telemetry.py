@@ -40,7 +40,7 @@ class FilmTelemetry:
     rows: tuple[TelemetryRow, ...]
     source: str  # file or track that the telemetry was read from
     found: str = ""  # what was inferred while reading, in words
-    of_film: bool = True  # whether the clock begins with the film, unless the film was cut
+    of_film: bool = True  # True: the clock begins with the film, if the film was not cut
 
     @classmethod
     def of(cls, rows: Iterable[TelemetryRow], source: str, found: str = "", of_film: bool = True) -> FilmTelemetry:
@@ -69,7 +69,7 @@ class FilmTelemetry:
         return sum(abs(apart(a, b)) for a, b in pairwise(self.rows)) / self.length
 
     def at(self, seconds: float) -> TelemetryRow | None:
-        """Interpolate positions and heights at a time, s; None outside the rows and in gaps over 2 s (or 3 steps)."""
+        """Interpolate positions and heights at a time, s; None outside the rows, and in gaps over 2 s and 3 steps."""
         k = bisect_right(self.seconds, seconds + 1e-6) - 1  # s: times are written in milliseconds at best
         reach = max(2.0, 3.0 * self.step)
         if k < 0 or seconds - self.seconds[k] > (reach if k + 1 < len(self.rows) else self.step):
@@ -87,7 +87,7 @@ class FilmTelemetry:
         return self._moved(replace(row, values=row.values | between), seconds)
 
     def _moved(self, row: TelemetryRow, seconds: float) -> TelemetryRow:
-        """Return a row moved to another time; its date follows from the first row's date."""
+        """Return a row moved to another time, with the date that follows from the first row's date."""
         first = self.rows[0]
         taken = None if first.taken is None else first.taken + timedelta(seconds=seconds - first.seconds)
         return replace(row, seconds=seconds, taken=taken)
@@ -95,8 +95,8 @@ class FilmTelemetry:
     def path(self) -> NDArray[np.complex128]:
         """Return the (N,) path from the first row in metres, east + 1j north.
 
-        If all rows have a height above take-off, the path is divided by it. It then equals the path of the picture over
-        level ground, in focal lengths.
+        If all rows have a height above take-off, the path is divided by this height. It then equals the path of the
+        picture over level ground, in focal lengths.
         """
         steps = [(apart(a, b), min(a.values.get("rel_alt", 0.0), b.values.get("rel_alt", 0.0)))
                  for a, b in pairwise(self.rows)]  # fmt: skip
@@ -106,7 +106,7 @@ class FilmTelemetry:
 
 
 def apart(a: TelemetryRow, b: TelemetryRow) -> complex:
-    """Return the vector from one row to another in metres, east + 1j north."""
+    """Return the vector from row `a` to row `b` in metres, east + 1j north."""
     assert a.place is not None
     scale = 111_194.0  # m per degree
     east = math.cos(math.radians(a.place[0])) * _difference(a, b, "longitude")

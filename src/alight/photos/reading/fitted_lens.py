@@ -13,8 +13,7 @@ def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 |
     """Fit the equidistant model to Pix4D's fisheye; return (5,) pixels: f, f k1, ..., f k4; None: too few samples.
 
     Args:
-        scale: pixels, `C` of the affine matrix, in `r = C sum(p[i] t**i)` with `t = 2 angle / pi`. The focal length is
-            `2 C / pi` if the even terms vanish.
+        scale: `C` in pixels of the model `r = C sum(p[i] t**i)`, with `t = 2 angle / pi`.
         polynomial: coefficients p0 (0), p1 (1), p2, ...
         radius: pixels from the centre to the image's farthest corner.
     """
@@ -25,10 +24,9 @@ def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 |
 
 
 def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[float, float, float]:
-    """Fit k1, k2, k3 to a rational model in the radius r, `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
+    """Fit k1, k2, k3 to the radial factor `(1 + above[0] r**2 + ...) / (1 + below[0] r**2 + ...)`.
 
-    Args:
-        radius: r of the image's farthest corner, in focal lengths from the centre.
+    `radius` is the r of the image's farthest corner, in focal lengths from the centre.
     """
     r = np.linspace(0.0, np.tan(np.radians(75.0)), 401)[1:]
     even = r[:, None] ** np.array([2, 4, 6])
@@ -39,13 +37,13 @@ def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[
 
 
 def _within(rising: F64, limit: float) -> Mask:
-    """Return a mask of the leading samples, as long as they rise and stay within the limit."""
+    """Return the mask of all samples before the first one that exceeds the limit or does not rise."""
     fine = np.diff(rising, prepend=0.0) > 0
     return np.asarray(np.logical_and.accumulate(fine & (rising <= limit)))
 
 
 def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
-    """Fit y by x**start, x**(start + 2), ..., x**(2 last - 1); return the least-squares coefficients."""
+    """Return the least-squares coefficients of y in x**start, x**(start + 2), ..., x**(2 last - 1)."""
     powers = np.arange(start, 2 * last, 2)
     size = x.max()
     found = np.linalg.lstsq((x[:, None] / size) ** powers, y, rcond=None)[0]

@@ -17,9 +17,9 @@ _NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4"
 
 
 def read_gpmf(payloads: Sequence[tuple[float, bytes]], source: str) -> FilmTelemetry:
-    """Read GPS5 or GPS9 from the (seconds, payload) pairs of a track, in order of time; the last payload lasts 1 s.
+    """Read the GPS5 or GPS9 samples from the (seconds, payload) pairs of a track, in order of time.
 
-    Samples without a 3D fix or with a large dilution of precision are left out.
+    The last payload is assumed to last 1 s. Samples without a 3D fix or with a large dilution of precision are omitted.
     """
     ends = [*(t for t, _ in payloads[1:]), payloads[-1][0] + 1.0] if payloads else []
     rows, poor = list[TelemetryRow](), 0
@@ -60,7 +60,7 @@ def _samples(payload: bytes) -> Iterator[tuple[F64, Mask]]:
 
 
 def _numbers(tags: dict[str, tuple[str, bytes]], key: str, count: int) -> F64:
-    """Return (count,) numbers of an element, repeated if it has fewer; zeros if it is missing."""
+    """Return the (count,) numbers of the element `key`, repeated if it has fewer; zeros if it is missing."""
     kind, data = tags.get(key, ("b", b"\0"))
     row = np.dtype(_NUMBERS.get(kind, "u1"))
     whole = data[: len(data) // row.itemsize * row.itemsize]
@@ -68,7 +68,7 @@ def _numbers(tags: dict[str, tuple[str, bytes]], key: str, count: int) -> F64:
 
 
 def _elements(data: bytes) -> Iterator[tuple[str, str, bytes]]:
-    r"""Yield (key, type, content) of each element; an element of type `\0` contains elements."""
+    r"""Yield (key, type, content) of each element; content of type `\0` is a sequence of elements."""
     at = 0
     while at + 8 <= len(data):
         key, kind, size, repeat = struct.unpack_from(">4scBH", data, at)

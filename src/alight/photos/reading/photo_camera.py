@@ -48,8 +48,8 @@ class Claim(NamedTuple):
 def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, Notes]:
     """Return the camera of a photo, and notes on where its numbers come from.
 
-    All sources are compared. The source that agrees with the most families is chosen; of the sources that agree with
-    it, the most exact one is used. The note `focal_warning` names the sources that disagree.
+    Sources are compared by family (see `Claim`). The source that agrees with most families is trusted; of the sources
+    that agree with it, the most exact one is used. The note `focal_warning` names the sources that disagree.
 
     Args:
         tags: tags of the photo.
@@ -78,7 +78,7 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
 
 
 def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
-    """Combine a focal length in pixels, given by the user, with the distortion of the best source.
+    """Return the camera with a focal length in pixels, given by the user, and the distortion of the best source.
 
     Raises:
         InputError: the number is not a focal length.
@@ -91,7 +91,7 @@ def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
 
 
 def _claims(tags: PhotoTags) -> list[Claim]:
-    """Return the cameras by all sources in the photo's tags, the most exact source first."""
+    """Return the camera of each source in the photo's tags, the most exact source first."""
     out = []
     for read, tolerance, family in (
         (_from_dewarp, 0.03, "pixels"), (_from_skydio, 0.03, "pixels"), (_from_pix4d, 0.03, "pixels"),
@@ -109,11 +109,10 @@ def _claims(tags: PhotoTags) -> list[Claim]:
 
 
 def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
-    """Choose the best of some claims.
+    """Return the claim to use; `zoom` is the digital zoom in the tags.
 
-    If equally many families support two claims, the 35 mm equivalent decides, because resizing does not affect it. If
-    it is longer than all others and no tag names a digital zoom, it is chosen, because it contains a zoom that the
-    others lack.
+    The claim that agrees with most families is chosen. If `zoom` is 1, ties go to the 35 mm equivalent, since resizing
+    does not affect it. If it exceeds all others, it is chosen in any case, because it contains a zoom that they lack.
     """
 
     def weight(c: Claim) -> tuple[bool, int, bool]:
@@ -131,7 +130,7 @@ def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
 
 
 def _with_focal(lens: Camera, focal: float) -> Camera:
-    """Return a lens with another focal length; its principal point moves as by resizing or zooming the picture."""
+    """Return a lens with another focal length; its principal point is scaled by the same factor about the centre."""
     u, v, k = 0.5 * (lens.width - 1), 0.5 * (lens.height - 1), focal / lens.fu
     return replace(lens, fu=focal, fv=k * lens.fv, cu=u + k * (lens.cu - u), cv=v + k * (lens.cv - v))
 
@@ -163,7 +162,7 @@ def dewarp_text(tags: PhotoTags) -> str:
 def _camera(
     tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = (), model: str = ""
 ) -> Camera:
-    """Build a camera from a focal length and the principal point's offset from the image's centre, pixels.
+    """Build a camera from focal length, principal point relative to the image's centre (px), and distortion `lens`.
 
     Makers define the centre as (w/2, h/2) from the image's corner; here, (0, 0) is the centre of the first pixel.
     """
@@ -178,7 +177,7 @@ def _camera(
 def _calibrated_width(tags: PhotoTags) -> float:
     """Return the width (px) of the image that the factory calibration is for; photos may since be resized or rotated.
 
-    If the picture and its tags differ in aspect ratio, the picture was cropped, and the larger scale is used.
+    If picture and tags differ in aspect ratio, the picture was cropped, and the smaller possible width is returned.
     """
     (w, h), width = tags.size, tags.number(Base.ExifImageWidth) or tags.size[0]
     height = tags.number(Base.ExifImageHeight) or width * h / w
@@ -191,7 +190,7 @@ def _calibrated_width(tags: PhotoTags) -> float:
 
 
 def _scale(tags: PhotoTags) -> float:
-    """Return photo pixels per pixel of the factory calibration, which result from resizing and digital zoom."""
+    """Return photo pixels per pixel of the factory calibration, due to resizing and digital zoom."""
     return tags.size[0] / _calibrated_width(tags) * tags.digital_zoom
 
 
@@ -238,12 +237,11 @@ def _from_dewarp(tags: PhotoTags) -> Found:
 
 
 def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
-    """Return one focal length (px) from fx and fy, which are equal for square pixels, and a note if they differ.
+    """Return one focal length (px) from fx and fy, and a note if these differ by more than 0.3 %.
 
-    If they differ by more than a sensor's pixels can, the one nearer to the lens's design is chosen, because errors
-    rarely point towards the design. Heights scale with the choice. On an FC6360 (fx 1973.1, fy 1955.7, design 1913.3),
-    the RMS difference over the image from an independent self-calibration, after the best rotation, is 0.96 px with fy,
-    2.8 with the mean, 5.5 with fx, and 4.8 with the tangential terms as written.
+    In that case, the one nearer to the lens's design is used, because errors rarely point towards the design. On an
+    FC6360 (fx 1973.1, fy 1955.7, design 1913.3), the RMS difference over the image from an independent self-calibration
+    is 0.96 px with fy, 2.8 with the mean, and 5.5 with fx.
     """
     if abs(fx / fy - 1) <= 0.003:
         return (fx + fy) / 2, {}
@@ -359,7 +357,7 @@ def _film_focal(tags: PhotoTags) -> float | None:
 
 
 def film_focal_px(film: float, width: float, shape: float) -> float:
-    """Compute the focal length in pixels from the 35 mm equivalent; makers compare the diagonals of film and sensor.
+    """Compute the focal length in pixels from the 35 mm equivalent, which relates the diagonals of film and sensor.
 
     Args:
         film: 35 mm equivalent focal length, mm.
@@ -395,5 +393,5 @@ def _sensors() -> list[tuple[str, str, float, str]]:
 
 
 def _sensor_width(size: tuple[int, int], shape: float) -> float:
-    """Return the width of the whole sensor in photo pixels; photos are cropped to its full width or height."""
+    """Return the width of the whole sensor in photo pixels; a photo has the sensor's full width or its full height."""
     return max(max(size), min(size) * shape)

@@ -76,11 +76,7 @@ class PictureMemory:
         return sum(pixels.nbytes for pixels in self._pictures.values())
 
     def get(self, path: Path, size: tuple[int, int]) -> U8:
-        """Return the pixels of a file of `size` (width, height), (H, W) grey or (H, W, 3) RGB.
-
-        Raises:
-            ValueError: the file cannot be decoded or has another size; see `read_image`.
-        """
+        """Return the pixels of a file; see `PictureReader.read` for arguments, shapes and errors."""
         with self._lock:
             found = self._pictures.get(path)
         pixels = self._read(path, size) if found is None else found
@@ -98,7 +94,7 @@ class PictureMemory:
 
 
 class PhotoPixels:
-    """The picture of one photo, decoded on demand; the file has been decoded without error before."""
+    """The picture of one photo, decoded on demand; its file must have been decoded without error before."""
 
     nbytes = 0
 

@@ -33,14 +33,15 @@ ACCURACIES = (  # horizontal, vertical
 
 
 def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
-    """Return `world_from_body` (3, 3) of the gimbal, and its kind of tags ("" without any) or why it is not used.
+    """Return `world_from_body` (3, 3) of the gimbal, and the kind of tags that give it, or why no tags are used.
 
-    The attitude is None without usable tags. It is also None if the EXIF orientation turns the picture, because no
-    maker documents whether the angles then belong to the turned picture or to the stored pixels.
+    The attitude is None without usable tags; the text is empty if there are no tags at all. The attitude is also None
+    if the EXIF orientation turns the picture, because no maker documents whether the angles then belong to the turned
+    picture or to the stored pixels.
 
-    Makers' own names give angles about NED; at zero the camera looks to the horizon. Pix4D's `Camera:Yaw, Pitch, Roll`
-    (Autel, Parrot Sequoia, senseFly, Sentera and others) are zero if the camera looks down with the image's top to the
-    north. Some Autel drones write a pitch from the horizon into Pix4D's tags; a pitch below -45 degrees reveals it.
+    Makers' own tags give angles relative to NED; at zero the camera looks to the horizon. Pix4D's `Camera:Yaw, Pitch,
+    Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others) are zero if the camera looks down with the image's top
+    to the north. Some Autel drones write a pitch from the horizon into Pix4D's tags, which is then below -45 degrees.
     """
     if tags.turned:
         return None, f"not used: EXIF orientation {tags.turned}"
@@ -61,10 +62,8 @@ def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
 def with_attitudes_settled(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], list[str]]:
     """Mark angles that cannot be attitudes as distrusted; return the photos, and a warning for each kind of angles.
 
-    Such angles are zero in all photos, or equal to the last digit although the flight turned.
-
-    Args:
-        photos: all photos of the set; with fewer than three, no angles are distrusted.
+    Such angles are zero in all photos, or equal to the last digit although the flight turned. With fewer than three
+    photos, no angles are distrusted.
     """
     same, warnings = set[str](), list[str]()
     for pattern in (*GIMBALS, PIX4D, FLIGHT):
@@ -105,7 +104,7 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """Return (3,) 1-sigma in metres, east, north, up: by the position file, else the receiver, else a GPS default."""
+    """Return the 1-sigma (3,), m, east, north, up, of the position file, else of the receiver, else a GPS default."""
     if tags.settled is not None and tags.settled.sigma is not None:
         return np.array(tags.settled.sigma)
     own = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]

@@ -34,7 +34,7 @@ class FoundPhotos(NamedTuple):
 def find_photos(folder: Path) -> FoundPhotos:
     """Find the pictures in a folder and its sub-folders, such as `DCIM/100MEDIA` on a card.
 
-    Hidden files, thumbnails and the output of programs, including Alight, are left out. A file that links also reach
+    Hidden files, thumbnails and the output of programs, including Alight, are left out. A file with several links to it
     appears once. A raw or HEIC picture is left out if a plain picture of the same name lies next to it.
 
     Raises:
@@ -102,7 +102,7 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> LeftOut:
 
 
 def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
-    """Choose the one band of a multispectral camera to use; empty: the colour pictures; None: the set has no bands.
+    """Return the one band of a multispectral set to use; empty: its colour pictures; None: the set has no bands.
 
     Bands are not mixed, because each has its own lens and position. Colour pictures are used if they are at least
     half as many as the pictures of the largest band.
@@ -168,7 +168,7 @@ def _has_thermal_size(photo: PhotoTags) -> bool:
 
 
 def _sees_infrared(photo: PhotoTags) -> bool:
-    """Whether one of the colours is infrared, by the band names or by the filter name of a MAPIR Survey camera."""
+    """Whether a colour channel is infrared, by the band names or by the filter name of a MAPIR Survey camera."""
     bands = [b.strip().lower() for b in photo.xmp.get("camera:BandName", "").split(",") if b.strip()]
     by_filter = re.search(r"(RGN|NGB|OCN|RE|NIR)$", photo.text(Base.Model)) is not None
     by_bands = len(bands) > 1 and not set(bands) <= {"red", "green", "blue", *COLOUR}

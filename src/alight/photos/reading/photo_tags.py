@@ -101,16 +101,16 @@ class PhotoTags:
     def altitude_kind(self) -> str:
         """Vertical datum of the altitude in words, as far as the photo gives it.
 
-        In EXIF 3.0, `GPSAltitudeRef` 0 and 1 refer to the ellipsoid, 2 and 3 to sea level. Before 3.0, 0 and 1 meant
-        sea level, but in practice either datum. DJI names a fused or an RTK altitude. Parrot documents EGM96 for the
-        Anafi and the ellipsoid for the Anafi Ai. Pix4D and Skydio write the datum into `VertCS`.
+        In EXIF 3.0, `GPSAltitudeRef` 0 and 1 refer to the ellipsoid, 2 and 3 to sea level. Before 3.0, 0 and 1 are
+        defined as sea level, but are written for either datum. DJI names a fused or an RTK altitude. Parrot documents
+        EGM96 for the Anafi and the ellipsoid for the Anafi Ai. Pix4D and Skydio write the datum into `VertCS`.
         """
         if self.settled is not None:
             return self.settled.altitude_kind
         return self.kind_of(self._written_altitude())
 
     def kind_of(self, altitude: float | None) -> str:
-        """Return the vertical datum of an altitude (m) among the photo's tags; see `altitude_kind`."""
+        """Return the vertical datum, in words, of an altitude (m) from the photo's tags; see `altitude_kind`."""
         if altitude is None:
             return "not given"
         code = self._altitude_code if altitude == self.exif_altitude else None
@@ -230,7 +230,7 @@ def finite(value: Any) -> float | None:
 
 
 def _angle(dms: Any, ref: Any, negative: str) -> float | None:
-    """Return signed degrees from (degrees, minutes, seconds); undefined minutes or seconds (0/0) are zero."""
+    """Return degrees from (degrees, minutes, seconds), negative if `ref` is `negative`; parts of 0/0 are zero."""
     if not isinstance(dms, tuple) or len(dms) != 3:
         return None
     d, m, s = (finite(v) for v in dms)

@@ -165,11 +165,7 @@ class Photos(Source):
         ]
 
     def read(self, tags: PhotoTags) -> U8:
-        """Decode a photo of the set, (H, W) grey or (H, W, 3) RGB.
-
-        Raises:
-            ValueError: the photo cannot be decoded; see `read_image`.
-        """
+        """Decode a photo of the set; see `PictureReader.read` for shapes and errors."""
         return self._reader.pixels_of(tags)
 
     def digest(self) -> str:
@@ -220,7 +216,10 @@ class Photos(Source):
         return list(self._tags.values())
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
-        """Leave out cameras with few photos or no focal length; with a given calibration, all but the first camera."""
+        """Return the photos of the most used camera, and of others with enough photos and a focal length in their tags.
+
+        If the settings give a calibration, all others are left out.
+        """
         out = dict[object, str]()
         for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
             first = next(p for p in photos if p.camera == camera)
@@ -274,7 +273,7 @@ class Photos(Source):
         return Rig(tuple(cameras))
 
     def _settled(self, notes: Notes, camera: PhotoCamera) -> Notes:
-        """Return the notes on a focal length, and record a `focal_warning` among them as a contradiction."""
+        """Return the notes on a focal length without `focal_warning`, which is recorded as a contradiction."""
         if warning := notes.pop("focal_warning", ""):
             self.findings.contradict(f"focal length of {camera.title}: {warning}")
         return notes
@@ -362,7 +361,7 @@ def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
 
 
 def spread_times(times: Sequence[int]) -> list[int]:
-    """Spread equal times over the gap to the next later time, but over one second at most; `times` are sorted, ns."""
+    """Spread equal times of a sorted list, ns, over the gap to the next later time, over one second at most."""
     out: list[int] = []
     for t, n in Counter(times).items():
         after = len(out) + n

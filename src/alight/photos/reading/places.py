@@ -81,7 +81,7 @@ def _keys(name: str) -> list[str]:
 
 
 def places_beside(root: Path) -> Path | None:
-    """Find the position file in a folder of photos, or in the parent of a folder `images` or `photos`; None if none.
+    """Find the position file in a photo folder, or in the parent of a folder `images` or `photos`; None: not found.
 
     Raises:
         InputError: there are several position files.

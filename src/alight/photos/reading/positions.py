@@ -147,7 +147,7 @@ def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
 def _finer_places(
     photos: Sequence[PhotoTags], warnings: list[str], contradictions: list[str]
 ) -> list[tuple[float, float] | None]:
-    """Return the locations in EXIF, or in XMP if XMP has more digits and agrees within the rounding of EXIF."""
+    """Return the EXIF locations, or the XMP locations if these are finer and agree within the rounding of EXIF."""
     own = [p.place for p in photos]
     both = [k for k, p in enumerate(photos) if p.exif_place is not None and p.xmp_place is not None]
     if not both:
@@ -164,13 +164,13 @@ def _finer_places(
 
 
 def _step_of_places(places: F64) -> float:
-    """Return the resolution in metres with which (n, 2) degrees were written; 0 if there are too few to know."""
+    """Return the rounding in metres of locations (n, 2), written in degrees; 0 if there are too few to know."""
     few = len(np.unique(places, axis=0)) < 3
     return 0.0 if few else METRES_A_DEGREE * _step(3600 * places) / 3600  # EXIF writes seconds of arc
 
 
 def _by_coarse_places(photos: list[PhotoTags], warnings: list[str]) -> list[PhotoTags]:
-    """Return the photos with a larger sigma for locations that are written with few digits."""
+    """Return the photos, with a larger position sigma if their locations are written with few digits."""
     step = _step_of_places(np.array([p.place for p in photos if p.place is not None]).reshape(-1, 2))
     if not step > GPS_SIGMA[0]:
         return photos
@@ -232,7 +232,7 @@ def _altitudes(
 
 
 def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: list[str]) -> F64:
-    """Check altitudes by the heights above take-off; use these heights if they change but the altitudes do not."""
+    """Return the altitudes `used` or, if only the heights above take-off change in a flight, altitudes from these."""
     known = np.isfinite(used) & np.isfinite(relative)
     if known.sum() < 3:
         return used
@@ -247,7 +247,7 @@ def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: 
 
 
 def _drift(difference: F64, flights: I64) -> float:
-    """Return the largest change (m) of a difference (n,) within a flight, 5th to 95th percentile; NaN if all is NaN."""
+    """Return the largest range (m, 5th to 95th percentile) of `difference` (n,) within a flight; NaN if all is NaN."""
     parts = [difference[(flights == f) & np.isfinite(difference)] for f in np.unique(flights)]
     return max((float(np.ptp(np.percentile(p, [5, 95]))) for p in parts if len(p)), default=math.nan)
 

@@ -97,7 +97,7 @@ def read_subtitles(text: str, source: str) -> FilmTelemetry:
 
 
 def _subtitles(text: str) -> Iterator[tuple[float, str]]:
-    """Yield the time in seconds and the text of each subtitle; the time is NaN if it has none."""
+    """Yield the time in seconds and the text of each subtitle; NaN: the subtitle has no time."""
     text = text.lstrip("\ufeff").replace("\r", "")
     if "[Script Info]" in text or text.startswith("Dialogue:"):
         for at, body in _ASS.findall(text):
@@ -155,7 +155,7 @@ def _place(numbers: tuple[_Number, ...], latitude_first: bool) -> dict[str, floa
 
 
 def _order(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
-    """Infer whether latitude comes first in brackets (None if unclear); also return the reason.
+    """Infer whether latitude comes first in brackets (None: unclear), and how this is known.
 
     Hemisphere letters and an angle beyond 90 degrees are proof. Otherwise the distance from HOME (`D`) and the third
     number decide: a height follows latitude and longitude (Matrice 300, Avata 2), a count of satellites follows
@@ -175,7 +175,7 @@ def _order(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
 
 
 def _by_home(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
-    """Return the order that reproduces the written distances from HOME (None if unclear), and the reason."""
+    """Return whether latitude first reproduces the distances from HOME (None: unclear), and this evidence in words."""
     why, misfits = "the distance from HOME", []
     for latitude_first in (True, False):
         off = [
@@ -201,7 +201,7 @@ def _by_third(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
 
 
 def _thirds(cues: Sequence[_Cue]) -> tuple[F64, F64]:
-    """Return (N,) third numbers in brackets, and (N,) metres above take-off, NaN where not given."""
+    """Return the third numbers (N,) in brackets, and the heights (N,) above take-off in m, NaN where not given."""
     pairs = [(c.gps[2].value, c.row.values.get("rel_alt", math.nan)) for c in cues if len(c.gps) > 2]
     third, up = np.array(pairs).reshape(-1, 2).T
     return third, up

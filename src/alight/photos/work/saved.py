@@ -129,11 +129,7 @@ class SavedJobs:
         yield from self._saved_results(drawn)
 
     def _saved_results(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
-        """Yield saved results, up to the next task without one.
-
-        Raises:
-            InputError: a piece is undamaged, but is not a packed result.
-        """
+        """Pop the tasks in `drawn` up to the first without a saved result, and yield the saved results."""
         while drawn and drawn[0][1]:
             name = drawn.popleft()[0].name
             try:
