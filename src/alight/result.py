@@ -29,7 +29,7 @@ class Result:
 
     @property
     def candidates(self) -> tuple[Site, ...]:
-        """Places that no limit refuses, with too low a P(safe): `doubt` is the cause, `look` the view to settle it."""
+        """Places that no limit refuses, but with a low P(safe); `doubt` is the cause, `look` the view to settle it."""
         return self.record.sites.candidates
 
     @property

@@ -46,7 +46,7 @@ class Shutter:
         return cls(imaging.exposure_time, imaging.line_time, imaging.moments)
 
     def opened(self, rows: int, moment: int) -> F64:
-        """Return when each row takes a moment of its exposure, (rows,) s from the picture's time; (1,): all at once."""
+        """Return when the rows record instant `moment` of the exposure, (rows,) s from its middle; (1,): together."""
         part = (moment + 0.5) / self.moments - 0.5
         lines = np.arange(rows) - 0.5 * (rows - 1) if self.line_time else np.zeros(1)
         return np.asarray(part * self.exposure + self.line_time * lines)
@@ -54,7 +54,7 @@ class Shutter:
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """A camera with the rays of all its pixels, computed once without distortion."""
+    """A camera with the undistorted rays of all its pixels, computed once."""
 
     camera: Camera
     samples: int = 1  # rays per pixel
@@ -68,7 +68,7 @@ class Eye:
         object.__setattr__(self, "rays", tuple(rays))
 
     def depth(self, world: SceneWorld, world_from_cam: Pose, sample: int = 0) -> F64:
-        """Return the (H, W) depth of the ground at each pixel, metres along the optical axis; -1 if no ground is hit.
+        """Return the (H, W) ground depth on ray `sample` of each pixel, metres along the optical axis; -1: no hit.
 
         Raises:
             InputError: the camera is below the ground.
@@ -108,7 +108,7 @@ class Eye:
         return out
 
     def footprint(self, world: SceneWorld, turns: F64, places: F64) -> tuple[float, float, float, float]:
-        """Return west, south, east, north (m) of the ground that a picture shows, at turns (N, 3, 3), places (N, 3)."""
+        """Return west, south, east, north (m) of the ground seen at rotations (N, 3, 3) and positions (N, 3)."""
         edge = _border(self.rays[0])
         ends = [_reach(world, turns[k] @ edge.T, places[k]) for k in {0, len(turns) - 1}]
         spots = np.concatenate([*ends, places[:, :2]])
@@ -157,13 +157,13 @@ class Eye:
 
 
 def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:
-    """Return how often the resolution of looks and light is halved: a cell is at most a pixel's size on the ground."""
+    """Return the level of `SceneWorld.patch` whose blocks are at most a pixel (rad) wide, seen from height `up` (m)."""
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
 
 def rays_in_pixel(samples: int) -> NDArray[np.float64]:
-    """Return (samples, 2) offsets of a pixel's rays from its centre, px: R2 sequence; for four, a rotated square."""
+    """Return the (samples, 2) offsets of a pixel's rays from its centre, px."""
     if samples == 4:
         return np.array(FOUR)
     k = np.arange(samples)[:, None]
@@ -181,7 +181,7 @@ def _border(rays: F32) -> F64:
 
 
 def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
-    """Return the (N, 2) east and north at which rays (3, N) reach the lowest ground, at most REACH heights away."""
+    """Return (N, 2) east and north where rays (3, N) from `place` meet the world's lowest height, within a limit."""
     height = max(float(place[2]) - world.low, 1.0)
     flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
     away = np.minimum(np.where(rays[2] < 0, height * flat / np.maximum(-rays[2], 1e-9), np.inf), REACH * height)

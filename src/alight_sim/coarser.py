@@ -16,7 +16,7 @@ def _quarters(layer: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 
 
 def mean_of(layer: F32, level: int) -> F32:
-    """Return the (R >> level, C >> level, ...) means of blocks of 2^level cells of a layer."""
+    """Return the (R >> level, C >> level, ...) means of a layer over blocks of 2^level x 2^level cells."""
     for _ in range(level):
         a, b, c, d = _quarters(layer)
         layer = np.float32(0.25) * ((a + b) + (c + d))
@@ -24,7 +24,7 @@ def mean_of(layer: F32, level: int) -> F32:
 
 
 def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
-    """Return the (R >> level, C >> level) most frequent code of each block, reduced by two cells per step."""
+    """Return the (R >> level, C >> level) codes that are most frequent in each block, found in steps of 2 x 2 cells."""
     for _ in range(level):
         a, b, c, d = _quarters(codes)
         codes = np.where((a == b) | (a == c) | (a == d), a, np.where((b == c) | (b == d), b, d))
@@ -32,7 +32,7 @@ def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
 
 
 def mean_shadow(margin: F32, level: int) -> F32:
-    """Return the (R >> level, C >> level) shadow margins of blocks, which give the mean share of sun in each block."""
+    """Return the (R >> level, C >> level) shadow margin of each block that gives the mean sunlight of its cells."""
     if level == 0:
         return margin
     t = np.clip((margin - SHADED) / (LIT - SHADED), 0.0, 1.0)

@@ -48,7 +48,7 @@ def chart(world: SceneWorld, plan: FlightPlan, rng: np.random.Generator) -> True
 
 
 def ground_at(world: World, place: F64) -> float:
-    """Return the height of the ground around a position, metres, mostly without the trees and houses on it."""
+    """Return a low quantile of the heights around a position, metres, which mostly excludes trees and houses."""
     steps = np.arange(-AROUND, AROUND + 0.5, 1.0)
     heights = [world.height_at(place[0] + e, place[1] + n) for e in steps for n in steps]
     return float(np.nanquantile(heights, LOW))
@@ -86,7 +86,6 @@ def _what(world: SceneWorld, p: F64) -> str:
 
 
 def _keeps_clear(world: SceneWorld, trajectory: TrueTrajectory) -> None:
-    """Raise InputError if the flight leaves the world or comes too close to its surface."""
     west, south, east, north = world.extent
     fastest = float(np.linalg.norm(np.diff(trajectory.position.c, axis=0), axis=1).max() / 0.25)
     step = min(0.1, 1.0 / max(fastest, 1e-3))

@@ -76,7 +76,10 @@ class Sensor:
         return cls(imaging, _falloff(camera, imaging, dust), hot.integers(0, size, (count, 3)).astype(np.float32), tone)
 
     def expose(self, radiance: F32, gain: F64, key: int, covered: float = 0.0) -> U8:
-        """Return the picture (H, W, 3), RGB, from linear light (H, W, 3), with gains (3,) and noise of seed `key`."""
+        """Return the picture (H, W, 3), RGB, from linear light (H, W, 3), with gains (3,) and noise of seed `key`.
+
+        `covered`: share of the light that a cover keeps out.
+        """
         s, light = self.imaging, radiance
         if s.blur_px > 0:
             light = cv2.GaussianBlur(radiance, (0, 0), s.blur_px)
@@ -135,12 +138,12 @@ class ControlStep:
 
     @property
     def log(self) -> float:
-        """Logarithm of the factor on the gain."""
+        """Logarithm of the limited factor on the gain."""
         return min(max(self.free, -CONTROL_RANGE), CONTROL_RANGE)
 
 
 def controlled(imaging: Imaging, before: ControlStep | None, metered: float, seconds: float) -> ControlStep:
-    """Step exposure control: a first-order lag towards the target mean.
+    """Advance exposure control, which follows the target mean with a first-order lag.
 
     Args:
         before: state at the previous exposure, from which the gain follows; None: the control has settled.
@@ -155,9 +158,9 @@ def controlled(imaging: Imaging, before: ControlStep | None, metered: float, sec
 
 
 def irregular_gauss_markov(rng: np.random.Generator, seconds: F64, width: int, tau: float) -> F64:
-    """Return (N, width) Gauss-Markov noise of unit deviation at ascending times: drawn every tau / 20, interpolated.
+    """Return (N, width) Gauss-Markov noise of unit deviation and correlation time `tau` (s) at ascending times.
 
-    The draws do not depend on the times, so a lost exposure does not change the noise of the others.
+    It is drawn every tau / 20, whatever the times, and interpolated. So a lost exposure changes no other noise.
     """
     step = tau / 20.0
     first = math.floor(float(seconds.min(initial=0.0)) / step)

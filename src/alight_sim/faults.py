@@ -48,7 +48,7 @@ class Calibration(Section):
     baseline: float = Field(0.0, gt=-0.9, lt=0.9, description="share by which the cameras are claimed too far apart")
 
     def claim(self, cam: RigCamera, first: RigCamera) -> RigCamera:
-        """Return a camera with the errors of the calibration; the errors of position are relative to camera `first`."""
+        """Return a camera as the calibration describes it; a baseline error moves it along its offset from `first`."""
         lens = cam.camera
         claimed = replace(
             lens,
@@ -86,7 +86,7 @@ class Faults(Section):
     covered: tuple[Cover, ...] = Field((), description="lenses that see nothing")
 
     def claimed(self, true: Rig) -> Rig:
-        """Return the rig that the log claims for a true rig."""
+        """Return a rig as its faulty calibration describes it."""
         if self.calibration == Calibration() and not any(self.mounting_deg):
             return true
         turn = Pose(so3_exp(np.radians(self.mounting_deg)), np.zeros(3))
@@ -116,7 +116,7 @@ class Exposures:
 
 
 def exposures(faults: Faults, beat_ns: I64, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
-    """Return the exposures at even times (N,) ns after faults of timing and loss, each from its own random stream."""
+    """Return the exposures planned at times `beat_ns` (N,), with the faults of timing and loss."""
     rngs = [np.random.default_rng(s) for s in seeds.spawn(6)]
     n, start = len(beat_ns), int(beat_ns[0])
     period = float(np.diff(beat_ns).min(initial=10**12))

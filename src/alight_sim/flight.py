@@ -269,12 +269,12 @@ class SimulatedFlight:
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
-        """Return the seeds of the source of randomness with the given key."""
+        """Return the seeds of the random source with this key."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
 
 def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
-    """Return facts about a simulated flight for the report."""
+    """Return facts about a simulated flight, as notes for the report."""
     lens = rig.cameras[0].camera
     return {
         "cameras": [c.name for c in rig.cameras],

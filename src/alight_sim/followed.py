@@ -77,8 +77,8 @@ class ReportedTrack:
 class FollowedCameras:
     """The cameras of a scene on a vehicle whose track is reported.
 
-    The first reported position is mapped to `start` of the scene, at the reported height above the home. The home's
-    ground is the scene's ground at `start`.
+    The first reported position is placed over `start` in the scene, at the reported height above the home. The ground
+    at `start` is the home's ground.
 
     Args:
         scene: a built-in scene's name, or a scene file.
@@ -116,7 +116,7 @@ class FollowedCameras:
         self.track, self._offset, self._shift_ns, self._cameras.next = ReportedTrack(), None, None, 0
 
     def place(self, position: F64, above_home: float) -> None:
-        """Set the offset from the reported frame to the scene, once, by a position and its height, metres."""
+        """Set the reported frame's offset to the scene, once, by a position (3,) and its height above the home, m."""
         if self._offset is None:
             self._offset = self._home + np.array([0.0, 0.0, above_home]) - position
 

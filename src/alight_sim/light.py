@@ -32,7 +32,7 @@ class Sun:
 
     @property
     def numbers(self) -> F64:
-        """(9,) direction, colour, sky: input of the kernels."""
+        """(9,) direction towards the sun, colour of the sun, colour of the sky: input of the kernels."""
         return np.array([*self.direction, *self.colour, *self.sky])
 
 
@@ -75,7 +75,7 @@ class Light(Section):
         return round(math.radians(self.turn_deg_per_s) * time / SUN_STEP)
 
     def sun_at(self, time: float) -> Sun:
-        """Return the sun at a time (s): its direction in steps of 0.1 degrees, and its colour, redder if low."""
+        """Return the sun at a time (s), with its direction in steps of 0.1 degrees."""
         azimuth = math.radians(self.azimuth_deg) + self.sun_step(time) * SUN_STEP
         elevation = math.radians(self.elevation_deg)
         path = 1.0 / (math.sin(elevation) + 0.15 * (self.elevation_deg + 3.885) ** -1.253)  # Kasten, 1965

@@ -247,7 +247,7 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
 
 
 def _raster(flight: SimulatedFlight, path: Path, rows: Callable[[slice], NDArray[Any]], dtype: str, no: float) -> None:
-    """Write a raster in bands of rows, so that a large world is not copied in memory."""
+    """Write a raster in bands of rows, so that no large world is copied in memory; `no`: the value of missing cells."""
     grid = flight.truth.grid
     profile = {
         "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": dtype, "nodata": no,

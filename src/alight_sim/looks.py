@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Look(IntEnum):
-    """Codes of the layer of looks; BY_CLASS: the usual look of the class."""
+    """Codes of the looks of ground and things. BY_CLASS stands for the usual look of the cell's class."""
 
     BY_CLASS = 0
     MEADOW = 1

@@ -49,7 +49,7 @@ class Traffic(Section):
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """The cars of one line of traffic; at its end they leave, and reappear at its start."""
+    """The cars of one line of traffic. A car that reaches the end of the line reappears at its start."""
 
     traffic: Traffic
     height_at: Height

@@ -50,7 +50,7 @@ class OracleLander:
 
     @classmethod
     def of(cls, numbers: Mapping[str, Any], **more: Any) -> OracleLander:
-        """Return a lander from a mapping, such as a dump of lander settings; keys in `ASIDE` are ignored."""
+        """Return a lander from a mapping, such as dumped settings, without keys in `ASIDE`; `more`: further fields."""
         return cls(**{k: v for k, v in numbers.items() if k not in ASIDE}, **more)
 
     @property
@@ -85,7 +85,6 @@ class TrueSurface:
         return out
 
     def _stand(self, body: F64) -> None:
-        """Add an upright box of 12 numbers (`alight_sim.kernels.boxes`) to the surface."""
         rows, cols = self.height.shape
         dx = self.east + self.cell * np.arange(cols)[None] - body[0]
         dy = self.north + self.cell * np.arange(rows)[:, None] - body[1]
@@ -162,7 +161,7 @@ class SafePlaces:
         return np.asarray(self.safe_at.any(axis=2))
 
     def with_margin(self, margin: float) -> Mask:
-        """Return the (R, C) mask of centres that are safe with all centres within `margin` m; unsafe off the grid."""
+        """Return the (R, C) mask of centres with no unsafe centre within `margin` m; beyond the grid all are unsafe."""
         step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
         k = math.floor(margin / step + 1e-9)
         padded = np.pad(self.safe, k, constant_values=False)

@@ -22,8 +22,8 @@ class GroundPatch:
 
     grid: Grid
     height: F32  # (R, C) metres above the origin, topmost surface
-    label: U8  # (R, C) Terrain codes; from here on: blocks of 2^level cells, means or most frequent codes
-    skin: F32  # (R, C, SKIN): `light`, then `tint` (1: no tint), adjacent so that a pixel reads one piece of memory
+    label: U8  # (R, C) Terrain codes; this and all layers below are reduced to blocks of 2^level x 2^level cells
+    skin: F32  # (R, C, SKIN): `light`, then `tint` (1: no tint), side by side in memory
     look: U8 | None = None  # (R, C) codes of Look; None: all by class
     tinted: bool = False
     level: int = 0
@@ -40,7 +40,7 @@ class GroundPatch:
 
     @cached_property
     def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64], F32]:
-        """Pyramid of maxima for fast ray casting, with level offsets and widths, and its dilated version."""
+        """Pyramid of largest heights for fast ray casting, its level offsets and widths, and its dilated version."""
         pyramid = max_pyramid(self.height)
         return (*pyramid, _max_about(*pyramid))
 

@@ -83,7 +83,7 @@ class FlightPlan(Section):
 
     @property
     def heading(self) -> float | None:
-        """Constant heading, rad counter-clockwise from east (`HELD`: `course_deg`); None: it follows the course."""
+        """Constant heading, rad counter-clockwise from east; None: the nose follows the course."""
         if self.heading_deg is not None:
             return math.radians(90.0 - self.heading_deg)
         return math.radians(90.0 - self.course_deg) if self.kind in HELD else None
@@ -119,7 +119,6 @@ def _lawn_mower(plan: FlightPlan) -> F64:
 
 
 def _spiral(plan: FlightPlan) -> F64:
-    """Return an Archimedean spiral: the radius grows with the angle; points are a metre apart."""
     gap = (plan.spacing or 0.3 * plan.height) / (2.0 * math.pi)
     last = 2.0 * math.pi * plan.turns
     fine = np.linspace(0.0, last, max(int(200 * plan.turns), 50))
@@ -139,7 +138,7 @@ def _hover(plan: FlightPlan) -> F64:
 
 
 def _approach(plan: FlightPlan) -> F64:
-    """Return a strip, part of the way back beside it, and a descent to the pattern's centre, as before a landing."""
+    """Return a path as before a landing: a strip, a return close to it, and a descent to the pattern's centre."""
     half, gap = 0.5 * _strip(plan), plan.spacing or 0.1 * plan.height
     begin = SLIDE * (plan.height - plan.end_height)
     return np.array(
@@ -151,13 +150,12 @@ def _approach(plan: FlightPlan) -> F64:
 
 
 def _climb(plan: FlightPlan) -> F64:
-    """Return a short strip that ends over the pattern's centre, then a climb."""
     end = SLIDE * (plan.end_height - plan.height)
     return np.array([[-plan.height, 0.0, plan.height], [0.0, 0.0, plan.height], [end, 0.0, plan.end_height]])
 
 
 def _two_heights(plan: FlightPlan) -> F64:
-    """Return a strip, then the same strip back at the other height."""
+    """Return a strip at the plan's height, and the same strip back at the end height."""
     half = 0.5 * _strip(plan)
     ends = ((-half, plan.height), (half, plan.height), (half, plan.end_height), (-half, plan.end_height))
     return np.array([[along, 0.0, height] for along, height in ends])

@@ -103,7 +103,7 @@ class PointMass:
         return self.angular_velocity_body, np.asarray(self._attitude().T @ (self._acceleration + UPWARDS))
 
     def step(self, dt: float, wanted: Wanted | None) -> Sequence[Event]:
-        """Move for `dt` seconds towards a set-point (None: motors off). Returns no events, as it has no sensors."""
+        """Move for `dt` seconds towards a set-point (None: motors off); return no events, because it has no sensors."""
         before = self._attitude()
         if wanted is None:
             self._fall(dt)

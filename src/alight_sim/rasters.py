@@ -68,7 +68,7 @@ class GroundRasters:
     warnings: tuple[str, ...]
 
     def heights(self, x: F64, y: F64) -> F64:
-        """Return bilinear heights at positions of any shape, metres; beyond the edge, those of the nearest cells."""
+        """Return bilinear heights at positions of any shape, metres; beyond the edge, heights of the nearest cells."""
         rows, cols = self.grid.index(x, y)
         return np.asarray(map_coordinates(self.height, [rows, cols], np.float64, order=1, mode="nearest"))
 
@@ -123,7 +123,7 @@ def raster_middle(raster: SceneRaster) -> LocalFrame:
 
 
 def reach(raster: SceneRaster, local: LocalFrame, cell: float) -> Box:
-    """Return the largest box of whole cells about an origin that lies in the height raster, even a rotated one."""
+    """Return the largest box of whole cells about an origin that lies in the height raster, which may be rotated."""
     with _opened(raster.height, "height raster") as dataset:
         t = np.linspace(0.0, 1.0, 33)
         a, b, c, d, e, f = dataset.transform[:6]
@@ -177,7 +177,7 @@ def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: floa
 def _warped(
     path: Path, what: str, local: LocalFrame, grid: Grid, bands: list[int], how: Resampling, **more: Any
 ) -> Any:
-    """Return the (bands, R, C) values of a raster, resampled to the grid."""
+    """Return the (bands, R, C) values of a raster, resampled to the grid by method `how`; errors name it as `what`."""
     with _opened(path, what) as dataset:
         if len(bands) > dataset.count:
             raise InputError(f"{path}: the {what} has {dataset.count} band(s), {len(bands)} are needed; choose another")
@@ -244,7 +244,7 @@ def _image(path: Path, local: LocalFrame, grid: Grid, gamma: float) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Arrays:
-    """Source of tiles from given arrays; outside, their edge cells continue."""
+    """Source of tiles from given arrays; the cells at their edges are repeated beyond them."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin
@@ -276,7 +276,7 @@ class Arrays:
         return west, south, west + self.grid.cols * self.cell, south + self.grid.rows * self.cell
 
     def tile(self, i: int, j: int) -> Tile:
-        """Return tile (i, j): a window of the arrays; beyond the edge the nearest cells."""
+        """Return the tile that is `i` tiles east and `j` tiles north of the anchor."""
         k = np.arange(SIDE)
         cols = np.clip(i * SIDE + k, 0, self.grid.cols - 1)
         rows = np.clip(self.grid.rows - (j + 1) * SIDE + k, 0, self.grid.rows - 1)

@@ -41,7 +41,10 @@ def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64)
 
 
 def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:
-    """Return wavelengths halved from `longest` down to `shortest`, and their amplitudes for the total `deviation`."""
+    """Return wavelengths, halved from `longest` to `shortest`, and the standard deviations of their octaves, metres.
+
+    `deviation`: of the sum of the octaves, metres. `fall`: each octave's is proportional to wavelength**fall.
+    """
     count = max(1, 1 + math.floor(math.log2(max(longest / shortest, 1.0)) + 1e-9))
     wavelengths = longest * 0.5 ** np.arange(count, dtype=np.float64)
     amplitudes = wavelengths**fall
@@ -49,7 +52,7 @@ def octaves(deviation: float, longest: float, shortest: float, fall: float) -> t
 
 
 def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
-    """Return noise of unit deviation at positions of any shape, between two wavelengths, metres."""
+    """Return noise of unit deviation at positions of any shape, between two wavelengths (m); `fall` as in `octaves`."""
     if x.size == 0:
         return np.zeros(x.shape)
     east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))

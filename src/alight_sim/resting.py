@@ -35,10 +35,11 @@ def resting_on_feet(at: F64, height: F64) -> F64:
 
 
 def resting_on_skids(at: F64, height: F64) -> F64:
-    """Return (N, 2, 3) planes on which two skids rest, at the lowest and the highest pitch at which they may.
+    """Return the (N, 2, 3) planes on which two skids rest: at the lowest and at the highest pitch that is stable.
 
-    With a pitch p a skid passes over its middle at max(z - p s); the sum over both skids is convex in p. `at` (K, 2) is
-    forward and left of points on the skids, the left skid first, and `height` (N, K) the ground under them, metres.
+    Args:
+        at: (K, 2) metres forward and left of points on the skids, the left skid first.
+        height: (N, K) metres, ground below these points.
     """
     half = len(at) // 2
     s, wide = at[:half, 0], float(at[0, 1] - at[half, 1])

@@ -150,13 +150,11 @@ def _single() -> Rig:
 
 
 def _wide() -> Rig:
-    """Return two fisheye cameras with a field of view of 120 degrees."""
     lens = Camera(640, 480, 306.0, 306.0, 319.5, 239.5, "equidistant", (-0.01, 0.02, -0.01, 0.002))
     return Rig(tuple(RigCamera(c.name, lens, c.body_from_cam) for c in default_rig().cameras))
 
 
 def _oblique() -> Rig:
-    """Return a pair of cameras that point ahead, 50 degrees below the horizon."""
     pose = looking(math.radians(50.0))
     return Rig(
         tuple(RigCamera(c.name, c.camera, Pose(pose, c.body_from_cam.translation)) for c in default_rig().cameras)

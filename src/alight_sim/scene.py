@@ -67,7 +67,7 @@ class SceneGround(Section):
     raster: SceneRaster | None = Field(None, description="a height raster of your own instead of relief and layers")
 
     def fall(self, x: F64, y: F64) -> F64:
-        """Return the heights of the slope at positions, metres."""
+        """Return the heights of the ground's overall slope at positions, metres; 0 at the origin."""
         steep, towards = math.tan(math.radians(self.slope_deg)), math.radians(self.downhill_deg)
         return np.asarray(-steep * (math.sin(towards) * x + math.cos(towards) * y))
 

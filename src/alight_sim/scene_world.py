@@ -43,7 +43,7 @@ MARGIN = 30.0  # metres beyond the extent for which `low` and `high` hold
 
 @dataclass(frozen=True, eq=False)
 class _TileSkin:
-    """Layers of a tile for the shading, in blocks of 2^level cells."""
+    """Layers of a tile for the shading, each reduced to S x S blocks of cells."""
 
     skin: F32  # (S, S, SKIN)
     label: U8  # (S, S) Terrain codes
@@ -118,7 +118,7 @@ class SceneWorld:
 
         Args:
             time: time for the position of the sun, s.
-            level: looks and light are given for blocks of 2^level cells, for pictures with pixels of that size.
+            level: all layers but the heights are reduced to blocks of 2^level x 2^level cells, for coarse pictures.
         """
         box, sun = self._tile_box(bounds), self.light.sun_at(time)
         make = partial(self._make_patch, box, sun, level)
@@ -138,7 +138,7 @@ class SceneWorld:
         return found if len(found.ends) else None
 
     def usual_height(self, bounds: Box) -> float:
-        """Return the median of a few heights in the tiles of a box, metres: about the ground height below a camera."""
+        """Return the median of a few heights in the tiles of a box, metres."""
         box = self._tile_box(bounds)
         e, n = (np.linspace(a * SIDE, (b + 1) * SIDE, 7)[1:-1].astype(int) for a, b in (box[::2], box[1::2]))
         heights = self._patches.get(
@@ -266,7 +266,7 @@ class SceneWorld:
         return GroundPatch(grid, height, layers["label"], layers["skin"], looks, tinted, level)
 
     def _make_skin(self, i: int, j: int, sun: Sun, level: int) -> _TileSkin:
-        """Return light, class, look and tint of a tile's blocks of 2^level cells; they are equal in every patch."""
+        """Return light, class, look and tint of a tile's blocks of 2^level x 2^level cells."""
         tile, side = self._tile(i, j), SIDE >> level
         codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
         sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
@@ -290,7 +290,7 @@ class SceneWorld:
         return out
 
     def _make_shadow(self, i: int, j: int, sun: Sun) -> F32:
-        """Return the (SIDE, SIDE) shadow margins, metres: march towards the sun as far as the longest shadow."""
+        """Return the (SIDE, SIDE) shadow margins of a tile, metres; see `kernels.layers.sun_margin`."""
         direction, flat = sun.direction, math.hypot(*sun.direction[:2])
         out = np.full((SIDE, SIDE), SHADOW_LIMIT, np.float32)
         if flat < 1e-6:
@@ -357,7 +357,7 @@ def world_of(
     seed: int = 0,
     spans: TrueSpans | None = None,
 ) -> SceneWorld:
-    """Build a world from arrays (R, C) on a grid; classes default to bare ground. Outside, the edge cells continue."""
+    """Build a world from arrays (R, C) on a grid; the class defaults to bare. Beyond the grid its edge cells repeat."""
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
     source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint, spans or TrueSpans())
     return SceneWorld("arrays", "", seed, Origin().local, source, source.extent, light or Light())

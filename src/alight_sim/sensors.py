@@ -37,7 +37,7 @@ class Outage(Span):
 
 
 class NavErrors(Section):
-    """Errors of GPS/INS: drift (first-order Gauss-Markov) and white noise with reported sigmas; unreported errors."""
+    """Errors of GPS/INS. Its sigmas cover the drifts (first-order Gauss-Markov) and the white noise, nothing else."""
 
     rate_hz: float = Field(20.0, gt=0, le=1000, description="rows a second")
     position: Triple = Field((1.0, 1.0, 1.5), description="metres east, north, up: standard deviation of the drift")
@@ -117,7 +117,7 @@ class TrueMotion:
 
 
 class NavStream:
-    """GPS/INS, row by row, with the errors of one flight."""
+    """Source of the GPS/INS rows of one flight, with their errors."""
 
     def __init__(self, errors: NavErrors, seeds: np.random.SeedSequence) -> None:
         drift, self._white, turn, self._turn_white, self._speed, self._rate, wind = (
@@ -193,13 +193,13 @@ def simulated_nav(
 
 
 def _bent(rng: np.random.Generator, scale: float, misalignment: float) -> F64:
-    """Return a (3, 3) matrix, measured from true: scale errors on the diagonal, misalignments beside it."""
+    """Return a random (3, 3) matrix from true to measured vectors, with errors of the scale and of the axes."""
     M = np.diag(1.0 + scale * rng.standard_normal(3))
     return np.asarray(M + misalignment * rng.standard_normal((3, 3)) * (1.0 - np.eye(3)))
 
 
 class BiasWalk:
-    """The biases of gyroscope and accelerometer, sample by sample."""
+    """Random walk of the biases of gyroscope and accelerometer."""
 
     def __init__(self, errors: ImuErrors, seeds: np.random.SeedSequence) -> None:
         self._rngs = [np.random.default_rng(s) for s in seeds.spawn(2)]
@@ -224,7 +224,7 @@ def imu_biases(n: int, errors: ImuErrors, seeds: np.random.SeedSequence) -> tupl
 
 
 class ImuStream:
-    """The IMU, sample by sample, with the errors of one flight."""
+    """Source of the IMU samples of one flight, with their errors."""
 
     def __init__(self, errors: ImuErrors, seeds: np.random.SeedSequence) -> None:
         self._gyro, self._accel, gyro_axes, accel_axes = (np.random.default_rng(s) for s in seeds.spawn(4))

@@ -89,7 +89,7 @@ class Cache:
         self._lock = threading.RLock()
 
     def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
-        """Return the value of a key; it is made if the cache does not hold it."""
+        """Return the value of a key, made by `make` if the cache does not hold it; `size` returns its bytes."""
         with self._lock:
             if key in self._held:
                 self._held.move_to_end(key)
@@ -113,7 +113,7 @@ def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
 
 
 class Lay:
-    """One layer in one world: its random stream, its things, and access to the ground before it."""
+    """One layer in one world, with its random stream, its things, and access to the ground of the layers before it."""
 
     def __init__(self, stack: Stack, layer: Layer, index: int, seed: int) -> None:
         self.stack, self.layer, self.index, self.seed = stack, layer, index, seed
@@ -122,7 +122,7 @@ class Lay:
         self.block = lru_cache(4096)(self._block)
 
     def keep(self, key: str, make: Callable[[], F64]) -> F64:
-        """Return the value of a key, made at the first call."""
+        """Return the value of a key, which is made at the first call and kept."""
         if key not in self._kept:
             self._kept[key] = make()
         return np.asarray(self._kept[key])
@@ -163,7 +163,7 @@ class Lay:
         return things, len(named)
 
     def _block(self, i: int, j: int) -> F64:
-        """Return the things of one block whose site is suitable, with the ground level at their feet."""
+        """Return the things of one block that found a site, in parts, with the ground level at their feet."""
         things, named = self.candidates(i, j)
         if not len(things):
             return things
@@ -171,7 +171,7 @@ class Lay:
         level, allowed = self._feet(i, j)
         things = things.copy()
         things[:, LEVEL] = level
-        stays[named:] = allowed[named:] & self._has_room(things, i, j, named)[named:]
+        stays[named:] = allowed[named:] & self._has_room(things, i, j)[named:]
         stays[named:] &= self._in_clump(things[named:]) & self.scattered.kept(things[named:], self.seed)
         rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF, 1])
         return self.scattered.parts(rng, np.asarray(things[stays]))
@@ -184,7 +184,7 @@ class Lay:
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def ring(self, i: int, j: int) -> tuple[F64, F64]:
-        """Return (N, 1 + RING) east and north of ground samples under a block's candidates: centre, then ring."""
+        """Return (N, 1 + RING) east and north of ground samples for a block's candidates: the centre, then a ring."""
         things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
         reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
@@ -193,7 +193,7 @@ class Lay:
 
     @property
     def shapes(self) -> bool:
-        """Whether the layer changes the solid ground; its things then stand on the ground of the layers before it."""
+        """Whether the layer changes the solid ground; if so, its things stand on the ground of the layers before it."""
         return type(self.layer).shape is not Layer.shape
 
     def _feet(self, i: int, j: int) -> tuple[F64, Mask]:
@@ -210,8 +210,8 @@ class Lay:
             return np.asarray(ground.max(axis=1)), allowed
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
-    def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
-        """Return the (N,) mask of things that overlap no earlier layer's thing, and no own one with precedence."""
+    def _has_room(self, things: F64, i: int, j: int) -> Mask:
+        """Return the (N,) mask of things without overlap with earlier layers' things or own ones of higher rank."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room
@@ -231,7 +231,7 @@ class Lay:
 
 
 def _first(things: F64) -> F64:
-    """Return a pseudo-random precedence per thing; of two overlapping things, that with the larger value stays."""
+    """Return the (N,) pseudo-random ranks of things; of two that overlap, the thing of higher rank stays."""
     return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
 
 
@@ -258,7 +258,7 @@ class Stack:
             kinds.append(layer.thing)
 
     def _stream(self, name: str, count: int) -> int:
-        """Return a layer's own seed, so that a new kind of thing in a scene does not move the others."""
+        """Return the seed of layer `count` of kind `name`; it does not depend on layers of other kinds."""
         state = np.random.SeedSequence([self.seed, zlib.crc32(name.encode()), count]).generate_state(1)
         return int(state[0]) & 0x7FFFFFFF
 
@@ -288,7 +288,7 @@ class Stack:
         return sheet
 
     def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8, U8]]:
-        """Return ground, classes and looks under the candidates of all layers that keep the ground, by layer index."""
+        """Return ground, classes and looks at a block's rings, by the index of each layer that changes no ground."""
         standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
         rings = [lay.ring(i, j) for lay in standing]
         sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
@@ -316,7 +316,7 @@ class Stack:
         return TrueSpans.joined(lay.layer.hang(box, lay) for lay in self.lays).within(box)
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Return bounds of the heights in a box, metres, from coarse samples of the base and the rise of the layers."""
+        """Return a lower and an upper bound of all heights in a box, metres, estimated from coarse samples."""
         west, south, east, north = box
         count = [min(200, 2 + math.ceil((b - a) / 4.0)) for a, b in ((west, east), (south, north))]
         base = self.base(*np.meshgrid(np.linspace(west, east, count[0]), np.linspace(south, north, count[1])))

@@ -81,7 +81,7 @@ VEHICLES = {
 
 @dataclass(frozen=True, eq=False)
 class TrueTrajectory:
-    """True motion of the vehicle as a function of time in seconds from the flight's start: one time, or (N,)."""
+    """True motion of the vehicle, as functions of a time or times (N,) in seconds from the flight's start."""
 
     position: BSpline  # (3,) metres, world, without vibration
     heading: BSpline  # rad, counter-clockwise from east
@@ -139,7 +139,7 @@ class TrueTrajectory:
         return Pose(self.rotations(t), self.place_world(t))
 
     def angular_velocity_body(self, t: F64 | float, h: float = 1e-4) -> F64:
-        """Return the (..., 3) rates in the body, rad/s, by central difference of the rotation (error below 1e-7)."""
+        """Return the (..., 3) rates in the body, rad/s, by central differences over +- `h` s (error below 1e-7)."""
         t = np.asarray(t, dtype=np.float64)
         turn = np.swapaxes(self.rotations(t - h), -1, -2) @ self.rotations(t + h)
         skew = turn - np.swapaxes(turn, -1, -2)
@@ -190,7 +190,7 @@ class _Line:
 
 
 def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool) -> _Line:
-    """Return a polyline with speeds at its points. `most`: m/s^2 at most; `rolling`: not at rest at the ends."""
+    """Return a polyline whose speeds keep to `most` m/s^2; `rolling`: whether its ends are passed at full speed."""
     legs = np.diff(points, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     units = legs / lengths[:, None]
@@ -217,7 +217,7 @@ def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool
 
 
 def push_left(speed: float, limits: Limits, air: Air, vehicle: SimulatedVehicle) -> float:
-    """Return the acceleration that the tilt limit leaves at `speed` in the steady wind, m/s^2; negative: none."""
+    """Return the acceleration, m/s^2, possible within the tilt limit at `speed` in the wind; negative: too fast."""
     slant = limits.steepest - math.tan(vehicle.lean_left)
     drag = vehicle.drag * (speed + air.wind)
     return min(limits.acceleration, (slant * GRAVITY - drag) / (1.0 + slant))  # a faster sink reduces the thrust
@@ -235,7 +235,7 @@ def fly_through(
     rolling: bool = False,
     hold: float = 0.0,
 ) -> TrueTrajectory:
-    """Fly along a line of (N, 3) positions (east, north, up in metres); corners are rounded within a knot.
+    """Fly along a line of (N, 3) positions (east, north, up in metres), with rounded corners.
 
     Args:
         heading: constant heading, rad counter-clockwise from east; None: it follows the course as fast as allowed.

@@ -434,7 +434,7 @@ def test_the_transform_places_corners_half_a_cell_out(grid: Grid) -> None:
 @given(pose, st.lists(vector, min_size=4, max_size=4))
 def test_ground_projection_is_the_projection_of_a_ground_point(world_from_cam: Pose, xs: list[np.ndarray]) -> None:
     """H (x, y, 1) + h b is the point in the optical frame (eqs. 1 to 3)."""
-    H, b = ground_projection(LENSES["none"], world_from_cam)
+    H, b = ground_projection(world_from_cam)
     X = 30 * np.array(xs)
     p = np.column_stack([X[:, :2], np.ones(4)]) @ H.T + X[:, 2:] * b
     assert_allclose(p, world_from_cam.inverse.apply(X), atol=1e-10)

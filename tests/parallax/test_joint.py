@@ -119,7 +119,7 @@ def test_a_pose_error_slides_the_ground_as_its_derivative_says() -> None:
             return (pose.translation + d * (level - pose.translation[2]) / d[2])[:2]
 
         cam, true = body @ mount, corrected_pose(body, error) @ mount
-        H, b = ground_projection(ANY_CAMERA, cam)
+        H, b = ground_projection(cam)
         ray = H @ [X[0], X[1], 1.0] + X[2] * b
         slide = ground(true, ray, X[2]) - ground(cam, ray, X[2])
         for g in np.eye(2):

@@ -475,7 +475,7 @@ def run_project(
     camera: Camera, h: np.ndarray, grid: Grid, world_from_cam: Pose, rolling: Sequence[float] = ()
 ) -> tuple[np.ndarray, ...]:
     xs, ys = grid.xy()
-    H, b = ground_projection(camera, world_from_cam)
+    H, b = ground_projection(world_from_cam)
     intrinsics = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     maps = tuple(np.full(h.shape, -9, np.float32) for _ in range(2))
     size = float(camera.width), float(camera.height)
@@ -608,7 +608,7 @@ def test_the_orthophoto_adds_the_views_that_count(kind: str, wanted: int) -> Non
         seen, use = np.zeros((*shape, 3), np.uint8), np.zeros(shape, bool)
         pixel, exposures = np.zeros(shape, np.float32), np.zeros((ROWS, ortho.EXPOSURES))
         ortho.sample_view(
-            image, tone, *ground_projection(camera, pose), np.array([90.0, 90.0, 19.5, 14.5]), camera.coefficients,
+            image, tone, *ground_projection(pose), np.array([90.0, 90.0, 19.5, 14.5]), camera.coefficients,
             camera.code, radius2_limit(camera), np.zeros(0), pose.translation, xs, ys, height, 2.0, coarser, wants,
             finest, total, number, seen, use, pixel, exposures,
         )  # fmt: skip

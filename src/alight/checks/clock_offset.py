@@ -85,7 +85,7 @@ class _Observed:
         return self._seconds[0] - predicted.start - first * STEP, np.array(left) / whole
 
     def refined(self, offset: float, predicted: PredictedMotion) -> ClockOffset:
-        """Refine an offset (s) by robust Gauss-Newton; its sigma follows from the spread of the windows."""
+        """Refine an offset (s) by robust Gauss-Newton; its sigma follows from the scatter between the windows."""
         for _ in range(10):
             r, later, earlier = (self._interpolated(offset + d, predicted) for d in (0.0, STEP / 2, -STEP / 2))
             J, length = (later - earlier) / STEP, np.linalg.norm(r, axis=1)
@@ -101,13 +101,13 @@ class _Observed:
         return ClockOffset(offset, float(sigma), vague)
 
     def _interpolated(self, offset: float, predicted: PredictedMotion) -> F64:
-        """Return the (K, D) motion that is unexplained at an offset (s) between two steps."""
+        """Return the (K, D) motion that remains unexplained at an offset (s), interpolated between the steps."""
         at = (self._seconds - offset - predicted.start) / STEP
         index = np.floor(at).astype(np.intp).clip(0, len(predicted.turning) - 2)
         return self._left(predicted, index, (at - index)[:, None].clip(0.0, 1.0))
 
     def _left(self, predicted: PredictedMotion, index: I64, share: F64 | float = 0.0) -> F64:
-        """Return the (K, D) motion left unexplained at step `index` (K,) plus a fraction `share` (K, 1) of a step."""
+        """Return the (K, D) motion that the prediction leaves unexplained at steps `index` (K,) + `share` (K, 1)."""
         inside = (index >= 0) & (index < len(predicted.turning))
         index = np.where(inside, index, 0)
         turning, moving = predicted.turning[index], predicted.moving[index]
@@ -123,7 +123,7 @@ class _Observed:
 
 
 def clearest(offsets: F64, left: F64) -> ClockOffset:
-    """Return the best of (T,) offsets (s) by the unexplained shares `left` (T,), with the reason if it is unclear."""
+    """Return the one of `offsets` (T,), s, with the least unexplained share `left` (T,), and whether it is clear."""
     best = int(np.argmin(left))
     found, unclear = float(offsets[best]), ""
     others = np.where(np.abs(offsets - found) > LOBE, left, np.inf)

@@ -22,7 +22,7 @@ def seconds_since(t_ns: I64, origin_ns: int) -> F64:
 
 
 def trimmed_rms(values: F64) -> float:
-    """Return the RMS of numbers (N,) or vectors (N, D) without their largest 5 %: a few outliers have no effect."""
+    """Return the RMS of numbers (N,) or vectors (N, D) without the largest 5 % of them."""
     squares = np.sort(values**2 if values.ndim == 1 else (values**2).sum(axis=1))
     return float(np.sqrt(squares[: max(1, int(0.95 * len(squares)))].mean()))
 
@@ -107,7 +107,7 @@ class CameraEvidence:
     _edges_ns: int = -(2**62)  # time of the last of `edges`
 
     def add(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure a picture, `seconds` after the first exposure; skip it less than 0.08 s after the last one."""
+        """Measure a picture taken `seconds` after the first exposure, unless the previous one is under 0.08 s older."""
         if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
         small, factor = downscaled(image, 640)
@@ -125,7 +125,7 @@ class CameraEvidence:
         self._last = t_ns, small
 
     def match(self, t_ns: int, first: U8, own: U8) -> None:
-        """Match a picture of this camera with the picture of camera 0, at most once per second."""
+        """Match a picture `own` of this camera with the picture `first` of camera 0, at most once per second."""
         if not self.matches or t_ns - self.matches[-1][0] >= 1e9:
             self.matches.append((t_ns, *match_pictures(first, own)))
 

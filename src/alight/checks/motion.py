@@ -56,7 +56,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
 
 
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
-    """Check each mounting for a quarter or half turn: test which of the 24 axis-aligned rotations explains the flow."""
+    """Check each mounting for a wrong quarter or half turn, by the flow that each of the 24 rotations predicts."""
     if motion.velocity_world is None:
         return unknown(CHECKS[0], "needs velocity and attitude of GPS/INS")
     words, doubt, turned = list[str](), list[str](), list[str]()
@@ -102,7 +102,7 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
 
 
 def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
-    """Return the mounting result, extended by a check for errors of some degrees."""
+    """Return the mounting result after a check for mounting errors of some degrees."""
     if mounting.verdict is not Judged.GOOD:
         return mounting
     found, vague = Check(mounting.name, [mounting.evidence]), False
@@ -122,10 +122,7 @@ def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
 
 
 def _offset(fits: list[FlowFit], turned_by: str, ahead: float) -> CheckResult:
-    """Check the mean time offset of the cameras, whose common errors do not average out.
-
-    `ahead` (s), the offset that the calibration has applied, is added to the setting in the remedy.
-    """
+    """Check the mean time offset of the cameras from the sensor `turned_by`; `ahead`: offset (s) applied already."""
     name = CHECKS[1]
     offsets, sigmas = np.array([f.parameters[OFFSET] for f in fits]), np.array([f.sigma[OFFSET] for f in fits])
     w = 1.0 / sigmas**2

@@ -44,7 +44,7 @@ class TurnWindows:
     summed: F64  # (K, 3) rad: sum of the IMU's rates per axis, which cannot wrap whatever the unit
 
     def unexplained(self, body_from_imu: F64) -> float:
-        """Return the unexplained share of the turns with assumed IMU axes, for the worst axis that turned."""
+        """Return the share of the turns that an IMU with assumed axes leaves unexplained, about the worst axis."""
         off, turned = (
             np.array([trimmed_rms(column) for column in _centred(x).T])  # without the bias of the gyroscope
             for x in (self.imu @ np.asarray(body_from_imu).T - self.nav, self.nav)
@@ -54,7 +54,7 @@ class TurnWindows:
 
     @property
     def difference(self) -> float:
-        """Share of the turns that the IMU does not explain with its axes as recorded, over all axes."""
+        """Share of the turns that the IMU leaves unexplained over all axes, if its axes are as recorded."""
         return trimmed_rms(_centred(self.imu - self.nav)) / max(trimmed_rms(_centred(self.nav)), 1e-9)
 
     @property
@@ -106,7 +106,7 @@ class NavAndImu:
         )  # fmt: skip
 
     def unexplained(self, attitudes: F64, turns: Sequence[F64]) -> F64:
-        """Return the unexplained share of the turns at the best clock lag, for each assumption on the IMU's axes."""
+        """Return the unexplained share of the turns for each `body_from_imu` in `turns`, at the best clock lag."""
         lags = (0.05 * k for k in range(-6, 7))  # s
         tables = [t for lag in lags if (t := self.turns(attitudes, lag)).enough]
         return np.array([min((t.unexplained(m) for t in tables), default=0.0) for m in turns])
@@ -132,14 +132,14 @@ class NavAndImu:
         return size > 1e-3 and float(np.arccos(np.clip(force[2] / size, -1, 1))) < 0.35  # rad
 
     def fitting(self, attitudes: F64, turns: Sequence[F64]) -> list[F64]:
-        """Return the assumed rotations of the IMU axes that agree with gravity and the turns, the best first."""
+        """Return the `body_from_imu` in `turns` that agree with gravity and with the attitudes' turns, best first."""
         upright = [m for m in turns if self.is_upright(attitudes, m)]
         left = self.unexplained(attitudes, upright)
         return [upright[k] for k in np.argsort(left, kind="stable") if left[k] < AGREES]
 
 
 def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
-    """Return the attitudes (N, 3, 3) under other conventions, with the remedy, by the name of the convention."""
+    """Return the attitudes (N, 3, 3) read in each other convention, by its name, with the remedy as text."""
     R = np.asarray(world_from_body)
     x, y, z, w = Rotation.from_matrix(R).as_quat().T  # as read; SciPy has the real part last
     reordered = np.asarray(Rotation.from_quat(np.stack([w, x, y, z], axis=-1)).as_matrix())
@@ -154,7 +154,7 @@ def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
 
 
 def check_gyroscope_unit(turns: TurnWindows | None) -> CheckResult:
-    """Check the unit of the gyroscope: its turns against the turns of the attitude."""
+    """Check the unit of the gyroscope by comparing its turns with the turns of the attitude."""
     name = "gyroscope unit"
     if turns is None or not turns.enough:
         return unknown(name, "no IMU with GPS/INS attitude" if turns is None else "the aircraft hardly turned")
@@ -168,7 +168,7 @@ def check_gyroscope_unit(turns: TurnWindows | None) -> CheckResult:
 
 
 def check_accelerometer_unit(imu: ImuTable) -> CheckResult:
-    """Check the unit of the accelerometer: its mean specific force is 9.8 m/s^2, also in flight."""
+    """Check the unit of the accelerometer by its mean specific force, which is 9.8 m/s^2 in flight, too."""
     name = "accelerometer unit"
     if len(imu.t_ns) < 20:
         return unknown(name, "no IMU")
@@ -289,7 +289,7 @@ def _scaled(name: str, scale: float, travel: float) -> CheckResult:
 
 
 def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[float, float]:
-    """Return the share of steps (K, 3), m, that the integral of velocities (N, 3) leaves unexplained, and its scale."""
+    """Return the share of position steps (K, 3), m, that velocities `v` leave unexplained, and the scale of `v`."""
     way = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(s)[:, None], axis=0)])
     integral = way[ends] - way[begins]
     square = (integral * steps).sum(axis=1)
@@ -301,7 +301,7 @@ def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[floa
 
 
 def check_nav_clock(streams: NavAndImu) -> CheckResult:
-    """Check the clock of GPS/INS against the clock of the IMU: find the lag at which their turns agree best."""
+    """Check the lag between the clocks of GPS/INS and IMU, at which their turns agree best."""
     lags = np.arange(-0.5, 0.501, 0.02)
     tables = [streams.turns(streams.nav.world_from_body, float(lag)) for lag in lags]
     here = tables[len(tables) // 2]

@@ -45,7 +45,7 @@ def edge_widths(image: U8) -> F64:
 
 
 def _width(grey: F32, reach: int = 17) -> float:
-    """Return the width of the sharpest edges across x, px, within `reach` pixels; NaN if there are too few."""
+    """Return the width of the sharpest edges across x, px; NaN if there are too few. `reach`: largest width, px."""
     slope = cv2.dilate(np.abs(grey[:, 1:] - grey[:, :-1]), np.ones((1, reach - 1), np.uint8))
     line = np.ones((1, reach), np.uint8)
     height = (cv2.dilate(grey, line) - cv2.erode(grey, line))[:, :-1]

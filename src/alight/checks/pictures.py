@@ -11,7 +11,7 @@ from alight.checks.result import Check, CheckResult, unknown
 
 
 def check_exposure(evidence: RigEvidence) -> CheckResult:
-    """Check for pictures that are saturated, black, flat, flickering, or unlike between the cameras in brightness."""
+    """Check for saturated, black, flat or flickering pictures, and for cameras that differ in brightness."""
     found = Check("exposure")
     for cam, seen in evidence.by_camera:
         if not seen.brightness:
@@ -38,7 +38,7 @@ def check_exposure(evidence: RigEvidence) -> CheckResult:
 
 
 def _flicker(means: F64) -> float:
-    """Return the median change of the log mean grey of a picture against its neighbours in time."""
+    """Return the median deviation of a picture's log mean grey from the mean of the pictures before and after it."""
     if len(means) < 5:
         return 0.0
     logs = np.log(np.maximum(means, 1.0))
@@ -46,7 +46,7 @@ def _flicker(means: F64) -> float:
 
 
 def _brightness_ratio(evidence: RigEvidence) -> float:
-    """Return the largest absolute log ratio of a camera's mean grey to camera 0's, each a median over the exposures."""
+    """Return the largest absolute value, over the cameras, of the median log ratio of mean grey to camera 0's."""
     first, *others = [dict(zip(c.seconds, (b.mean for b in c.brightness), strict=True)) for c in evidence.cameras]
     ratios = [[np.log(max(m[t], 1.0) / max(first[t], 1.0)) for t in first if t in m] for m in others]
     return max((abs(float(np.median(r))) for r in ratios if r), default=0.0)
@@ -77,7 +77,7 @@ def check_sharpness(evidence: RigEvidence) -> CheckResult:
 
 
 def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
-    """Return edge widths along and across the picture's motion; if it is not along an axis, the width `x` twice."""
+    """Return the edge widths along and across the motion, given those across x and y; if it is oblique, `x` twice."""
     if len(seen.flows) < 5:
         return x, x
     share = np.median(np.abs([f.shift for f in seen.flows]), axis=0)

@@ -133,7 +133,7 @@ class PredictedFlow:
         return out
 
     def looks_down(self) -> float | None:
-        """Return the downward component of the optical axis, median: 1 down, 0 level; None without attitude."""
+        """Return the median downward part of the optical axis (1: down, 0: level); None: no attitude or no flow."""
         if self._motion.attitude is None or not self.pairs:
             return None
         down = -self._motion.attitude(self._motion.inside(self._begin)).as_matrix()[:, 2, :]
@@ -158,7 +158,7 @@ class PredictedFlow:
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
     def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
-        """Return (K, 9, 2, P) flow per unit of inverse depth (P = 1) or, without velocity, of translation (P = 3)."""
+        """Return how the flow (K, 9, 2, P) depends on inverse depth (P = 1) or, without velocity, on motion (P = 3)."""
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
             free = np.zeros((len(y), x0.shape[0], 2, 3))
@@ -188,7 +188,7 @@ class PredictedFlow:
         return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[GROUND])))
 
     def cost(self, parameters: F64) -> float:
-        """Return the median over the pairs of the unexplained flow, px."""
+        """Return the median of the pairs' unexplained flow, px."""
         return float(np.median(_length(self.residuals(parameters)[0])))
 
     def scan(self, offsets: F64) -> tuple[float, float]:
@@ -226,7 +226,7 @@ class PredictedFlow:
         return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns, self.focal)
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
-        """Return residuals, normal matrix and gradient with priors, and the (K, 10) gradients of the pairs."""
+        """Return residuals, normal matrix, gradient and (K, 10) gradients per pair at parameters `p`, with priors."""
         r, _ = self.residuals(p)
         J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
                       for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 10)  # fmt: skip
@@ -245,12 +245,12 @@ def upward(slope: F64) -> F64:
 
 
 def _length(residuals: F64) -> F64:
-    """Return the (K,) RMS flow of each pair, px per point, from residuals (K, 18)."""
+    """Return the (K,) RMS flow per point of each pair, px, from residuals (K, 18)."""
     return np.asarray(np.sqrt((residuals**2).sum(axis=1) / (residuals.shape[1] / 2)))
 
 
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
-    """Fit the P free parameters; return the residual (K, 9, 2) and inverse depth (K,), at least 0, NaN if P = 3."""
+    """Fit flow (K, 9, 2) by P free factors on `arms`; return residual (K, 9, 2), inverse depth (K,), NaN if P = 3."""
     if arms.shape[-1] == 1:
         a = arms[..., 0]
         depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)

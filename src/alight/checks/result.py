@@ -62,7 +62,7 @@ class Check:
     separator: str = "; "
 
     def judge(self, *rows: tuple[bool, str] | tuple[bool, str, str]) -> None:
-        """Record the remedy and the optional text of each row (is a fault, remedy, text) that is a fault."""
+        """Record the remedy and the text, if any, of each row (whether it is a fault, remedy, text) that is a fault."""
         for is_fault, remedy, *words in rows:
             if is_fault:
                 self.remedies.append(remedy)

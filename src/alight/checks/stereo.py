@@ -131,7 +131,7 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
 
 
 def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
-    """Return the result for mostly negative depths: exchanged cameras, or a baseline of the wrong sign."""
+    """Return the result for negative depths, by the misfits as calibrated (`own`) and with the cameras `swapped`."""
     sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
     if swapped < 0.7 * own and own > 0.25:
         return bad(name, f"{evidence}: the cameras are exchanged", EXCHANGE)
@@ -172,6 +172,7 @@ def fitted_turn(pair: CameraPair, as_is: Pose, lens: bool) -> tuple[F64, float]:
     A turn that moves the points along their epipolar lines is hardly observable; a weak prior constrains it.
 
     Args:
+        as_is: calibrated pose `other_from_first`.
         lens: whether the focal length is free; otherwise its correction is 0.
 
     Returns:
@@ -208,7 +209,7 @@ def _stale(case: StereoCase, evidence: str, own: float) -> CheckResult:
 
 
 def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
-    """Check the stereo depths against the depths of GPS/INS and flow; the epipolar lines were already found right."""
+    """Check the stereo depths against the depths of flow and GPS/INS; call it only if the epipolar lines are right."""
     rho, disparity = case.pair.depths(case.as_is)
     seconds = (case.t_ns - flow.origin_ns) * 1e-9
     times, at = np.unique(seconds, return_inverse=True)

@@ -58,7 +58,7 @@ def _top(
 
 
 def _smaller(words: Sequence[str]) -> str:
-    """Return advice for less memory; settings that are assigned on the command line are named first."""
+    """Return advice for less memory, from the words of the command line; assigned settings are named first."""
     command = next((w for w in words if not w.startswith("-")), "")
     usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]
@@ -69,7 +69,7 @@ def _smaller(words: Sequence[str]) -> str:
 
 
 def _mistake(error: Exception, words: Sequence[str]) -> str:
-    """Return one line about an error that a user can mend; empty if the error is a defect of Alight."""
+    """Return one line about an error that a user can mend; empty: a defect of Alight. `words`: command line."""
     if isinstance(error, MemoryError):
         return f"not enough memory; {_smaller(words)}"
     if isinstance(error, UsageError):
@@ -108,7 +108,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
 
 
 def _end(number: int, frame: object) -> None:
-    """Treat a terminating signal like Ctrl-C, and silence errors of objects that it leaves incomplete."""
+    """Handle a terminating signal like Ctrl-C; errors of objects left incomplete are not printed."""
     if number != signal.SIGINT:
         _signals.append(number)
     sys.unraisablehook = lambda _: None

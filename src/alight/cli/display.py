@@ -26,7 +26,7 @@ class _Stderr(Console):
         discard(sys.stderr)
 
     def __exit__(self, exc_type: Any, exc_value: Any, traceback: Any) -> None:
-        """Write the lines at the end of each output of rich."""
+        """Write pending lines at the end of an output of rich, and continue if stderr fails."""
         try:
             super().__exit__(exc_type, exc_value, traceback)
         except OSError:

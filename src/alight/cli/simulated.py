@@ -141,7 +141,7 @@ def _item(part: str) -> int:
 
 
 def _assign(tree: dict[str, Any], assignment: str) -> None:
-    """Put one assigned value into the tree of a scene; list items are numbered from 1."""
+    """Put the value of a `key=value` assignment into the tree of a scene; list items are numbered from 1."""
     from alight.documents import DocumentError, parse_yaml
     from alight.records import SettingsError
 

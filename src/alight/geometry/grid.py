@@ -113,7 +113,7 @@ def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> NDArray[np.float32]:
     return np.asarray(up, dtype=np.float32)
 
 
-def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[F64, F64]:
+def ground_projection(world_from_cam: Pose) -> tuple[F64, F64]:
     """Return `H` (3, 3) and `b` (3,) so that a world point (x, y, z) is `H @ (x, y, 1) + z * b` in the camera frame."""
     cam_from_world = world_from_cam.inverse
     R, t = cam_from_world.rotation, cam_from_world.translation

@@ -181,7 +181,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _check_folder(out: Path, overwrite: bool) -> None:
-    """Raise OutputError if the folder holds other files, or a folder with the name of an output file."""
+    """Raise OutputError for files that are not a run's (unless `overwrite`), or a folder in an output file's place."""
     if not overwrite and not _is_ours(out):
         raise OutputError(f"{out}: holds files that are not a run's; {ANOTHER} or add --force")
     for path in (out / name for name in KNOWN):
@@ -190,7 +190,7 @@ def _check_folder(out: Path, overwrite: bool) -> None:
 
 
 def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = ()) -> None:
-    """Create the folder, test that it can be written, and lock it, before any work is done for it.
+    """Create the folder, test that it can be written, and lock it, before the work whose results it will hold.
 
     An earlier run is replaced; a folder with other files is refused. Once this process has locked the folder, other
     files that appear in it do not matter.

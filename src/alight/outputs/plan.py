@@ -49,8 +49,8 @@ def plan_items(route: Route) -> list[PlanItem]:
 def _leg(here: Waypoint, there: Waypoint) -> tuple[PlanItem, PlanItem]:
     """Return the speed and heading items of a leg; every leg has both, in this order.
 
-    Items before a way-point are executed on the leg to it. But ArduPilot executes the first item before it starts the
-    leg, and that start resets the heading. So the heading must be the second item.
+    ArduPilot executes the first of these items before the leg starts, and the start of a leg resets the heading. So the
+    heading must be the second item.
     """
     east, north, up = there.position_world - here.position_world
     straight_down = up < 0 and math.hypot(east, north) < 0.5  # m

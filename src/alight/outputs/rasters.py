@@ -71,7 +71,7 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool) 
 
 
 def common_tags(datum: Datum | None) -> dict[str, str]:
-    """Return tags for the common error of all cells: sigma of offset and tilt, and the covariance about its centre.
+    """Return tags for the common error of all cells: its centre, sigmas of offset and tilt there, and covariance.
 
     They are empty if the poses have no covariance.
     """

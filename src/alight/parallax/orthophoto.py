@@ -76,7 +76,7 @@ def _block(
         seen, use, pixel = colours[at], used[at], pixels[at]
         kernels.sample_view(
             np.ascontiguousarray(picture if picture.ndim == 3 else picture[..., None]), tone_of(view),
-            *ground_projection(camera, view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
+            *ground_projection(view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
             camera.coefficients, camera.code, radius2_limit(camera), rolling_of(view), view.centre, *part.xy(),
             np.ascontiguousarray(height[at]), level, COARSER, wants[at], finest[at], total[at], number[at], seen, use,
             pixel, exposures,

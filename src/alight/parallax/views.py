@@ -40,7 +40,7 @@ class Prepared:
 
     def posed(self, world_from_cam: Pose) -> Prepared:
         """Return the prepared view with another camera pose."""
-        H, b = ground_projection(self.camera, world_from_cam)
+        H, b = ground_projection(world_from_cam)
         return replace(self, H=H, b=b, centre=np.array(world_from_cam.translation))
 
 
@@ -95,7 +95,7 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
         ratio /= 2
     sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling then blurs alike at any phase
     grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma), np.float32)
-    H, b = ground_projection(camera, view.world_from_cam)
+    H, b = ground_projection(view.world_from_cam)
     norm = _normalised(grey, ratio)
     return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio, rolling_of(view))
 

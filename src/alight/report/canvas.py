@@ -58,7 +58,7 @@ class Canvas:
 
 
 def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -> Canvas | None:
-    """Return the canvas of all seen cells without thin fringes, and of the places; None: no cell was seen."""
+    """Return the canvas that shows all seen cells, without thin fringes, and `places` (m); None: no cell was seen."""
     seen = elevation.views > 0
     if not seen.any():
         return None
@@ -70,7 +70,7 @@ def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -
 
 
 def _thick(count: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the indices of the rows (or columns) that contain more than stray cells."""
+    """Return the indices of rows (or columns) with more than a few seen cells, from the number `count` in each."""
     return np.flatnonzero(count > 0.03 * count.max())
 
 

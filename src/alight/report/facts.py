@@ -112,7 +112,7 @@ def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
 
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
-    """Return the numbers of a site or candidate as (label, value), with limits and both accuracies."""
+    """Return facts about a site or candidate as (label, value): P(safe), doubt, shape and accuracy."""
     lander, sigma = result.settings.lander, _place_sigma(result)
     place = words.UNKNOWN if sigma is None else "± {} across, ± {} up".format(*map(words.metres, sigma))
     look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []

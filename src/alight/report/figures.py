@@ -116,7 +116,7 @@ def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
 
 
 def _hidden(x: float, y: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
-    """Return the cost of a number at (x, y): its overlap with other marks and with the outside of the picture."""
+    """Return the cost of drawing a number at (x, y): its overlap with other marks and beyond the picture's edge."""
     outside = sum(max(BADGE - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
     return 4 * outside + sum(max(r + BADGE - math.hypot(x - a, y - b), 0.0) for a, b, r in others)
 

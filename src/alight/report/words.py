@@ -69,7 +69,7 @@ def probability(p: float) -> str:
 
 
 def factors(site: Site) -> str:
-    """Return the factors of P(safe): relief 0.99, unseen obstacles 0.93 (smallest that would be found: 22 cm), ..."""
+    """Return the factors of P(safe) as text, such as "relief 0.99, unseen obstacles 0.93, ground 1"."""
     smallest = f" (smallest that would be found: {metres(site.resolved)})" if math.isfinite(site.resolved) else ""
     return (
         f"relief {probability(site.p_relief)}, unseen obstacles {probability(site.p_obstacle)}{smallest}, "

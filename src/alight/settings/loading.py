@@ -84,7 +84,7 @@ def _tree(pairs: Iterable[tuple[str, Any]]) -> Tree:
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
-    """Put a value into the tree; if it is a group of keys, keys that it does not contain are kept."""
+    """Put a value into the tree; a group of keys is merged with the group that the tree holds."""
     *path, last = key.split(".")
     for part in path:
         tree = tree.setdefault(part, {})
@@ -122,7 +122,7 @@ def _explain(error: ValidationError) -> str:
 
 
 def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Yield every key with its field: `lander.radius`, ..., `tuning.filter.gate`."""
+    """Yield every key of a model with its field, such as `lander.radius`; `before`: prefix of the keys."""
     for name, info in model.model_fields.items():
         inner = info.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):

@@ -23,7 +23,7 @@ from alight.settings.base import (
 
 
 class SourcesKeys(FrozenModel):
-    """How the recording is read."""
+    """Settings for reading the recording."""
 
     calibration: str | None = Field(
         None,
@@ -197,7 +197,7 @@ class Lander(FrozenModel):
 
     @property
     def ground_reach(self) -> float:
-        """Distance from the centre within which the lander may touch the ground, metres: the radius or its gear."""
+        """Distance from the centre within which the lander may touch the ground, with its footprint or gear, metres."""
         feet = max((math.hypot(*f) + self.foot_radius for f in self.feet or ()), default=0.0)
         skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
         return max(self.radius, feet, skids)

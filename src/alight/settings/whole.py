@@ -123,7 +123,7 @@ class Settings(FrozenModel):
 
     @property
     def too_low(self) -> str:
-        """Why no landing may be flown with these settings, empty if one may. Recordings can be read in any case."""
+        """Reason why no landing may be flown with these settings; empty: landings may be flown."""
         given, k = self.executive.commit_height, self.tuning.executive
         least = k.abort_height + k.unchecked
         if given >= least:

@@ -15,8 +15,8 @@ class NavigationError:
     """Errors of a navigation solution at one instant."""
 
     position: F64  # (3,) metres, world
-    attitude: F64  # (3, 3) rotation in the body, right factor of the true one
-    heading: F64  # (3, 3) rotation in the world, left factor of the true one
+    attitude: F64  # (3, 3) rotation, multiplied to the true attitude from the right
+    heading: F64  # (3, 3) rotation, multiplied to the true attitude from the left
     velocity: F64  # (3,) m/s, world
     sigma: F64  # (3,) metres, reported for the position
     blind: float  # s since the receiver's last position
@@ -32,7 +32,7 @@ class Estimate(Protocol):
 
 @dataclass
 class EstimateError:
-    """Error of the estimated position alone: constant offset plus random walk, (3,) metres east north up."""
+    """Error of the estimated position alone: a constant offset plus a random walk, in metres east, north, up."""
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: float = 0.0  # metres per square root of a second

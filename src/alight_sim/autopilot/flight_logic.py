@@ -18,11 +18,11 @@ _STREAM = 0.5  # s of set-points that are needed before guided flight
 
 @dataclass
 class FlightLogic:
-    """State machine of the autopilot: mode and set-points in, the vehicle's set-point out."""
+    """State machine of the autopilot, which turns its mode and the received set-points into the vehicle's set-point."""
 
     dialect: Dialect
     armed: bool = False
-    disarms: bool = True  # whether it disarms after a landing; False: as PX4 with COM_DISARM_LAND below 0
+    disarms: bool = True  # whether it disarms after a landing; False: like PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
     texts: list[str] = field(default_factory=list)  # status texts since they were last read
@@ -52,7 +52,7 @@ class FlightLogic:
 
     @property
     def _is_blind(self) -> bool:
-        """Whether guided flight by positions keeps the autopilot from detecting the ground, as in some dialects."""
+        """Whether the autopilot cannot detect the ground while it flies to positions, as in some dialects."""
         guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
         return guided and not self.dialect.lands_in_guided
 
@@ -66,7 +66,7 @@ class FlightLogic:
         return True
 
     def arm(self, wanted: bool) -> bool:
-        """Start (`wanted`) or stop the motors; return false if refused (stop in the air, start without take-off)."""
+        """Arm the motors if `wanted`, else disarm them; return false if the mode or a flight in progress forbids it."""
         if not wanted:
             if not self._stands:
                 return False
@@ -100,15 +100,15 @@ class FlightLogic:
             self._wanted = wanted
 
     def _control(self, kind: str) -> None:
-        """Select the controller of guided flight; a new one resets the commanded speed limits."""
+        """Select a kind of controller for guided flight; a change of the kind resets the commanded speed limits."""
         if kind != self._controller:
             self._controller = kind
             self._speed = self._sink = math.inf
 
     def limit(self, kind: float, speed: float) -> bool:
-        """Limit the speed over the ground (SPEED_TYPE 0, 1) or downwards (3), m/s; return false if not allowed.
+        """Limit a speed, m/s, by its SPEED_TYPE `kind`: ground speed (0, 1) or sink (3); return false if not allowed.
 
-        PX4 accepts every kind but applies it as ground speed in missions only, which are not simulated.
+        PX4 accepts the command but applies it in missions only, which are not simulated.
         """
         if not self.dialect.speeds_by_command:
             return True
@@ -127,7 +127,7 @@ class FlightLogic:
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
-        """Return the set-point at time `t` (s) for position `here` (3,); `stands`: on the ground. None: motors off."""
+        """Return the set-point at `t` (s) and `here` (3,); None: motors off. `stands`: whether it is on the ground."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):
@@ -139,7 +139,7 @@ class FlightLogic:
         return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
 
     def _runs(self, t: float) -> bool:
-        """Whether the motors lift: ArduPilot waits for the take-off command, a helicopter for its rotor."""
+        """Whether the motors lift: ArduPilot needs the take-off command, a helicopter its rotor at full speed."""
         waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
         if waits and not self.dialect.needs_setpoints:
             return False
@@ -190,7 +190,7 @@ class FlightLogic:
         return self._wanted
 
     def _landing(self, place: F64, t: float) -> Wanted:
-        """Return the set-point of a landing: first over the site, then down, towards the target if one is reported."""
+        """Return the set-point of a landing at `place`, or at a reported target: fly over it, then descend."""
         seen = self._target is not None and t - self._target[0] < _TARGET_AGE
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen

@@ -26,7 +26,7 @@ Maker = Callable[["SimulatedAutopilot"], Any]  # maker of a message; None: there
 
 
 class Reports:
-    """Message streams of the autopilot from one boot to the next."""
+    """Message streams of the autopilot, from one boot to the next."""
 
     def __init__(self, lacks: Iterable[str]) -> None:
         self.intervals: dict[str, float] = {}  # s, by message

@@ -20,12 +20,11 @@ from alight_sim.autopilot.simulated import SimulatedAutopilot
 class UdpServer:
     """UDP server of the autopilot; a context manager with its own thread.
 
-    It sends to `to` and to all senders of the last ten seconds.
-
     Args:
+        to: address to which it always sends; it also sends to all senders of the last ten seconds.
         speed: simulated seconds per second of the clock.
         step: length of a step, s.
-        outwards, inwards: channels of the link; None: without faults.
+        outwards, inwards: channels from and to the autopilot; None: without faults.
         after_step: called in the server's thread after every step, with the vehicle's events.
     """
 

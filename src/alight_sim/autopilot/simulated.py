@@ -23,7 +23,7 @@ _IGNORE_POSITION, _IGNORE_VELOCITY = 7, 56  # all bits of X, Y, Z and of VX, VY,
 
 
 class TrueVehicle(Protocol):
-    """Interface of the vehicle: a point mass with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
+    """Interface of the true vehicle, in metres east, north, up; `PointMass` describes its members."""
 
     @property
     def body(self) -> PointMass: ...
@@ -215,7 +215,7 @@ class SimulatedAutopilot:
         self.logic.guide(wanted, self.boot)
 
     def _on_landing_target(self, m: Any) -> None:
-        """Handle a landing target in body axes, unless its angles and its position contradict each other."""
+        """Handle a landing target in body axes; ignore it if its angles contradict its position."""
         angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
         if np.abs(angles).max() <= 0.05 * max(m.distance, 1.0):
             self.logic.aim_landing(self.estimated + self.attitude @ np.array([m.x, -m.y, -m.z]), self.boot)

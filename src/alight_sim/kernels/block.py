@@ -47,7 +47,7 @@ def smoothstep(low: np.float32, high: np.float32, x: np.float32) -> np.float32:
 
 @pixelwise
 def fading(x: np.float32) -> np.float32:
-    """Return about exp(-x) for x >= 0: vectorised, and exact enough for light (error below 0.004)."""
+    """Return exp(-x) for x >= 0 with an error below 0.004, in a form that LLVM vectorises."""
     a = F1 + x * (f32(1 / 16) + x * (f32(1 / 512) + x * f32(1 / 24576)))
     a2 = a * a
     a4 = a2 * a2
@@ -59,7 +59,10 @@ def fading(x: np.float32) -> np.float32:
 def noise_lattice(
     base: F64, wavelength: float, c: float, s: float, dx: float, dy: float
 ) -> tuple[float, float, int, int]:
-    """Return lattice coordinates of a block's base point, shifted by (dx, dy) m: fractions, then integer parts."""
+    """Return (u, v, i, j): position in its lattice cell, and the cell, of `base` + (dx, dy), metres.
+
+    The lattice is turned by the angle with cosine `c` and sine `s`.
+    """
     x, y = base[0] + dx, base[1] + dy
     u, v = (c * x - s * y) / wavelength, (s * x + c * y) / wavelength
     i, j = math.floor(u), math.floor(v)
@@ -112,7 +115,7 @@ def _values(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
 def noise_at(
     buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
 ) -> None:
-    """Fill slots N, DU, DV with noise and its slopes at the texture positions, on a lattice turned by (c, s)."""
+    """Fill N, DU, DV with noise and its slopes at the texture positions; see `noise_lattice` for the arguments."""
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _noise(buf, i32(i), i32(j), seed32(seed))

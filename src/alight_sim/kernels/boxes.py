@@ -24,9 +24,9 @@ MISS = -1.0
 
 @kernel
 def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
-    """Return the parameter at which a ray enters a box, and the face; MISS if it does not.
+    """Return the parameter at which a ray enters a box, and the face that it enters; MISS and 0: no hit.
 
-    Faces: 1 top, 2/3 front/back, 4/5 left/right, 0 below. `origin`, `ray`: world. Slab method (Kay and Kajiya, 1986).
+    Faces: 1 top, 2/3 front/back, 4/5 left/right, 0 bottom. `origin`, `ray`: world. Slab method (Kay and Kajiya, 1986).
     """
     dx, dy = origin[0] - box[0], origin[1] - box[1]
     start = (box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx, origin[2] - box[2])
@@ -48,7 +48,7 @@ def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
 
 @kernel
 def _spheres(boxes: F64, origin: Three, out: F64) -> None:
-    """Fill `out` (M, 4): centres of the boxes' spheres from the origin, least squared projection of a hitting ray."""
+    """Fill `out` (M, 4): vector v from `origin` to each box's centre, and |v|^2 less its bounding sphere's radius^2."""
     for m in range(boxes.shape[0]):
         box = boxes[m]
         half = 0.5 * box[7]
@@ -59,10 +59,10 @@ def _spheres(boxes: F64, origin: Three, out: F64) -> None:
 
 @parallel_kernel
 def cast_boxes(boxes: F64, origins: F64, directions: F32 | F64, turns: F64, depth: F64, faces: I16) -> None:
-    """Replace `depth` (H, W) where a box is nearer; fill `faces` (H, W): 8 times the box plus its face, 0: ground.
+    """Replace `depth` (H, W) where a box is nearer; fill `faces` (H, W) with 8 * index of the box + face, 0: no box.
 
-    `boxes` (N, M, 12), `origins` (N, 3), `turns` (N, 3, 3): world, N = 1 for all rows or one per row; `directions`
-    (H, W, 3) with z = 1.
+    `boxes` (N, M, 12), `origins` (N, 3), `turns` (N, 3, 3): world, N = 1 for all rows or one per row; `directions` (H,
+    W, 3) with z = 1.
     """
     for r in prange(depth.shape[0]):
         n = np.int64(r) if origins.shape[0] > 1 else np.int64(0)

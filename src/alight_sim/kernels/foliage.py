@@ -68,7 +68,7 @@ def _sift(buf: F32, wavelength: np.float32, coarse: np.float32) -> None:
 
 @kernel
 def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) -> None:
-    """Set the slots ALONG (depth below the surface over VZ) and SHADE (light) of pixels whose layer is opaque."""
+    """Show a layer at depth `part` * P_DEEP, of light `gain` and density `opaque`, where it is the first opaque one."""
     for i in range(B):
         deep = part * buf[PARAM + P_DEEP * B + i]
         free = F1 if buf[SHADE + i] < F0 else F0
@@ -83,8 +83,7 @@ def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) ->
 def foliage(buf: F32, base: F64, seed: int) -> None:
     """Draw crowns and grass as three layers of leaves; fill the slot LEAF with the light of the first opaque layer.
 
-    Leaves are at several depths below the surface, so views from two positions disagree, as with real plants. The true
-    height is the height of the topmost layer.
+    Leaves lie at several depths below the surface, so views from two positions disagree, as with real plants.
     """
     fill(buf, SHADE, 1.0)
     if largest(buf, PARAM + P_DEEP * B) > 0.0:
@@ -113,9 +112,10 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _hang(buf: F32) -> None:
-    """Shift the positions of the leaves by the parallax of their own height: clumps of two depths in a crown.
+    """Shift the texture position of each leaf by the parallax of its own depth; the clumps of a crown have two depths.
 
-    P_LIFT is subtracted: the tips of short plants are that far above the true height, the mean of the visible heights.
+    P_LIFT is subtracted from this depth. It is the height of the tips of short plants above their true height, which is
+    the mean of their visible heights.
     """
     for i in range(B):
         deep = buf[PARAM + P_DEEP * B + i]

@@ -63,7 +63,10 @@ def _hard(kind: int) -> bool:
 
 @kernel
 def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]:
-    """Return row and column of the nearest cell on a point's side of a height step, and whether it is the upper one."""
+    """Return row and column of the nearest cell on the point's level of a height step, and whether it is the upper one.
+
+    `gx`, `gy`: column and row of the point; `z`: its height, metres.
+    """
     ix, iy = int(gx), int(gy)
     top, low = height[iy, ix], height[iy, ix]
     for r in range(iy - 1, iy + 3):
@@ -85,7 +88,7 @@ def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]
 
 @kernel
 def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
-    """Return row and column of the cell that gives a pixel its look; natural borders between two classes wander."""
+    """Return row and column of the cell that gives pixel `i` at a grid position its look; natural borders are bent."""
     east, north = float(buf[SLOPE_E + i]), float(buf[SLOPE_N + i])
     steep = math.sqrt(east * east + north * north)
     if steep > STEEP:  # the side of a thing shows the thing, not the staircase of cells at its foot
@@ -104,7 +107,7 @@ def look_up_layers(
 ) -> None:
     """Fill the look, light and tint of a block from the layers; see `shade` for the arguments.
 
-    The slots TX, TY hold the shifts of class borders, cells: see `wander_borders`.
+    The slots TX, TY must hold the shifts of class borders in cells, written by `wander_borders`.
     """
     per, plain, far = 1.0 / place[2], PLAIN, False
     for i in range(B):
@@ -145,7 +148,7 @@ def _skin_at(buf: F32, i: int, skin: F32, gx: float, gy: float) -> None:
 
 @kernel
 def wander_borders(buf: F32, base: F64) -> None:
-    """Fill the slots TX, TY with the shifts of class borders, cells, from noise of 0.4 and 0.1 m wavelength."""
+    """Fill the slots TX, TY with the shifts of class borders in cells, made of noise of 0.4 and 0.1 m wavelength."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     noise_at(buf, base, 0.4, 0.8, 0.6, 77)

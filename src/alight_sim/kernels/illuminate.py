@@ -101,7 +101,7 @@ def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
 
 @kernel
 def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
-    """Fill the slots SUN (share of sun past terrain, small things and clouds) and CLOUD (share that clouds take)."""
+    """Fill the slots SUN (share of the sunlight that reaches the ground) and CLOUD (share that clouds take)."""
     for i in range(B):
         buf[SUN + i] = smoothstep(f32(SHADED), f32(LIT), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
     fill(buf, CLOUD, 0.0)
@@ -122,7 +122,7 @@ def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
 
 @kernel
 def slope_normals(buf: F32) -> None:
-    """Fill the normals NX, NY, NZ from the slopes of the ground and of its micro-relief."""
+    """Fill the slots NX, NY, NZ with surface normals from the slopes of the ground and of its micro-relief."""
     for i in range(B):
         bump = buf[PARAM + P_BUMP * B + i]
         e, n = buf[SLOPE_E + i] + bump * buf[BUMP_E + i], buf[SLOPE_N + i] + bump * buf[BUMP_N + i]
@@ -132,7 +132,7 @@ def slope_normals(buf: F32) -> None:
 
 @kernel
 def illuminate(buf: F32, lights: F32) -> None:
-    """Apply Lambert's law under sun and sky to dry pixels, with back-scatter of rough and shine of smooth ground."""
+    """Light dry pixels by sun and sky (Lambert), with back-scatter of rough ground and shine of smooth ground."""
     sx, sy, sz = lights[0], lights[1], lights[2]
     for i in range(B):
         nx, ny, nz = buf[NX + i], buf[NY + i], buf[NZ + i]
@@ -169,7 +169,7 @@ def dye(buf: F32) -> None:
 
 @kernel
 def haze(buf: F32, lights: F32) -> None:
-    """Dim far points and add the light that the air scatters (Koschmieder, 1924); sky if nothing was hit."""
+    """Dim far points and add the light that the air scatters (Koschmieder, 1924); draw the sky if no ground is hit."""
     for i in range(B):
         up = max(-buf[VZ + i], F0)
         low = (F1 - up) * (F1 - up)

@@ -23,7 +23,7 @@ BLOCK = 8  # cells of a block's side
 
 @kernel
 def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Add the octaves at positions (C,) to `out` (C,), in single precision from the first position."""
+    """Add the octaves of one row of positions (C,) to `out` (C,); see `add_fractal`."""
     cos, sin = 1.0, 0.0
     for k in range(wavelengths.size):
         # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
@@ -55,8 +55,8 @@ def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: in
 def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
     """Add noise octaves at positions (R, C) to `out` (R, C).
 
-    `form`: HILLS: as they are; RIDGES: creases upwards; DUNES: long crests across the east. The standard deviation of
-    an octave is about its amplitude.
+    `form`: HILLS (plain noise), RIDGES (with creases upwards) or DUNES (creases stretched from south to north). The
+    standard deviation of an octave is about its amplitude.
     """
     for r in prange(out.shape[0]):
         _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
@@ -64,9 +64,9 @@ def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, se
 
 @parallel_kernel
 def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
-    """Fill `out` (R, C, 3) for positions near a line: distance aside (left is negative), distance along, line's height.
+    """Fill `out` (R, C, 3) with distance from a line (negative: left of it), distance along it, and its height there.
 
-    `line` (N, 4): east, north, metres along, height of each vertex. Beyond `reach`, the distance aside is `reach`.
+    `line` (N, 4): east, north, metres along, height of each vertex. Positions farther than `reach` get (`reach`, 0, 0).
     """
     for r in prange(out.shape[0]):
         for c in range(out.shape[1]):
@@ -86,7 +86,7 @@ def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
 
 @parallel_kernel
 def box_mean(values: F32, half: int, out: F32) -> None:
-    """Fill `out` (R, C) with the mean over the square of 2 half + 1 cells around each cell, cut at the edges."""
+    """Fill `out` (R, C) with the mean over each cell's square of 2 * half + 1 cells per side, cut at the edges."""
     rows, cols = values.shape
     across = np.empty((rows, cols))
     for r in prange(rows):
@@ -114,7 +114,7 @@ def ground_light(height: F32, means: F32, row: int, col: int, cell: float, gains
     """Fill `out` (R, C, 3) with slope east, slope north and the share of open sky.
 
     Cell (0, 0) of `out` is (`row`, `col`) of `height`, which extends a cell or more beyond `out` on every side. `means`
-    (K, ...): heights smoothed over K widths; a hollow is a cell below them, darker by `gains` (K,) per metre.
+    (K, ...): heights smoothed over K widths. `gains` (K,): loss of sky per metre that a cell lies below them.
     """
     for r in prange(out.shape[0]):
         for c in range(out.shape[1]):
@@ -138,7 +138,7 @@ def _bilinear(layer: F32, x: float, y: float) -> float:
 
 @parallel_kernel
 def tile_block_tops(height: F32, out: F32) -> None:
-    """Fill `out` with the highest cell of each block of BLOCK x BLOCK and of a margin of one cell around it."""
+    """Fill `out` with the largest height in each block of BLOCK x BLOCK cells with a margin of one cell around it."""
     rows, cols = height.shape
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
@@ -151,7 +151,7 @@ def tile_block_tops(height: F32, out: F32) -> None:
 
 @kernel
 def _to_leave(x: float, step: float) -> int:
-    """Return the number of steps along one axis that stay inside the block."""
+    """Return the number of steps of `step` cells from `x` along one axis that stay inside the block."""
     inside = x - BLOCK * math.floor(x / BLOCK)
     if step > 0.0:
         return int((BLOCK - inside) / step)
@@ -164,9 +164,9 @@ def sun_margin(
 ) -> None:  # fmt: skip
     """Fill `out` (R, C) with the clearance of each cell's ray to the sun above the ground, metres (negative: shadow).
 
-    Cell (0, 0) of `out` is (`row`, `col`) of `height`. `step` (3,): one step towards the sun in columns, rows, metres;
-    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. With `tops` of `tile_block_tops` a ray
-    skips blocks that are too far below it to matter; the result is the same.
+    Cell (0, 0) of `out` is (`row`, `col`) of `height`. `step` (3,): step of about a cell towards the sun: columns,
+    rows, metres. `top`: upper bound of the heights. The clearance is clipped to +- `limit`. With `tops` of
+    `tile_block_tops` a ray skips blocks that are too far below it to matter; the result is the same.
     """
     rows, cols = height.shape
     for r in prange(out.shape[0]):

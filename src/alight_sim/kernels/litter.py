@@ -79,9 +79,9 @@ def _scatter(
 
 @kernel
 def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
-    """Scatter stones, leaves and tufts: fill the slots WEIGHT (gain of colour) and SHADE (shadow), and add their bumps.
+    """Scatter stones, leaves and tufts; fill the slots WEIGHT (factor on the colour) and SHADE (shadow), and add bumps.
 
-    Some cells of a lattice contain one, in four sizes. The shadow falls away from the sun, in proportion to the height.
+    There are four sizes. The shadow of a thing falls away from the sun, in proportion to the thing's height.
     """
     fill(buf, WEIGHT, 1.0)
     fill(buf, SHADE, 0.0)

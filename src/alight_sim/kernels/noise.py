@@ -37,8 +37,8 @@ def _hash_point(column: int, j: int) -> int:
 def hash3(i: int, j: int, seed: int) -> int:
     """Return 32 well mixed bits of two lattice indices and a seed.
 
-    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other. When the indices were first
-    combined by XOR of their multiples, one lattice point in six had the bits of another one.
+    Multiply-xorshift rounds (Wellons' lowbias32) mix in one index after the other. An XOR of the multiplied indices
+    before the rounds gave one lattice point in six the bits of another.
     """
     h: int = _hash_point(_hash_column(i, seed), j)
     return h
@@ -91,7 +91,7 @@ def floor32(x: np.float32) -> np.int32:
 
 @pixelwise
 def column32(i: np.int32, seed: np.uint32) -> np.uint32:
-    """Return the first half of the hash, common to a lattice column; `seed` comes from `seed32`."""
+    """Return the hash of lattice column `i`, which `point32` continues for each point; `seed` comes from `seed32`."""
     h = u32(u32(i) * _I + seed)
     h = u32(h ^ u32(h >> _16))
     h = u32(h * _FIRST)
@@ -100,7 +100,7 @@ def column32(i: np.int32, seed: np.uint32) -> np.uint32:
 
 @pixelwise
 def point32(column: np.uint32, j: np.int32) -> np.uint32:
-    """Return the second half of the hash: the bits of one lattice point."""
+    """Return the hash of the lattice point with index `j` in a column, from the column's hash."""
     h = u32(column + u32(u32(j) * _J))
     h = u32(h ^ u32(h >> _16))
     h = u32(h * _FIRST)
@@ -111,7 +111,7 @@ def point32(column: np.uint32, j: np.int32) -> np.uint32:
 
 @pixelwise
 def seed32(seed: int) -> np.uint32:
-    """Return a seed multiplied for the 32-bit hash."""
+    """Return the seed in the form that `column32` needs."""
     return u32(((seed & MASK) * 0x4B1AB31F) & MASK)
 
 
@@ -122,7 +122,7 @@ def _slopes32(h: np.uint32) -> Two:
 
 @pixelwise
 def corners32(i: np.int32, j: np.int32, seed: np.uint32) -> tuple[Two, Two, Two, Two]:
-    """Return the slopes at the corners of a lattice cell: (0, 0), (1, 0), (0, 1), (1, 1) in (x, y)."""
+    """Return the noise slopes at the corners (0, 0), (1, 0), (0, 1), (1, 1) in (x, y) of lattice cell (i, j)."""
     left, right, up = column32(i, seed), column32(i32(i + i32(1)), seed), i32(j + i32(1))
     return (
         _slopes32(point32(left, j)), _slopes32(point32(right, j)),
@@ -132,7 +132,7 @@ def corners32(i: np.int32, j: np.int32, seed: np.uint32) -> tuple[Two, Two, Two,
 
 @pixelwise
 def blend32(u: np.float32, v: np.float32, corners: tuple[Two, Two, Two, Two]) -> Three:
-    """Return noise and its two derivatives at (u, v) of a cell, from the slopes of its corners."""
+    """Return the noise and its two derivatives at position (u, v) in a cell, from the slopes at its corners."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners
     a, b = ax * u + ay * v, bx * (u - _F1) + by * v
     c, d = cx * u + cy * (v - _F1), dx * (u - _F1) + dy * (v - _F1)

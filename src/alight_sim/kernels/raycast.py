@@ -61,7 +61,7 @@ def _patch_hit(
 
 @kernel
 def _clip(origin: Three, ray: Three, shape: tuple[int, int], top: float) -> tuple[float, float]:
-    """Return the parameters between which the ray is over the grid and not above `top` (empty: first > second)."""
+    """Return the parameters between which the ray is over the grid and not above `top`; first > second: nowhere."""
     t0, t1 = 0.0, math.inf
     for place, rate, end in ((origin[0], ray[0], shape[1] - 1.0), (origin[1], ray[1], shape[0] - 1.0)):
         if rate != 0.0:
@@ -80,7 +80,7 @@ def _clip(origin: Three, ray: Three, shape: tuple[int, int], top: float) -> tupl
 def _walk(
     height: F32, pyramid: F32, offsets: I64, widths: I64, origin: Three, ray: Three, span: Three, level: int
 ) -> float:
-    """Return the first hit of a ray between parameters `span[0]` and `span[1]`, or MISS; see `cast_ray`."""
+    """Return the ray's first hit between parameters `span[0]` and `span[1]`, or MISS; `level`: first pyramid level."""
     rows, cols, last = height.shape[0], height.shape[1], offsets.size - 1
     ox, oy, oz = origin
     rx, ry, rz = ray
@@ -138,7 +138,7 @@ def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, 
 
 @kernel
 def _highest(pyramid: F32, offsets: I64, widths: I64, box: F64, shape: tuple[int, int]) -> float:
-    """Return an upper bound of the surface over a box (x0, x1, y0, y1) of grid coordinates."""
+    """Return an upper bound of the surface in a box (x0, x1, y0, y1) of grid coordinates."""
     x0, x1 = min(max(int(box[0]), 0), shape[1] - 2), min(max(int(box[1]), 0), shape[1] - 2)
     y0, y1 = min(max(int(box[2]), 0), shape[0] - 2), min(max(int(box[3]), 0), shape[0] - 2)
     level = 0
@@ -157,8 +157,8 @@ def _ceiling(
 ) -> float:
     """Return a height above which no ray of a fan meets the surface.
 
-    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows per metre of fall. The
-    pyramid bounds the surface over the box that the rays cross between `top` and `low`; that bound is the next `top`.
+    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows per metre of fall. `top`,
+    `low`: bounds of all heights; `top` is lowered to the largest height in the box that the rays cross between them.
     """
     box = np.empty(4)
     for _ in range(5):
@@ -175,7 +175,7 @@ def _ceiling(
 
 @kernel
 def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64, rays: F64, fan: F64) -> bool:
-    """Fill `rays` (STRIP, 3) with rays in grid coordinates, `fan` with their slopes; return whether all point down."""
+    """Fill `rays` (STRIP, 3) with turned rays of row `r`, `fan` with their slopes; return whether all point down."""
     falls = True
     fan[0], fan[1], fan[2], fan[3] = math.inf, -math.inf, math.inf, -math.inf
     for c in range(first, last):
@@ -194,9 +194,10 @@ def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64,
 def _fall(
     about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64, level: int
 ) -> bool:
-    """Advance `starts` (STRIP,) to the highest ground within 2^level cells; return whether a ray left its node first.
+    """Advance each start (STRIP,) to the highest ground around its node, or only to the node's edge.
 
-    No ray meets the surface earlier, because it stays over the 3 x 3 nodes around its position.
+    No ray meets the surface earlier, because it stays over the 3 x 3 nodes whose maximum is in `about`. Returns whether
+    a ray has reached an edge.
     """
     aside = False
     for k in range(STRIP):
@@ -229,11 +230,10 @@ def cast_rays(
 ) -> None:  # fmt: skip
     """Fill `out` (H, W) with each pixel's ray parameter at its first hit (depth along the optical axis), or MISS.
 
-    `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3), `turns` (N, 3, 3): grid coordinates from the
-    camera's axes, N = 1 for all rows or one per row. `low`: no surface is lower. `about`: like `pyramid`, with maxima
-    over the 3 x 3 nodes around each node. Rays start at the highest ground below their strip, which is 2.5 to 3 times
-    as fast as from the camera. Then they advance to the highest ground around their own position, which saves another
-    fifth.
+    `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3): cameras in grid coordinates; `turns` (N, 3, 3):
+    grid from camera axes, N = 1 for all rows or one per row. `low`: lower bound of the surface. `about`: like
+    `pyramid`, with maxima over the 3 x 3 nodes around each node. Rays start at the highest ground below their strip,
+    2.5 to 3 times as fast as from the camera, and advance to the highest ground around them, which saves another fifth.
     """
     shape = height.shape
     summit = float(pyramid[offsets[offsets.size - 1]])
@@ -262,7 +262,7 @@ def cast_rays(
 
 
 def max_pyramid(height: F32) -> tuple[F32, I64, I64]:
-    """Return the pyramid of maxima over the patches of `height` (R, C), flat, with offset and width of each level."""
+    """Return a pyramid of the largest heights of 2^k x 2^k patches as one array, and each level's offset and width."""
     level = np.maximum(np.maximum(height[:-1, :-1], height[:-1, 1:]), np.maximum(height[1:, :-1], height[1:, 1:]))
     levels = [level]
     while level.size > 1:

@@ -66,7 +66,7 @@ PAINT, GLASS = 30, 34  # codes of alight_sim.looks.Look
 
 @kernel
 def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) -> None:
-    """Fill four slots of `buf` with a block's rays in the world (x, y, z) and their parameters at the ground."""
+    """Fill four slots of `buf` for row `r` from column `first`: x, y, z of the rays in the world, ground depth."""
     count = min(B, depth.shape[1] - first)
     for i in range(count):
         d0, d1, d2 = directions[r, first + i, 0], directions[r, first + i, 1], directions[r, first + i, 2]
@@ -80,7 +80,7 @@ def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) 
 
 @kernel
 def _settle_base(ways: F64, centre: F64, base: F64) -> bool:
-    """Fill `base` with the first ground point of a block, floored to metres; return whether the block has one."""
+    """Set `base` to the block's first ground point, floored to metres; return whether the block has one."""
     for i in range(B):
         t = ways[3 * B + i]
         if t > 0.0:
@@ -97,7 +97,7 @@ def _aim(
 ) -> bool:  # fmt: skip
     """Fill positions, directions to the camera, distances (-1: sky) and footprints; return whether ground is seen.
 
-    `ways` (4 B,) is scratch.
+    `r`, `first`: row and first column of the block; `ways` (4 B,): scratch.
     """
     _turn(ways, directions, depth, r, first, turn)
     for i in range(B):  # where the patch ends, the plane continues
@@ -119,7 +119,7 @@ def _aim(
 
 @kernel
 def _unfold(buf: F32, base: F64) -> None:
-    """Fill the texture coordinates TX, TY: from above on ground and roofs, from the side on walls."""
+    """Fill the texture coordinates TX, TY with a map from above on ground and roofs, and from the side on walls."""
     x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
     z0 = f32(base[2])
     for i in range(B):
@@ -138,7 +138,7 @@ def _unfold(buf: F32, base: F64) -> None:
 
 @kernel
 def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look: I32) -> bool:
-    """Give the pixels on cars their look; return whether there are any. See `alight_sim.kernels.boxes`."""
+    """Set look, texture and paint of the block's pixels on cars; return whether there are any. See `cast_boxes`."""
     any_car, last = False, faces.shape[1] - 1
     for i in range(B):
         code = int(faces[r, min(first + i, last)])
@@ -167,7 +167,6 @@ def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
 
 @kernel
 def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool) -> None:
-    """Fill reflectance and bumps of the surface: texture, plants, small things, laid patterns."""
     _unfold(buf, base)
     sway(buf, base, lights[WIND : WIND + 2], time, seed + 60)
     if wet:
@@ -188,13 +187,14 @@ def shade(
 ) -> None:  # fmt: skip
     """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
 
-    `height` (R, C; empty: the layers are coarser than it); `label` (R, C); `cells` (R, C, 2): look, and bits about its
+    `height` (R, C), empty if the layers are coarser; `label` (R, C); `cells` (R, C, 2): look, and bits about its
     neighbours (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky,
-    water depth, tint. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS), `wet` (L,) 1 for water:
-    `alight_sim.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
-    picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W)
-    from `cast_boxes`; `pixel`: angle of a pixel, rad; `level`: height of the plane that continues beyond the patch;
-    `lights` (LIGHTS,): see `illuminate`.
+    water depth, tint. `place`: east and north of cell (0, 0), size of a cell. `looks` (L, PARAMS), `wet` (L,) 1 for
+    water:
+    see `alight_sim.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the
+    whole picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces`
+    (H, W) from `cast_boxes`; `pixel`: angle of a pixel, rad; `level`: height of the plane that continues beyond the
+    patch; `lights` (LIGHTS,): see `illuminate`.
     """
     lights32 = lights.astype(np.float32)
     for r in prange(out.shape[0]):

@@ -23,12 +23,12 @@ EAST, NORTH, LEVEL, REACH, TURN, HALF_U, HALF_V, TOP, EXTRA, RED, GREEN, BLUE, L
 COLUMNS = 13
 ELLIPSOID, CONE, DRUM = 0, 1, 2  # shapes of domes
 GABLE, HIP, FLAT, CAR = 0, 1, 2, 3  # roofs of boxes
-PARAPET, CHIMNEY = 0.25, 0.4  # metres: height of the rim of a flat roof, half a chimney's side
+PARAPET, CHIMNEY = 0.25, 0.4  # metres: width of a flat roof's parapet, half a chimney's side
 
 
 @kernel
 def _span(centre: float, reach: float, first: float, cell: float, count: int) -> tuple[int, int]:
-    """Return the cells [a, b) of an axis whose centres lie within `reach`."""
+    """Return the range [a, b) of cells whose centres lie within `reach` of `centre`; `first`: centre of cell 0."""
     a = math.ceil((centre - reach - first) / cell)
     b = math.floor((centre + reach - first) / cell) + 1
     return min(max(a, 0), count), min(max(b, 0), count)
@@ -52,7 +52,7 @@ def _put(
 
 @kernel
 def _dome(thing: F64, u: float, v: float, x: float, y: float, form: F64, shape: int, seed: int) -> float:
-    """Return a dome's height above its base, negative outside. `form`: skirt, lumps, their size, raggedness."""
+    """Return a dome's height above its base at (u, v), negative outside; (x, y): world position, for the noise."""
     r = math.hypot(u / thing[HALF_U], v / thing[HALF_V])
     if r > 1.5:
         return -1.0
@@ -77,10 +77,11 @@ def stamp_domes(
     x: F64, y: F64, cell: float, things: F64, form: F64, shape: int, kind: int, rooted: bool, seed: int,
     ground: F64, height: F64, label: U8, depth: F64, look: U8, tint: F32,
 ) -> None:  # fmt: skip
-    """Stamp `things` (N, COLUMNS) as domes. `x` (C,), `y` (R,): cell centres. `rooted`: based on the level of its foot.
+    """Stamp `things` (N, COLUMNS) as domes of a `shape` on the layers. `x` (C,), `y` (R,): cell centres.
 
     `form` (4,): skirt (share of the top at the rim), lumps (times EXTRA, metres), size of lumps in metres, raggedness.
-    `kind` < 0 keeps the class of the ground.
+    `kind`: class, < 0: the ground's. `rooted`: whether a dome stands on its foot's LEVEL instead of on each cell's
+    ground.
     """
     for r in prange(y.size):
         for k in range(things.shape[0]):
@@ -99,7 +100,7 @@ def stamp_domes(
 
 @kernel
 def _roof(thing: F64, u: float, v: float, kind: int) -> float:
-    """Return the height of a box above its base. TOP: height of its walls, EXTRA: slope of its roof, or its parapet."""
+    """Return a box's height above its base at (u, v): TOP plus a roof of slope EXTRA or a parapet of height EXTRA."""
     u, v = min(max(u, -thing[HALF_U]), thing[HALF_U]), min(max(v, -thing[HALF_V]), thing[HALF_V])
     inside_u, inside_v = thing[HALF_U] - abs(u), thing[HALF_V] - abs(v)
     if kind == CAR:
@@ -115,7 +116,7 @@ def _roof(thing: F64, u: float, v: float, kind: int) -> float:
 
 @kernel
 def _car(thing: F64, u: float, v: float) -> float:
-    """Return the height of a car above its base: bonnet, wind-screen, roof and boot along it, lower sides across it."""
+    """Return the height of a car above its base at (u, v), metres along and across it from its centre."""
     along = u / thing[HALF_U]
     body = 0.62 * thing[TOP]
     screen = min((along + 0.85) / 0.25, (0.45 - along) / 0.3)
@@ -130,10 +131,10 @@ def stamp_boxes(
     x: F64, y: F64, cell: float, things: F64, kind: int, label_code: int,
     height: F64, label: U8, depth: F64, look: U8, tint: F32,
 ) -> None:  # fmt: skip
-    """Stamp `things` (N, COLUMNS) with vertical sides, each on the level of its foot; `kind`: GABLE, HIP, FLAT, CAR.
+    """Stamp `things` (N, COLUMNS) as boxes with vertical sides on their feet's LEVEL; `kind`: GABLE, HIP, FLAT or CAR.
 
-    A cell that an edge cuts rises by its covered share, so edges askew to the grid are straight lines on the surface.
-    The cell gets the thing's class if half of it is covered.
+    A cell that an edge crosses rises by the share of it that is covered, which keeps oblique edges straight. The cell
+    gets the class `label_code` if half of it is covered.
     """
     for r in prange(y.size):
         for k in range(things.shape[0]):

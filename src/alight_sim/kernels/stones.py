@@ -29,7 +29,7 @@ FORM_ANGULAR, FORM_ROCK_FROM, FORM_HIDDEN, FORM_LOOK, FORM_TINT = range(5)
 
 @kernel
 def _outline(u: float, v: float, bits: int) -> float:
-    """Return the distance of a point from the centre of a polygon with `FACES` sides; 1 on the polygon's outline."""
+    """Return how far (u, v) is from the centre of a random polygon of seed `bits`; the polygon's outline is at 1."""
     far = 0.0
     for k in range(FACES):
         h = hash3(bits, k, 11)
@@ -41,7 +41,7 @@ def _outline(u: float, v: float, bits: int) -> float:
 
 @kernel
 def _stone(thing: F64, dx: float, dy: float, x: float, y: float, angular: bool, seed: int) -> tuple[float, float]:
-    """Return a stone's height above the ground (negative: outside) and the distance from its centre, 0 to 1 (rim)."""
+    """Return a stone's height above the ground at (dx, dy), negative outside, and distance from its centre, rim 1."""
     cos, sin = math.cos(thing[TURN]), math.sin(thing[TURN])
     u, v = (cos * dx + sin * dy) / thing[HALF_U], (cos * dy - sin * dx) / thing[HALF_V]
     if math.hypot(u, v) > 1.4:
@@ -66,9 +66,9 @@ def stamp_stones(
 ) -> None:  # fmt: skip
     """Stamp stones (N, COLUMNS) on the ground. `x` (C,), `y` (R,): cell centres.
 
-    Columns of a stone as in `stamps`; EXTRA: diameter, RED: brightness over the ground's, BLUE: its outline. `form`
-    (7,): angular or not, diameter from which it is of class rock, hidden share, look (0: the ground's), tint of that
-    look (3). `by_class` (9,): look of a class; `under` (R, C, 3): tint of the ground.
+    A stone has the columns of `stamps`; EXTRA: diameter, RED: ratio of its brightness to the ground's, BLUE: seed of
+    its outline. `form` (7,): 1 if angular, least diameter of class rock, hidden share, look (0: the ground's), tint of
+    that look (3). `by_class` (9,): look of each class; `under` (R, C, 3): tint of the ground.
     """
     for r in prange(y.size):
         for k in range(things.shape[0]):

@@ -64,9 +64,9 @@ TILES, SLABS, SEAMS, JOINTS = 1, 2, 3, 4
 
 @kernel
 def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> int:
-    """Fill the slots of the looks' parameters below index `last`; return the block's look, -1 if it has several.
+    """Fill the first `last` parameter slots from the pixels' looks; return the look of the block, -1 if it has several.
 
-    `before`: the look that the slots already hold, -1: none; most blocks have the look of the previous block.
+    `before`: look whose parameters the slots hold already, or -1; nothing is done if the whole block has this look.
     """
     same = True
     for i in range(1, B):
@@ -85,7 +85,7 @@ def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> 
 
 @kernel
 def _spread_patches(buf: F32, w: float, slot: int) -> None:
-    """Add the noise in N to the slot LARGE or MIDDLE, and its slope (as good as another noise) to ASIDE."""
+    """Add `w` times the noise in slot N to `slot` (LARGE or MIDDLE), and its slope to ASIDE as a second noise."""
     g = f32(0.45 * w)
     if slot == LARGE:
         for i in range(B):
@@ -99,7 +99,7 @@ def _spread_patches(buf: F32, w: float, slot: int) -> None:
 
 @kernel
 def patches(buf: F32, base: F64, seed: int) -> None:
-    """Fill the slots LARGE, MIDDLE, ASIDE with the variation within a class at wavelengths from 130 m to 6 m."""
+    """Fill the slots LARGE, MIDDLE, ASIDE with noise of 130 m to 5 m wavelength, for the variation within a class."""
     for slot in (LARGE, MIDDLE, ASIDE):
         fill(buf, slot, 0.0)
     for k, (wavelength, w) in enumerate(((131.0, 0.6), (53.0, 0.6), (23.0, 0.55), (11.0, 0.7), (5.5, 0.7))):
@@ -109,7 +109,7 @@ def patches(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
-    """Add the octave in the slots N, DU, DV to the detail; a share P_RIDGE of it becomes ridges."""
+    """Add the octave in N, DU, DV, on a lattice turned by (c, s), to the detail; a share P_RIDGE becomes ridges."""
     relief = min(F1, f32(0.4) / wavelength)  # long waves of relief belong to the height layer
     for i in range(B):
         w = buf[WEIGHT + i] * smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
@@ -125,7 +125,7 @@ def _add_octave(buf: F32, wavelength: np.float32, c: np.float32, s: np.float32) 
 
 @kernel
 def texture_detail(buf: F32, base: F64, seed: int) -> None:
-    """Fill the slots VALUE (about unit deviation), BUMP_E, BUMP_N: octaves of 3 m to 1.2 cm that a pixel resolves."""
+    """Fill VALUE (about unit deviation), BUMP_E, BUMP_N with the octaves of 3 m to 1.2 cm that a pixel resolves."""
     for slot in (VALUE, BUMP_E, BUMP_N):
         fill(buf, slot, 0.0)
     for i in range(B):  # octaves of unit sum of squares
@@ -149,7 +149,7 @@ def texture_detail(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _stain(buf: F32) -> None:
-    """Fill the colours RED, GREEN, BLUE without detail: the three colours of a look, mixed by position."""
+    """Fill the slots RED, GREEN, BLUE with the three colours of a look, mixed by position, without detail."""
     p = PARAM
     for i in range(B):
         value, large, middle = buf[VALUE + i], buf[LARGE + i], buf[MIDDLE + i]
@@ -186,7 +186,7 @@ def _grain(buf: F32) -> None:
 
 @kernel
 def _cracks(buf: F32, base: F64, seed: int) -> None:
-    """Darken thin lines, 1 to 2 cm wide and metres long, where a noise crosses zero; there are fewer in some areas."""
+    """Darken thin lines, 1 to 2 cm wide and metres long, along which a noise crosses zero."""
     slot = PARAM + P_CRACK * B
     if largest(buf, slot) <= 0.0 or smallest(buf, FOOT) > 0.2:
         return
@@ -204,7 +204,7 @@ def _cracks(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def colours(buf: F32, base: F64, seed: int) -> None:
-    """Fill the slots RED, GREEN, BLUE: the three colours of a look mixed by position, times detail and small things."""
+    """Fill the slots RED, GREEN, BLUE with the look's colour at each position, with cracks, detail and small things."""
     _cracks(buf, base, seed)
     _stain(buf)
     _grain(buf)
@@ -212,7 +212,7 @@ def colours(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _pattern(kind: int, x: float, y: float, z: float, slope_e: float, slope_n: float, foot: float, seed: int) -> float:
-    """Return the gain of a laid material at a position: tiles in even rows, slabs, seams down the slope, or joints."""
+    """Return the factor of a laid material `kind` on the colour at (x, y, z); `foot`: size of a pixel there, metres."""
     if kind in (SLABS, JOINTS):
         size = 0.5 if kind == SLABS else 4.0
         u, v, line = (0.921 * x - 0.389 * y) / size, (0.389 * x + 0.921 * y) / size, 0.012 / size

@@ -20,9 +20,9 @@ B = NDArray[np.bool_]
 
 @parallel_kernel
 def running_sums(height: F32, barred: B, base: float, sums: F64, count: I64) -> None:
-    """Fill running sums along each row: `sums` (R, C + 1, 2) of heights above `base` and of column times height.
+    """Fill `sums` (R, C + 1, 2) with running sums along each row: heights above `base`, and column times height.
 
-    `count` (R, C + 1): number of barred cells, whose heights are left out.
+    `count` (R, C + 1): running number of barred cells, whose heights are left out.
     """
     rows, cols = height.shape
     for r in prange(rows):
@@ -36,7 +36,7 @@ def running_sums(height: F32, barred: B, base: float, sums: F64, count: I64) -> 
 
 @kernel
 def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[float, float, float], limit: float) -> bool:
-    """Return whether the disc's cells lie within `limit` of a plane, given by mean, rise per column, rise per row."""
+    """Return whether the disc at cell (r, c) keeps within `limit` of a plane: mean, rise per column, rise per row."""
     mean, rise_x, rise_y = plane
     k = half.size // 2
     for i in range(-k, k + 1):
@@ -53,7 +53,7 @@ def _even(height: F32, base: float, r: int, c: int, half: I64, plane: tuple[floa
 def touchdown(
     height: F32, base: float, sums: F64, count: I64, half: I64, steep: float, limit: float, out: B
 ) -> None:  # fmt: skip
-    """Fill `out` (R, C): whether the disc around a cell has no barred cell, slope <= `steep`, deviations <= `limit`.
+    """Fill `out` (R, C): whether the disc around a cell has no barred cell, slope <= `steep` and deviations <= `limit`.
 
     `steep`: rise per cell. `half` (2 k + 1,): half widths of the disc's rows in cells. On a full disc the normal
     equations are diagonal: the plane's slopes are first moments over second moments. A disc that leaves the array is

@@ -65,7 +65,7 @@ TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045
 
 @kernel
 def dive(buf: F32, looks: F32, look: I32) -> bool:
-    """Store the parameters of water, and set the look of its pixels to the bed's; return whether there is water."""
+    """Store the water's parameters and change the look of wet pixels to the bed's; return whether any pixel is wet."""
     wet = False
     for i in range(B):
         wet |= buf[WATER + i] > 0.0
@@ -93,7 +93,7 @@ def _add_train(buf: F32, w: np.float32, wavelength: np.float32, c: np.float32, s
 
 @kernel
 def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Fill the slopes of the waves: five wavelengths, each running down the wind and across it at sqrt(g L / 2 pi)."""
+    """Fill the slots of the waves' slopes: five wavelengths L, each with two trains of speed sqrt(g L / 2 pi)."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     fill(buf, WAVE_E, 0.0)
@@ -125,7 +125,7 @@ def refract(buf: F32) -> None:
 
 @kernel
 def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
-    """Render one channel in the slot N: the bed through water of colour V and attenuation U, and the mirrored sky."""
+    """Replace the bed's reflectance in N by the radiance of water with colour V and attenuation U, and mirrored sky."""
     sx, sy, flat = towards[0], towards[1], towards[2]
     for i in range(B):
         v = buf[VX + i] * buf[WAVE_E + i] + buf[VY + i] * buf[WAVE_N + i]
@@ -157,7 +157,7 @@ def water_light(buf: F32, sun: F64) -> None:
 
 @kernel
 def _glints(buf: F32, sx: np.float32, sy: np.float32, sz: np.float32) -> None:
-    """Add the sun's mirror image where a wave tilts far enough (Cox and Munk, 1954, with the resolved waves)."""
+    """Add the sun's glints on the waves (Cox and Munk, 1954); `sx`, `sy`, `sz`: unit vector to the sun."""
     for i in range(B):
         hx, hy, hz = buf[VX + i] + sx, buf[VY + i] + sy, max(buf[VZ + i] + sz, f32(0.05))
         ex, ey = hx / hz + buf[WAVE_E + i], hy / hz + buf[WAVE_N + i]
@@ -172,7 +172,7 @@ def _glints(buf: F32, sx: np.float32, sy: np.float32, sz: np.float32) -> None:
 
 @kernel
 def scum(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
-    """Cover part of the water with algae or foam that the wind drives slowly, so it moves between pictures."""
+    """Cover part of the water with algae or foam that drifts slowly with the wind."""
     copy(buf, X, TX)
     copy(buf, Y, TY)
     fill(buf, CLOUD, 0.0)

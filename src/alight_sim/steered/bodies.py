@@ -22,7 +22,7 @@ _NODE = 0.5  # metres along the path between the ground heights under it
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A car or person that moves along a straight line, brakes, and stays. Before `since` it does not exist."""
+    """A car or person that moves along a straight line, brakes and stays. It does not exist before `since`."""
 
     car: bool  # False: a person
     start: tuple[float, float]  # east, north, metres
@@ -70,7 +70,6 @@ class Body:
 
 
 def _person(places: F64, heading: F64) -> F64:
-    """Return the (T, 2, 12) boxes of trunk and head of a person."""
     depth, width, height = PERSON
     out = np.zeros((len(places), 2, NUMBERS))
     out[:, :, 3], out[:, :, 4] = np.cos(heading), np.sin(heading)

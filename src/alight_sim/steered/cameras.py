@@ -62,7 +62,7 @@ class SteeredCameras:
         return self._seconds(self.next) + 0.5 * (self.imaging.exposure_time + rows * self.imaging.line_time)
 
     def expose(self, body: Poses) -> tuple[int, Frame] | None:
-        """Draw the next exposure at the body's true poses; return arrival (ns) and frame, None if all are lost."""
+        """Draw the next exposure at the body's true poses; return arrival (ns) and frame; None: all are lost."""
         k, plan = self.next, self._planned(self.next)
         self.next += 1
         seconds = self._seconds(k)
@@ -105,7 +105,7 @@ class SteeredCameras:
         return light
 
     def _gain(self, k: int, cam: int, seconds: float, light: F32) -> F64:
-        """Return the (3,) gains, with exposure control by the light of the previous exposure."""
+        """Return the (3,) gains of exposure `k` of a camera, and update its exposure control by the light (H, W, 3)."""
         base: F64 = self._gains[cam][k]
         if not self.imaging.auto:
             return base

@@ -53,7 +53,7 @@ class MovingAir:
     leant: F64 = field(default_factory=lambda: np.zeros(3))  # m/s^2, learned part of the pushes
 
     def push(self, now: float, h: float, drag: float) -> F64:
-        """Return the acceleration (3,) m/s^2 by wind and gusts in a step of `h` s, minus the learned part."""
+        """Return the acceleration (3,) by wind (`drag`, 1/s) and gusts over `h` s from `now`, less the learned part."""
         share = 1.0 - math.exp(-h / _TRIM)
         self.learned = self.learned + share * (self.velocity - self.learned)
         gusts: F64 = sum((a for start, end, a in self.pushes if start <= now < end), np.zeros(3))
@@ -62,7 +62,7 @@ class MovingAir:
 
 
 class SteeredFlight:
-    """A flight that follows set-points, as events; also the vehicle of a simulated autopilot (`TrueVehicle`).
+    """A flight that follows set-points and yields events; also the vehicle of a simulated autopilot (`TrueVehicle`).
 
     The same seed and calls give the same bits.
 
@@ -192,7 +192,7 @@ class SteeredFlight:
 
     @property
     def gap(self) -> float:
-        """Height of the plane of the feet above the highest object within the radius or the ground below, metres."""
+        """Height of the feet's plane above the highest ground or object within the radius, metres."""
         return self._contacts.gap
 
     @property
@@ -207,7 +207,7 @@ class SteeredFlight:
 
     @property
     def imu(self) -> tuple[F64, F64] | None:
-        """Measured angular rate (3,) rad/s and specific force (3,) m/s^2 in the body; None: none in the last 30 ms."""
+        """Measured angular rate (3,) rad/s and specific force (3,) m/s^2 in the body; None: no sample for 30 ms."""
         sample = self.sensors.newest_imu
         if sample is None or self.time_ns - sample.t_ns > 30_000_000:
             return None
@@ -235,7 +235,7 @@ class SteeredFlight:
 
     @property
     def contact(self) -> TrueContact | None:
-        """The last contact; None: there has been none."""
+        """The last contact with the ground or an object; None: no contact so far."""
         return self.contacts[-1] if self.contacts else None
 
     def poses(self, t_ns: I64) -> list[Pose]:
@@ -246,14 +246,13 @@ class SteeredFlight:
     # -- time
 
     def step(self, dt: float, wanted: Wanted | None) -> list[Event]:
-        """Fly for `dt` seconds to a true set-point (None: motors off); return the events that arrived, in order."""
+        """Fly for `dt` s to a set-point in true coordinates (None: motors off); return the arrived events in order."""
         self._elapsed_ns += round(dt * 1e9)
         while (self._steps + 1) / self._imu_errors.rate_hz <= self._elapsed_ns * 1e-9 + 1e-9:
             self._advance(wanted)
         return self.sensors.arrived(self.time_ns)
 
     def _advance(self, wanted: Wanted | None) -> None:
-        """Advance by one sample of the IMU."""
         vehicle, h = self._vehicle, 1.0 / self._imu_errors.rate_hz
         start = self._steps * h - LEAD
         self._steps += 1
@@ -279,7 +278,7 @@ class SteeredFlight:
 
     def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
              heading: float = 0.0) -> Body:  # fmt: skip
-        """Let a car drive in from `start` and park (None: it parks at once, at `heading`, rad from east to north)."""
+        """Let a car drive from `start` and park; without `start` it is there at once, at `heading`, rad from east."""
         return self._come(True, east, north, start, speed, heading)
 
     def walk_in(
@@ -317,14 +316,14 @@ class SteeredFlight:
         self._camera_fault("cover", seconds, camera, share)
 
     def delay_frames(self, seconds: float, by: float) -> None:
-        """Delay the arrival of the exposures of the next `seconds` by `by` seconds; their stamps stay right."""
+        """Let the exposures of the next `seconds` arrive late by `by` seconds; their stamps stay right."""
         self._camera_fault("late", seconds, None, by)
 
     def _camera_fault(self, what: str, seconds: float, camera: int | None, amount: float = 0.0) -> None:
         self.cameras.commanded.append(CameraFault(what, self.seconds, self.seconds + seconds, camera, amount))
 
     def lose_gps(self, seconds: float, what: Literal["position", "rows"] = "position") -> None:
-        """Lose positions or whole rows for `seconds`; the autopilot's position error continues unchanged."""
+        """Lose the positions or the whole rows of GPS/INS for `seconds`."""
         self._change_nav(
             outages=(*self.sensors.nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what))
         )
@@ -348,14 +347,14 @@ class SteeredFlight:
 
 
 class FlownEstimate:
-    """The estimate of a flight's autopilot (`Estimate`): the errors of the flight's navigation solution."""
+    """Errors of a flight's navigation solution, as an `Estimate` for its autopilot."""
 
     def __init__(self, flight: SteeredFlight) -> None:
         self._flight = flight
         self.now = flight.navigation
 
     def step(self, dt: float) -> None:
-        """Read the present errors of the flight, which advances its own sensors."""
+        """Read the present errors of the flight's navigation; `dt` is not used, because the flight advances them."""
         self.now = self._flight.navigation
 
 

@@ -31,7 +31,7 @@ def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
 
 
 class GroundBelow:
-    """Ground height at successive positions close to each other. The surface is bilinear between cell centres.
+    """Ground heights for queries at successive, close positions. The surface is bilinear between cell centres.
 
     Args:
         bodies: bodies that have appeared on command.
@@ -121,7 +121,7 @@ class ContactWatch:
     """Detector of the contacts of a vehicle that moves in steps.
 
     Args:
-        below: the surface, with the radius within which it strikes objects higher than its feet; 0: it strikes none.
+        below: ground and objects; within its radius the vehicle strikes objects higher than its feet; 0: none.
         standing: height of the body's origin above the plane of the feet, metres.
     """
 
@@ -138,7 +138,7 @@ class ContactWatch:
 
     @property
     def gap(self) -> float:
-        """Height of the plane of the feet above the highest object within the radius or the ground below, metres."""
+        """Height of the feet's plane above the highest ground or object within the radius, metres."""
         east, north, up = (float(c) for c in self._vehicle.position)
         return up - self._standing - self.below.highest(east, north)
 

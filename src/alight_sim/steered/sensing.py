@@ -25,7 +25,7 @@ class TrueTrack:
         self._pieces: list[tuple[TrueMotion, F64, float]] = []  # motion at the start; (3,) position at the end; s
 
     def add(self, start: float, seconds: float, before: TrueMotion, place: F64, turned: F64) -> TrueMotion:
-        """Append a step of `seconds` from `before` to a position (3,) and rotation (3, 3); return its motion."""
+        """Append a step from `before` to a pose of position (3,), rotation (3, 3); return its motion with rates."""
         rate = np.asarray(so3_log(before.world_from_body.T @ turned)) / seconds
         motion = TrueMotion(before.position_world, before.velocity_world, before.world_from_body, rate)
         self._times.append(start)
@@ -71,7 +71,7 @@ class SteeredSensors:
         self.imu_lost: list[tuple[float, float]] = []  # from, to: without samples
 
     def measure(self, start: float, h: float, motion: TrueMotion, velocity_world: F64) -> None:
-        """Measure a step of `h` seconds, from its initial motion and its final velocity, (3,) m/s."""
+        """Measure a step of `h` s from time `start`, by its initial motion and its final velocity, (3,) m/s."""
         biases, middle = self._biases.next(), start + 0.5 * h
         turn = motion.world_from_body @ so3_exp(0.5 * h * motion.angular_velocity_body)
         force = turn.T @ ((velocity_world - motion.velocity_world) / h + UPWARDS)

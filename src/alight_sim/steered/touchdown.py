@@ -25,7 +25,7 @@ def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLan
 
 
 def severity(safe: bool, reasons: tuple[str, ...]) -> tuple[bool, bool, int]:
-    """Return a rank of a contact; larger is worse: unsafe, then a strike, then the number of broken limits."""
+    """Return a sort key of a contact's severity: unsafe or not, a strike or not, number of broken limits."""
     return not safe, STRIKE in reasons, len(reasons)
 
 

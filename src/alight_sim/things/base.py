@@ -100,7 +100,7 @@ class Sheet:
         )  # fmt: skip
 
     def near(self, east: float, north: float, reach: float) -> tuple[Any, F64, F64]:
-        """Return the index of the positions in a square about a position, and their east and north from it, metres."""
+        """Return the positions within +- `reach` of a position: their index, and offsets east and north (m)."""
         if self.cell > 0.0:
             cols = np.nonzero(np.abs(self.x[0] - east) < reach)[0]
             rows = np.nonzero(np.abs(self.y[:, 0] - north) < reach)[0]
@@ -133,7 +133,7 @@ def ramp(low: float, high: float, x: F64) -> F64:
 
 
 class Layer(Section):
-    """One kind of thing. All layers shape the solid ground first, then all cover it, stand on it, hang over it."""
+    """One kind of thing. All layers first shape the solid ground, then add cover, standing and hanging things."""
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Change the solid ground."""
@@ -188,11 +188,11 @@ class Scattered(Layer):
         raise NotImplementedError
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """Return the (N,) mask of drawn random things that exist; their density may vary over the ground."""
+        """Return the (N,) mask of the drawn random things to keep, by which a layer varies their density."""
         return np.ones(len(things), bool)
 
     def parts(self, rng: np.random.Generator, things: F64) -> F64:
-        """Return the parts to stamp for the things that found a site: by default the things themselves."""
+        """Return the parts (M, COLUMNS) to stamp for the things; by default the things themselves."""
         return things
 
 
@@ -204,7 +204,7 @@ def blank_things(places: F64) -> F64:
 
 
 def overlapping(things: F64, box: Box) -> F64:
-    """Return the things that reach into a box."""
+    """Return the things (N, COLUMNS) that reach into a box."""
     west, south, east, north = box
     e, n, reach = things[:, EAST], things[:, NORTH], things[:, REACH]
     near = (e + reach >= west) & (e - reach <= east) & (n + reach >= south) & (n - reach <= north)
@@ -224,11 +224,11 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
 
 
 def covered(inside: F64, cell: float) -> F64:
-    """Return the share of a cell that is inside an edge, from its centre's distance inside the edge, metres."""
+    """Return the share of a cell inside an edge; `inside`: metres from the edge to its centre, negative outside."""
     return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
 
 
 def along_and_across(dx: F64, dy: F64, turn: float) -> tuple[F64, F64]:
-    """Return coordinates along and across a direction, given in rad counter-clockwise from east."""
+    """Return coordinates of (dx, dy) along and across a direction `turn`, rad counter-clockwise from east."""
     c, s = math.cos(turn), math.sin(turn)
     return np.asarray(c * dx + s * dy), np.asarray(c * dy - s * dx)

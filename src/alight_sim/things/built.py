@@ -64,12 +64,12 @@ class Boxes(Scattered):
         return True
 
     def turns(self, rng: Generator, count: int) -> F64:
-        """Return (count,) turns in rad, random or as set by the user; both draw equally often from the generator."""
+        """Return (count,) turns in rad, the user's or random ones."""
         turns = rng.uniform(0.0, 2.0 * math.pi, count)
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 
     def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
-        """Draw a tint for each thing, from the user's tints or from `otherwise`, and set its look."""
+        """Set the look of the things, and draw a tint for each, from the user's tints or else from `otherwise`."""
         palette = np.array(self.tints or otherwise)
         things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
         things[:, LOOK] = look
@@ -230,7 +230,6 @@ class Parking(Layer):
         return np.asarray(inside & (across <= length) & (line | (across < 0.05)))
 
     def _cars(self, lay: Lay) -> F64:
-        """Return the (N, COLUMNS) parked cars, in their bays."""
         rng = np.random.default_rng([lay.seed, 7])
         width, length = self.bay
         columns = np.arange(math.floor(self.size[0] / width)) - 0.5 * math.floor(self.size[0] / width) + 0.5
@@ -254,7 +253,6 @@ class Parking(Layer):
 
     @staticmethod
     def _off_pads(lay: Lay, cars: F64) -> F64:
-        """Return the cars that are clear of ground that a later layer keeps free."""
         for other in lay.stack.lays[lay.index + 1 :]:
             if isinstance(other.layer, Scattered) and other.layer.apart:
                 for east, north in other.layer.at:

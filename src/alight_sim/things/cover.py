@@ -43,11 +43,11 @@ class Outline(Layer):
     within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
-        """Return the (R, C) noise of unit deviation that makes the outline."""
+        """Return the (R, C) noise of unit deviation whose level line is the outline."""
         return noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
 
     def excess(self, sheet: Sheet, lay: Lay) -> F64:
-        """Return the (R, C) excess of the noise over the threshold for `share`, in deviations; negative outside."""
+        """Return the (R, C) noise minus the threshold that a `share` of it exceeds; negative: not covered."""
         excess = self.field(sheet, lay) - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
         open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
         if self.within is not None:
@@ -89,7 +89,7 @@ class TallGrass(Outline):
         return 0.0, 1.4 * self.height
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise tufts, lower at the rim of a patch."""
+        """Raise tufts, which are lower at the rim of a patch."""
         excess = self.excess(sheet, lay)
         mask = (excess > 0.0) & (sheet.height <= sheet.ground) & (sheet.depth <= self.shallower)
         tufts = self._lie(sheet, lay)
@@ -101,7 +101,7 @@ class TallGrass(Outline):
         sheet.label[mask & (blades >= self.tall_from)] = Terrain.TALL_VEGETATION
 
     def _lie(self, sheet: Sheet, lay: Lay) -> F64:
-        """Return (R, C) noise of unit deviation: tufts, swathes laid by the wind, and streaks along them."""
+        """Return (R, C) noise of unit deviation for the height of the grass: tufts, swathes and streaks."""
         bend = noise(sheet.x, sheet.y, lay.seed + 32, 30.0 * self.tuft, 10.0 * self.tuft)
         u, v = along_and_across(sheet.x, sheet.y, lay.seed % 628 * 0.01)
         swathe = noise(u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 33, 12.0 * self.tuft, 4.0 * self.tuft, 0.5)
@@ -150,7 +150,7 @@ class Fields(Layer):
         return max(c.ridge for c in self.crops), max(c.ridge + 1.4 * c.height for c in self.crops)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Shape furrows, and paint the soil and the crops without height."""
+        """Raise the furrows' ridges, paint the soil, and paint the crops whose height is 0."""
         which, across = sheet.notes[lay.index] = self._parcels(sheet, lay)
         for k, crop in enumerate(self.crops):
             mask = which == k
@@ -164,7 +164,7 @@ class Fields(Layer):
                 sheet.paint(..., planted, terrain_named(crop.kind), crop.look, crop.tint)
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise the plants of crops with a height."""
+        """Raise the plants of all crops whose height is above 0."""
         which, across = sheet.notes[lay.index]
         for k, crop in enumerate(self.crops):
             if crop.height == 0.0 or not (which == k).any():

@@ -110,7 +110,7 @@ class Craters(Scattered):
         things[:, TOP] = radius * rng.uniform(*self.depth, len(things))
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Shape a paraboloid inside and a blanket that falls with the third power outside (McGetchin et al. 1973)."""
+        """Dig bowls, and heap a blanket around each that falls with distance cubed (McGetchin et al. 1973)."""
         for thing in lay.things(sheet.box):
             index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
             rho = np.hypot(dx, dy) / thing[HALF_U]
@@ -204,7 +204,7 @@ class Pads(Scattered):
 
     @property
     def largest(self) -> float:
-        """Radius or half the diagonal, plus the bank, metres."""
+        """Radius or half the diagonal of a pad, plus the bank, metres."""
         return self.bank + (self.radius or 0.5 * math.hypot(*self.size))
 
     @property

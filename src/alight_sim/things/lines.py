@@ -48,7 +48,7 @@ Line = Annotated[Places, AfterValidator(_line)]
 
 
 def pieces(path: Places, length: float) -> F64:
-    """Return the path cut into pieces of about `length` metres, (N, 4): east, north, metres along, 0."""
+    """Return the path cut into pieces of about `length` metres: (N, 4) east, north, distance along, height 0."""
     corners = np.array(path)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     cuts = np.linspace(0.0, along[-1], max(2, round(along[-1] / length) + 1))
@@ -59,7 +59,7 @@ def pieces(path: Places, length: float) -> F64:
 
 
 def winding(line: F64, wander: float, seed: int) -> F64:
-    """Return the line of `pieces`, its points shifted aside smoothly by `wander` metres (standard deviation)."""
+    """Return a line (N, 4) of `pieces`, its points shifted aside smoothly by `wander` m (standard deviation)."""
     along = line[:, 2:3]
     aside = wander * noise(along, np.zeros_like(along), seed, 12.0 * wander, 4.0 * wander)
     ahead = np.gradient(line[:, :2], line[:, 2], axis=0)
@@ -83,7 +83,7 @@ class Lined(Layer):
         return pieces(self.path, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
-        """Return the line at each position, (R, C, 3): distance aside, distance along, height; None: it is far away."""
+        """Return distance from the line, distance along it, its height, (R, C, 3); None: the sheet is out of reach."""
         west, south, east, north = sheet.box
         line, reach = lay.keep("line", lambda: self.line(lay)), self.reach()
         low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])
@@ -193,7 +193,7 @@ class Walls(Lined):
         return max(0.5 * self.thickness, 0.2) + 0.1
 
     def line(self, lay: Lay) -> F64:
-        """Return the (N, 4) vertices of the path, or of a line that winds about it."""
+        """Return the (N, 4) vertices of the path, or of the line that winds about it."""
         if self.wander == 0.0:
             return super().line(lay)
         return winding(pieces(self.path, self.wander), self.wander, lay.seed)
@@ -225,7 +225,6 @@ class Walls(Lined):
 
     @staticmethod
     def _string(sheet: Sheet, line: Mask) -> None:
-        """Paint wire over the ground: of class structure, and visible only as a faint line."""
         usual = tables()[1][sheet.label].astype(np.uint8)
         sheet.look[line] = np.where(sheet.look == Look.BY_CLASS, usual, sheet.look)[line]
         sheet.label[line] = Terrain.STRUCTURE

@@ -98,7 +98,7 @@ class Stones(Scattered):
 
     @property
     def density(self) -> float:
-        """Number of random stones drawn per hectare, as in the densest areas."""
+        """Number of random stones drawn per hectare, enough for the densest areas."""
         if self.share is None:
             return 0.0
         if self.size[0] == self.size[1]:  # of one size: the law's share, all in that size
@@ -119,13 +119,13 @@ class Stones(Scattered):
         things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # random numbers for existence and outline
 
     def share_at(self, east: F64, north: F64, seed: int) -> F64:
-        """Return the share of ground under stones, k, at positions (N,), from fewest to most on a logarithmic scale."""
+        """Return the share of ground under stones, k, at positions (N,), which varies within the limits of `share`."""
         few, most = self.share or (USUAL, USUAL)
         field = noise(east, north, seed + 5, self.patch, 0.2 * self.patch)
         return np.asarray(few * (most / few) ** ndtr(field))
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """Return the (N,) mask of stones that exist; large stones are thinned more, by the law of the local k."""
+        """Return the (N,) mask of the drawn stones to keep, which thins them from the densest law to the local one."""
         if self.share is None or not len(things):
             return np.ones(len(things), bool)
         k, most = self.share_at(things[:, EAST], things[:, NORTH], seed), self._most

@@ -27,7 +27,7 @@ FREEBOARD = 0.8  # share of `below` to which low ground beside the water is rais
 
 
 def above(field: F64, share: float) -> F64:
-    """Return a field of unit deviation minus the level that a `share` of it exceeds, in deviations."""
+    """Return a field of unit deviation minus the threshold that a `share` of its values exceeds."""
     return np.asarray(field - NormalDist().inv_cdf(min(max(1.0 - share, 1e-6), 1.0 - 1e-6)))
 
 
@@ -58,7 +58,7 @@ class Canals(Lined):
         return 0.6 * self.width + 3.0 * self.bank + 0.5
 
     def line(self, lay: Lay) -> F64:
-        """Return the (N, 4) vertices with the water's height: below the lowest ground near by, smoothed along."""
+        """Return the (N, 4) vertices at the water's height: `below` the lowest ground near by, smoothed."""
         line = pieces(self.path, PIECE)
         if self.wander > 0.0:
             line = winding(line, self.wander, lay.seed)
@@ -123,7 +123,7 @@ class Puddles(Outline):
         return self.sunk, 0.0
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
-        """Return (R, C) smooth noise of unit deviation: water fills small hollows."""
+        """Return (R, C) smooth noise of unit deviation, whose level line is the outline."""
         return noise(sheet.x, sheet.y, lay.seed, self.size, 0.2 * self.size, 1.2)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:

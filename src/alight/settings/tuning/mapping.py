@@ -8,7 +8,7 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class MappingTuning(FrozenModel):
-    """Constants for keyframes, the search for the ground, the cell size, and limits of heights that are given out."""
+    """Constants for keyframes, the search for the ground, the cell size, and limits of published heights."""
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
     find_every: int = Field(8, ge=1, description="Keyframes from one search for the ground to the next")
