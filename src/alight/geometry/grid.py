@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F64
-from alight.geometry.cameras import Camera
 from alight.geometry.poses import Pose
 
 Box = tuple[slice, slice]  # rows and columns of a rectangular part of a grid
